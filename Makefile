@@ -1,0 +1,33 @@
+# `make demo` and `make test` work on a fresh clone: all they need is Python 3.11, 3.12 or 3.13 with its venv module.
+PYTHON ?= python3
+BIN := .venv/bin
+READY := .venv/.ready
+
+.PHONY: demo test check check-long clean
+
+demo: $(READY)
+	$(BIN)/jaxunshear run experiments/demo.py
+
+test: $(READY)
+	$(BIN)/python -m pytest -m "not long"
+
+check: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+check-long: $(READY)
+	$(BIN)/python -m pytest -m long
+
+# Results (runs/) and data sets (datasets/) are kept.
+clean:
+	rm -rf .venv build dist .pytest_cache .ruff_cache .mypy_cache *.egg-info
+	find jaxunshear data_specs tests experiments -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The stamp is written last: an install that was interrupted is done again.
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] < (3, 14))' || \
+		{ echo "Python 3.11, 3.12 or 3.13 is needed; name one: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 2; }
+	@echo "Setting up .venv; the installs take a few minutes."
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $(READY)

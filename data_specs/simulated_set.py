@@ -1,0 +1,129 @@
+"""What both builders share: TFDS without TensorFlow, over the examples of `jaxunshear.dataset.examples`.
+
+A set appears in one step (TFDS moves the finished folder into place) and with it `shards.json`, the SHA-256 of each shard,
+by which a reader tells a truncated or damaged file. Contacts made so far lie under `<data_dir>/.partial/` until then.
+"""
+
+import contextlib
+import dataclasses
+import errno
+import fcntl
+import hashlib
+import importlib.metadata
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import tensorflow_datasets as tfds
+
+from jaxunshear.dataset import configs
+from jaxunshear.dataset.chunks import Engine, simulate_chunks, simulator
+from jaxunshear.dataset.examples import summary
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.shots import SPLITS, draw
+from jaxunshear.errors import UserError
+from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.storage import write_json
+
+MANIFEST = "shards.json"
+HOMEPAGE = "https://arxiv.org/abs/2109.03615"  # the paper whose data these sets imitate
+
+
+@dataclasses.dataclass(eq=False)
+class SimulatedConfig(tfds.core.BuilderConfig):
+    settings: PairedData | PoseData | None = None
+    sensor: Sensor = TACTIP_331
+
+
+def standard_configs(name: str) -> list[SimulatedConfig]:
+    return [
+        SimulatedConfig(name=config, settings=settings, description=f"{settings.poses} poses a stimulus, see README.md")
+        for config, settings in configs.CONFIGS[name].items()
+    ]
+
+
+class SimulatedSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # type: ignore[call-arg]
+    """Simulates, or goes on simulating, when it is prepared. `file_format` need not be given: it is array_record."""
+
+    VERSION = tfds.core.Version(configs.VERSION)
+    RELEASE_NOTES: ClassVar[dict[str, str]] = {"1.0.0": "First release."}
+    engine: Engine | None = None  # tests put a fast stand-in for the simulator here
+
+    def _set_info(self, features: dict, keys: tuple[str, str] | None) -> tfds.core.DatasetInfo:
+        return self.dataset_info_from_configs(
+            features=tfds.features.FeaturesDict(features),
+            supervised_keys=keys,
+            metadata=tfds.core.MetadataDict(),
+            homepage=HOMEPAGE,
+        )
+
+    @property
+    def _unfinished(self) -> Path:
+        config = self.builder_config
+        return configs.unfinished_folder(config.settings, config.sensor, Path(self._data_dir_root))
+
+    def download_and_prepare(self, **options) -> None:
+        """Makes the set unless it is there. Raises `UserError` if another process is making it."""
+        if not Path(self.data_dir).exists():
+            with _alone(self._unfinished):
+                if not Path(self.data_dir).exists():
+                    for left in Path(self.data_dir).parent.glob("incomplete.*"):
+                        shutil.rmtree(left)  # of a killed run: under the lock no other is at work
+                    defaults = {"file_format": "array_record", "download_dir": self._unfinished / "downloads"}
+                    with _full_disk_is_an_os_error():
+                        super().download_and_prepare(**{**defaults, **options})
+        shutil.rmtree(self._unfinished, ignore_errors=True)
+
+    def _download_and_prepare(self, *args, **kwargs) -> None:
+        super()._download_and_prepare(*args, **kwargs)
+        folder = Path(self.data_dir)  # still the unfinished one
+        shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
+        write_json(folder / MANIFEST, {path.name: sha256(path) for path in shards})
+
+    def _split_generators(self, dl_manager):
+        settings, sensor = self.builder_config.settings, self.builder_config.sensor
+        shots = draw(settings)
+        paths = simulate_chunks(settings, sensor, shots, self._unfinished, self.engine or simulator())
+        counts = summary(settings, shots, paths)
+        for split, count in counts["written"].items():
+            if not count:
+                raise UserError(
+                    f"{self.name}/{self.builder_config.name}: no contact of split '{split}' converged: draw more poses"
+                )
+        versions = {name: importlib.metadata.version(name) for name in ("jax", "numpy", "tensorflow-datasets")}
+        self.info.metadata.update(**configs.describe(settings, sensor), counts=counts, versions=versions)
+        return {split: self._generate_examples(shots, paths, split) for split in SPLITS}
+
+
+def sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+@contextlib.contextmanager
+def _full_disk_is_an_os_error() -> Iterator[None]:
+    """array_record's writer reports a full disk as a `RuntimeError` with the system's words in it."""
+    try:
+        yield
+    except RuntimeError as error:
+        words = os.strerror(errno.ENOSPC)
+        if words not in str(error):
+            raise
+        raise OSError(errno.ENOSPC, words) from error
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Holds a lock on an unfinished set's folder; the system gives it back when a process dies."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise UserError(f"another process is making the set in {folder}: wait for it, or stop it") from error
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,31 @@
+"""`tactip_pose`: taps at poses of their own, recorded with drift."""
+
+import numpy as np
+import tensorflow_datasets as tfds
+
+from data_specs.simulated_set import SimulatedSet, standard_configs
+from jaxunshear.dataset import examples
+from jaxunshear.dataset.configs import POSE_SET
+
+
+class Builder(SimulatedSet):
+    BUILDER_CONFIGS = standard_configs(POSE_SET)
+    DEFAULT_BUILDER_CONFIG_NAME = "demo"
+
+    def _info(self) -> tfds.core.DatasetInfo:
+        settings, pins = self.builder_config.settings, self.builder_config.sensor.pins
+        size = settings.preprocess.size
+        features = {
+            "image": tfds.features.Image(shape=(size, size, 1), encoding_format="png"),
+            "pins": tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes"),
+            "pose": tfds.features.Tensor(shape=(4,), dtype=np.float32),
+            "edge": tfds.features.Tensor(shape=(2,), dtype=np.float32),
+            "stimulus": tfds.features.ClassLabel(names=list(settings.stimuli)),
+            "pose_id": np.int32,
+            "residual_mm": np.float32,
+            "age": np.float32,
+        }
+        return self._set_info(features, ("image", "pose"))
+
+    def _generate_examples(self, shots, paths, split):
+        yield from examples.pose_examples(self.builder_config.settings, shots, paths, split)

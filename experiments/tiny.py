@@ -1,0 +1,22 @@
+"""Claim: every stage runs and hands its work to the next. The figures mean nothing: the networks barely start to learn.
+
+    jaxunshear run experiments/tiny.py
+
+Expected on two cores: a minute or two, most of it compilation.
+"""
+
+from jaxunshear.dataset.configs import PAIRED, POSE
+from jaxunshear.experiment import Experiment
+from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.training.settings import Training
+
+experiment = Experiment(
+    name="tiny",
+    claim="Every stage runs and hands its work to the next.",
+    paired=PAIRED["tiny"],
+    pose=POSE["tiny"],
+    unshear=UnshearNet(widths=(8, 8, 8, 8), pose_channels=8, shear_channels=8),
+    posenet=PoseNet(widths=(8, 8, 8, 8, 8), hidden=16),
+    train=Training(epochs=2, batch=6, validate_every=4),
+    train_posenet=Training(epochs=2, batch=6, validate_every=4),
+)

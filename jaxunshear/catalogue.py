@@ -1,0 +1,79 @@
+"""Lists and drawings of the sensors and the stimuli."""
+
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.errors import UserError
+from jaxunshear.scene.sensor import SENSORS, Sensor, pin_tips, sensor_named
+from jaxunshear.scene.stimuli import STIMULI, TRAINING, Stimulus, signed_distance, stimulus_named
+from jaxunshear.storage import write_bytes
+
+SUFFIXES = (".png", ".svg", ".pdf")
+
+
+def names(kind: str) -> list[str]:
+    """`kind` is "sensors" or "stimuli"."""
+    return list(SENSORS) if kind == "sensors" else list(STIMULI)
+
+
+def listing(kind: str) -> str:
+    """One line for each sensor or stimulus."""
+    if kind == "sensors":
+        return "\n".join(
+            f"{s.name:12} {s.pins} pins, {s.layout}, {s.pin_spacing_mm:g} mm apart; dome radius {s.dome_radius_mm:g} mm"
+            for s in SENSORS.values()
+        )
+    return "\n".join(
+        f"{s.name:12} {s.material}, friction {s.friction:g}; {'trained on' if s.name in TRAINING else 'kept unseen'}"
+        for s in STIMULI.values()
+    )
+
+
+def draw(kind: str, name: str, out: Path) -> None:
+    """Draws a sensor's pins or a stimulus' outline (mm) to `out`, a PNG, SVG or PDF."""
+    if out.suffix.lower() not in SUFFIXES:
+        raise UserError(f"--out {out}: name a file that ends in {', '.join(SUFFIXES)}")
+    subject = sensor_named(name) if kind == "sensors" else stimulus_named(name)
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 6), layout="constrained")
+    axes = figure.add_subplot(aspect="equal", xlabel="x / mm", ylabel="y / mm")
+    if isinstance(subject, Sensor):
+        _draw_sensor(axes, subject)
+    else:
+        _draw_stimulus(axes, subject)
+    data = io.BytesIO()
+    figure.savefig(data, format=out.suffix[1:].lower(), dpi=150)
+    write_bytes(out, data.getvalue())
+
+
+def _draw_sensor(axes: Any, sensor: Sensor) -> None:
+    from matplotlib.patches import Circle
+
+    axes.add_patch(Circle((0, 0), sensor.dome_radius_mm, fill=False, color="0.5"))
+    for x, y, _ in pin_tips(sensor):
+        axes.add_patch(Circle((x, y), sensor.pin_radius_mm, color="black"))
+    axes.autoscale_view()
+    axes.set_title(f"{sensor.name}: {sensor.pins} pins, undeformed, as the camera sees them")
+    axes.invert_yaxis()
+
+
+def _draw_stimulus(axes: Any, stimulus: Stimulus) -> None:
+    """In the target frame, with the square of positions that the sensor's axis takes about the target."""
+    reach, points = 2.1 * stimulus.extent_mm, 500
+    side = np.linspace(-reach, reach, points, dtype=np.float32)
+    xy = np.stack(np.meshgrid(side, side), axis=-1)
+    distance = np.asarray(signed_distance(stimulus, xy))  # type: ignore[arg-type]
+    axes.contourf(side, side, distance, levels=[distance.min(), 0], colors=["0.8"])
+    axes.contour(side, side, distance, levels=[0], colors=["black"])
+    lateral = Ranges().lateral_mm
+    axes.plot(lateral * np.array([-1, 1, 1, -1, -1]), lateral * np.array([-1, -1, 1, 1, -1]), "r-", linewidth=1)
+    axes.plot([0], [0], "r.")
+    inside = xy[distance < 0]
+    axes.set_xlim(inside[:, 0].min() - 8, inside[:, 0].max() + 8)
+    axes.set_ylim(inside[:, 1].min() - 8, inside[:, 1].max() + 8)
+    axes.set_title(f"{stimulus.name}: target point and poses in red")

@@ -1,0 +1,221 @@
+"""The command line: parses, calls, prints. Every command imports what it needs when it needs it, so help is quick."""
+
+import argparse
+import errno
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from jaxunshear import __version__
+from jaxunshear.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxunshear.experiment import Experiment
+
+NETWORKS = ("entangled", "disentangled", "posenet")
+STAGES = {
+    "data": ("data",),
+    "train": NETWORKS,
+    "evaluate": ("evaluate",),
+    "run": ("data", *NETWORKS, "evaluate", "report"),
+}
+OWN_OPTIONS = ("--help", "--out", "--data", "--json", "--network")
+FIELDS_HELP = """
+fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1:
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command. Returns 0; 2 after an error that the user can mend (one line); 130 when interrupted."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    try:
+        return _run(argv)
+    except UserError as error:
+        return _complain(str(error))
+    except KeyboardInterrupt:
+        print("stopped; run the same command to continue", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stdout = None  # whoever read us has gone: nothing more can be said there
+        return 141
+    except Exception as error:
+        if _disk_is_full(error):
+            return _complain("the disk is full; free some space, then run the same command to continue")
+        if isinstance(error, OSError) and error.filename is not None:
+            return _complain(f"{error.filename}: {error.strerror}")
+        if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+            return _complain("out of memory; use a smaller --train.batch or smaller images")
+        raise
+
+
+def _complain(text: str) -> int:
+    print(f"jaxunshear: error: {' '.join(text.split())}", file=sys.stderr)
+    return 2
+
+
+def _disk_is_full(error: BaseException | None) -> bool:
+    """Also when a library wrapped the operating system's error in one of its own."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        if "No space left on device" in str(error) or "Disk quota exceeded" in str(error):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses in one line, like everything else."""
+
+    takes_fields = False
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{message}; see `{self.prog} --help`")
+
+
+    def format_help(self) -> str:
+        if not self.takes_fields:
+            return super().format_help()
+        from jaxunshear.config import field_types  # only for this: help must be quick
+
+        groups: dict[str, list[str]] = {}
+        for name, _ in field_types():
+            groups.setdefault(name.rpartition(".")[0], []).append(name.rpartition(".")[2])
+        lines = [f"  --{group + '.' if group else ''}{{{','.join(names)}}}" for group, names in groups.items()]
+        return super().format_help() + FIELDS_HELP + "\n".join(lines) + "\n"
+
+
+def _parser() -> _Parser:
+    parser = _Parser(prog="jaxunshear", description="From a touch to an unsheared tactile image, in simulation.")
+    parser.add_argument("--version", action="version", version=f"jaxunshear {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+    for name, text in (
+        ("run", "all of the next three and the report; continues where a stopped run left off"),
+        ("data", "simulate the two data sets"),
+        ("train", "train the networks"),
+        ("evaluate", "measure the networks on held-out poses"),
+    ):
+        usage = f"jaxunshear {name} FILE [options] [--field value ...]"
+        command = commands.add_parser(name, help=text, description=text, usage=usage)
+        command.takes_fields = True
+        command.add_argument("file", metavar="FILE", type=Path, help="a Python file, such as experiments/demo.py")
+        command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
+        command.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+        if name in ("run", "evaluate"):
+            _add_json(command)
+        if name == "train":
+            command.add_argument("--network", choices=NETWORKS, help="only this one (default: all three)")
+
+    text = "write the HTML page of a finished run"
+    command = commands.add_parser("report", help=text, description=text)
+    command.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
+
+    for name, text in (
+        ("unshear", "take the slide out of recorded images; also predicts their poses"),
+        ("pose", "predict the poses of recorded images, as they are and unsheared"),
+    ):
+        command = commands.add_parser(name, help=text, description=text)
+        command.add_argument("path", metavar="PATH", type=Path, help="an image, or a folder of recordings")
+        command.add_argument("--model", metavar="DIR", type=Path, required=True, help="a finished run: runs/demo")
+        if name == "unshear":
+            command.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")
+        _add_json(command)
+
+    for name, text in (("sensors", "list or draw the sensors"), ("stimuli", "list or draw the stimuli")):
+        command = commands.add_parser(name, help=text, description=text)
+        command.add_argument("action", choices=("list", "draw"), nargs="?", default="list")
+        command.add_argument("name", metavar="NAME", nargs="?", help="what to draw")
+        command.add_argument("--out", metavar="FILE", type=Path, help="PNG, SVG or PDF to draw to (default: NAME.png)")
+    return parser
+
+
+def _add_json(command: argparse.ArgumentParser) -> None:
+    command.add_argument("--json", metavar="FILE", type=Path, help="write what was measured, with machine and versions")
+
+
+def _run(argv: list[str]) -> int:
+    fields: list[str] = []
+    words = argv
+    if argv and argv[0] in STAGES:
+        from jaxunshear.config import parse_overrides, split_overrides
+
+        words, fields = split_overrides(argv, OWN_OPTIONS)
+        parse_overrides(fields)  # before anything is read: a typo is refused at once
+    try:
+        arguments = _parser().parse_args(words)
+    except SystemExit as leaving:  # --help and --version have printed
+        return int(leaving.code or 0)
+    command = shlex.join(["jaxunshear", *argv])
+    if arguments.command in STAGES:
+        _stages(arguments, fields, command)
+    elif arguments.command == "report":
+        _report(arguments.run)
+    elif arguments.command in ("unshear", "pose"):
+        _infer(arguments)
+    else:
+        _catalogue(arguments)
+    return 0
+
+
+def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> None:
+    experiment = _experiment(arguments.file, fields)
+    stages = STAGES[arguments.command]
+    if getattr(arguments, "network", None):
+        stages = (arguments.network,)
+    from jaxunshear.run import run_stages
+
+    results = run_stages(experiment, stages, out=arguments.out, data=arguments.data, command=command)
+    if getattr(arguments, "json", None):
+        from jaxunshear.evaluation.measurements import measurements
+        from jaxunshear.storage import write_json
+
+        write_json(arguments.json, measurements(results))
+
+
+def _experiment(file: Path, fields: list[str]) -> "Experiment":
+    from jaxunshear.config import load_experiment, override, validate
+
+    experiment = override(load_experiment(file), fields)
+    validate(experiment)
+    return experiment
+
+
+def _report(run: Path) -> None:
+    if not (run / "results.json").is_file():
+        raise UserError(f"{run} holds no results.json: name the folder of a finished run, such as runs/demo")
+    from jaxunshear.report.report import write_report
+
+    print(write_report(run))
+
+
+def _infer(arguments: argparse.Namespace) -> None:
+    from jaxunshear import infer
+
+    if arguments.command == "unshear":
+        measured = infer.unshear_recordings(arguments.path, arguments.model, arguments.out)
+    else:
+        measured = infer.pose_of_recordings(arguments.path, arguments.model)
+    if arguments.json:
+        from jaxunshear.storage import write_json
+
+        write_json(arguments.json, measured)
+
+
+def _catalogue(arguments: argparse.Namespace) -> None:
+    from jaxunshear import catalogue
+
+    if arguments.action == "list":
+        if arguments.name or arguments.out:
+            raise UserError(f"`list` takes nothing more; to draw: jaxunshear {arguments.command} draw NAME --out FILE")
+        print(catalogue.listing(arguments.command))
+        return
+    if not arguments.name:
+        raise UserError(f"name what to draw: {', '.join(catalogue.names(arguments.command))}")
+    out = arguments.out or Path(f"{arguments.name}.png")
+    catalogue.draw(arguments.command, arguments.name, out)
+    print(out)

@@ -1,0 +1,254 @@
+"""Experiments: read from a Python file, changed field by field on the command line, checked, kept as JSON. No JAX here.
+
+>>> experiment = override(load_experiment("experiments/demo.py"), ["--train.epochs", "5", "--sensor", "tactip127"])
+>>> validate(experiment)
+"""
+
+import dataclasses
+import difflib
+import functools
+import math
+import runpy
+import traceback
+import types
+import typing
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.scene.sensor import Sensor, sensor_named
+
+
+def load_experiment(path: str | Path) -> Experiment:
+    """The variable `experiment` of the Python file `path`, of the right types but not yet validated."""
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(
+            f"experiment file {path} {'is a folder' if path.is_dir() else 'does not exist'}: name a Python file"
+        )
+    try:
+        found = runpy.run_path(str(path), run_name="jaxunshear_experiment").get("experiment")
+    except (Exception, SystemExit) as error:
+        raise UserError(f"experiment file {path} {_failure(path, error)}") from error
+    if found is None:
+        raise UserError(f"experiment file {path} defines no variable `experiment`: add experiment = Experiment(...)")
+    if not isinstance(found, Experiment):
+        raise UserError(f"experiment file {path}: `experiment` is of type {type(found).__name__}, not Experiment")
+    check_types(found)
+    return found
+
+
+def override(experiment: Experiment, argv: Sequence[str]) -> Experiment:
+    """`experiment` with fields replaced: `--train.epochs 5` or `--train.epochs=5`, several at will; the last wins."""
+    for name, value in parse_overrides(argv):
+        experiment = _replaced(experiment, name.split("."), value)
+    return experiment
+
+
+def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Any]]:
+    """Dotted names and parsed values of `--name value` or `--name=value`; names and types are refused here, by name."""
+    kinds, pairs = dict(field_types()), []
+    words = iter(argv)
+    for word in words:
+        if not word.startswith("--"):
+            raise UserError(f"argument '{word}' is not understood: fields are changed by --name value")
+        name, equals, text = word[2:].partition("=")
+        if name not in kinds:
+            raise UserError(f"there is no field --{name}{_suggestion(name, kinds)}")
+        if not equals:
+            text = next(words, None)  # type: ignore[assignment]
+            if text is None or text.startswith("--"):
+                raise UserError(f"--{name} needs a value: {_describe(kinds[name])}")
+        pairs.append((name, _parse(text, kinds[name], name)))
+    return pairs
+
+
+def split_overrides(argv: Sequence[str], own: Iterable[str]) -> tuple[list[str], list[str]]:
+    """Parts a command line: what argparse reads, and every `--name value` where --name is not of `own`."""
+    kept: list[str] = []
+    fields: list[str] = []
+    words = iter(argv)
+    for word in words:
+        is_field = word.startswith("--") and word.partition("=")[0] not in own
+        (fields if is_field else kept).append(word)
+        if word.startswith("--") and "=" not in word and word not in ("--help", "--version"):
+            (fields if is_field else kept).extend([value] if (value := next(words, None)) is not None else [])
+    return kept, fields
+
+
+def to_json(experiment: Experiment) -> dict[str, Any]:
+    """`experiment` as nested dictionaries and lists."""
+    return dataclasses.asdict(experiment)
+
+
+def from_json(data: Any, source: str = "experiment.json") -> Experiment:
+    """The inverse of `to_json`; unknown and missing fields and wrong types are refused by name."""
+    return _build(data, Experiment, source, "")
+
+
+def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Dotted names and types of all fields that can be overridden; `sensor` itself takes a name."""
+    for field in dataclasses.fields(kind):
+        hint = _hints(kind)[field.name]
+        if not dataclasses.is_dataclass(hint) or hint is Sensor:
+            yield prefix + field.name, hint
+        if dataclasses.is_dataclass(hint):
+            yield from field_types(typing.cast(type, hint), f"{prefix}{field.name}.")
+
+
+def check_types(experiment: Experiment) -> None:
+    """Refuses, by dotted name, values that an experiment file gave the wrong type; NaN and infinity count as wrong."""
+    _check(experiment, Experiment, "")
+
+
+def validate(experiment: Experiment) -> None:
+    """Refuses values no run could work with, by dotted name and with a remedy: sizes, ranges, counts, unknown names."""
+    from jaxunshear.limits import limits  # the table of rules is long: see there
+
+    check_types(experiment)
+    for ok, name, complaint in limits(experiment):
+        if not ok:
+            value = functools.reduce(getattr, name.split("."), experiment)
+            raise UserError(f"--{name} {_show(value)}: {complaint}")
+
+
+def _failure(path: Path, error: BaseException) -> str:
+    if "null bytes" in str(error) or "codec can't decode" in str(error):
+        return "is not text: name a Python file"
+    if isinstance(error, SyntaxError):
+        return f"has a syntax error in line {error.lineno}: {error.msg}"
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    where = f" in line {lines[-1]}" if lines else ""
+    return f"fails{where}: {type(error).__name__}: {' '.join(str(error).split())}"
+
+
+@functools.cache
+def _hints(kind: type) -> dict[str, Any]:
+    return typing.get_type_hints(kind)
+
+
+def _suggestion(name: str, kinds: Iterable[str]) -> str:
+    kinds = list(kinds)
+    inside = [kind for kind in kinds if kind.startswith(name + ".")]
+    if inside:
+        return (
+            f": it is a group, with {', '.join('--' + kind for kind in inside[:4])}{', ...' if len(inside) > 4 else ''}"
+        )
+    last = [kind for kind in kinds if kind.rpartition(".")[2] == name.rpartition(".")[2]]
+    near = (
+        difflib.get_close_matches(name, kinds, n=1, cutoff=0.7)
+        or last[:3]
+        or difflib.get_close_matches(name, kinds, n=1)
+    )
+    return f": did you mean {' or '.join('--' + kind for kind in near)}?" if near else ": see `jaxunshear run --help`"
+
+
+def _replaced(node: Any, path: list[str], value: Any) -> Any:
+    if len(path) > 1:
+        value = _replaced(getattr(node, path[0]), path[1:], value)
+    return dataclasses.replace(node, **{path[0]: value})
+
+
+def _optional(kind: Any) -> Any:
+    """The X of `X | None`, else None."""
+    if typing.get_origin(kind) in (types.UnionType, typing.Union):
+        (inner,) = [arg for arg in typing.get_args(kind) if arg is not types.NoneType]
+        return inner
+    return None
+
+
+def _describe(kind: Any) -> str:
+    if _optional(kind) is not None:
+        return f"{_describe(_optional(kind))}, or none"
+    if typing.get_origin(kind) is tuple:
+        inner, *more = typing.get_args(kind)
+        if more[-1:] != [...]:
+            return "numbers joined by ':'"
+        return {int: "whole numbers", float: "numbers", str: "names"}.get(inner, "pairs a:b") + " separated by commas"
+    return {int: "a whole number", float: "a number", bool: "true or false", str: "text", Sensor: "a sensor's name"}[
+        kind
+    ]
+
+
+def _parse(text: str, kind: Any, name: str) -> Any:
+    """`text` as a value of `kind`; tuples are comma lists, tuples within them are joined by colons."""
+    try:
+        return _parsed(text.strip(), kind)
+    except ValueError:
+        raise UserError(f"--{name} takes {_describe(kind)}, not '{text}'") from None
+
+
+def _parsed(text: str, kind: Any) -> Any:
+    if (inner := _optional(kind)) is not None:
+        return None if text.lower() == "none" else _parsed(text, inner)
+    if typing.get_origin(kind) is tuple:
+        first, *more = typing.get_args(kind)
+        if more[-1:] == [...]:
+            return tuple(_parsed(item.strip(), first) for item in text.split(",")) if text else ()
+        items = text.split(":")
+        return tuple(_parsed(item.strip(), part) for item, part in zip(items, (first, *more), strict=True))
+    if kind is bool:
+        return {"true": True, "false": False}.get(text.lower()) if text.lower() in ("true", "false") else _refuse()
+    if kind is Sensor:
+        return sensor_named(text)
+    return kind(text)
+
+
+def _refuse() -> typing.NoReturn:
+    raise ValueError
+
+
+def _check(value: Any, kind: Any, name: str) -> None:
+    if dataclasses.is_dataclass(kind):
+        if not isinstance(value, typing.cast(type, kind)):
+            raise UserError(f"{name or 'experiment'} is of type {type(value).__name__}, not {kind.__name__}")  # type: ignore[union-attr]
+        for field, hint in _hints(typing.cast(type, kind)).items():
+            _check(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
+    elif not _fits(value, kind):
+        raise UserError(f"--{name} takes {_describe(kind)}, not {value!r}")
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise UserError(f"--{name} must be a finite number, not {value}")
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    if (inner := _optional(kind)) is not None:
+        return value is None or _fits(value, inner)
+    if typing.get_origin(kind) is tuple:
+        first, *more = typing.get_args(kind)
+        if not isinstance(value, tuple):
+            return False
+        kinds = (first,) * len(value) if more[-1:] == [...] else (first, *more)
+        return len(value) == len(kinds) and all(_fits(v, k) for v, k in zip(value, kinds, strict=True))
+    if kind is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
+
+
+def _build(data: Any, kind: Any, source: str, name: str) -> Any:
+    if dataclasses.is_dataclass(kind):
+        hints = _hints(typing.cast(type, kind))
+        if not isinstance(data, dict) or set(data) != set(hints):
+            odd = sorted(set(data) ^ set(hints)) if isinstance(data, dict) else ["all of it"]
+            raise UserError(
+                f"{source} does not fit this version: see {name or 'its top level'}, {', '.join(odd)}; run it again"
+            )
+        parts = {
+            field: _build(data[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in hints.items()
+        }
+        return typing.cast(type, kind)(**parts)
+    value = _tupled(data)
+    if not _fits(value, kind):
+        raise UserError(f"{source}: {name} takes {_describe(kind)}, not {data!r}")
+    return value
+
+
+def _tupled(data: Any) -> Any:
+    return tuple(_tupled(item) for item in data) if isinstance(data, list) else data
+
+
+def _show(value: Any) -> str:
+    if isinstance(value, tuple):
+        return ",".join(":".join(map(str, item)) if isinstance(item, tuple) else str(item) for item in value) or "''"
+    return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,0 +1,131 @@
+"""Meshes of a body of revolution: 8-node quadrilaterals in the half-plane (r, z), for the dome and for a half-space.
+
+Both are a quarter disk: a square core on the axis, then layers out to the arc, so that no element degenerates. Read
+`dome_mesh` first; `_quarter_disk` is bookkeeping.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# corners, then mid-sides, counter-clockwise in the reference square [-1, 1]^2
+_CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+_SIDES = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], float)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """nodes (V, 2) are (r, z) in mm; surface (S, 3) holds edges (end, middle, end) from the axis outwards."""
+
+    nodes: np.ndarray
+    elements: np.ndarray  # (E, 8)
+    skin: np.ndarray  # (E,) bool
+    clamped: np.ndarray  # node indices
+    surface: np.ndarray
+
+    @property
+    def axis(self) -> np.ndarray:
+        return np.flatnonzero(self.nodes[:, 0] < 1e-9)
+
+
+def shape_functions(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Serendipity shape functions at local (Q, 2): values (Q, 8) and local gradients (Q, 8, 2)."""
+    x, y = local[:, :1], local[:, 1:]
+    cx, cy = _CORNERS.T
+    values = [(1 + x * cx) * (1 + y * cy) * (x * cx + y * cy - 1) / 4]
+    in_x = [cx * (1 + y * cy) * (2 * x * cx + y * cy) / 4]
+    in_y = [cy * (1 + x * cx) * (2 * y * cy + x * cx) / 4]
+    for sx, sy in _SIDES:
+        if sx == 0:
+            values.append((1 - x**2) * (1 + y * sy) / 2)
+            in_x.append(-x * (1 + y * sy))
+            in_y.append((1 - x**2) * sy / 2)
+        else:
+            values.append((1 - y**2) * (1 + x * sx) / 2)
+            in_x.append((1 - y**2) * sx / 2)
+            in_y.append(-y * (1 + x * sx))
+    return np.concatenate(values, 1), np.stack([np.concatenate(in_x, 1), np.concatenate(in_y, 1)], -1)
+
+
+def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
+    """Hemisphere of `radius` under a skin, clamped at its base plane; z from the apex (z = 0) to the base (z = radius), mm."""
+    inner = radius - skin
+    core = max(int(round(0.65 * inner / h)), 2)  # 2 x core elements along the arc
+    layers = max(int(round(0.5 * inner / h)), 2)
+    skin_layers = max(int(round(skin / h)), 1)
+    points, elements, block = _quarter_disk(0.5 * inner, core, np.linspace(0.5 * inner, inner, layers + 1)[1:], skin_layers, skin)
+    nodes = np.stack([points[:, 0], radius - points[:, 1]], -1)
+    skin_elements = block >= layers
+    on_arc = np.abs(np.hypot(*points.T) - radius) < 1e-6 * radius
+    clamped = np.flatnonzero(points[:, 1] < 1e-9)
+    surface = _surface_edges(elements, on_arc, key=points[:, 0])
+    return Mesh(nodes, elements, skin_elements, clamped, surface)
+
+
+def half_space_mesh(contact: float, h: float, growth: float = 1.25, reach: float = 60.0) -> Mesh:
+    """A half ball of radius `reach` x `contact` in z >= 0, flat face at z = 0, fine within `contact`, clamped far away."""
+    core = max(int(round(contact / h)), 2)
+    radii, step = [contact * 1.0], h
+    while radii[-1] < reach * contact:
+        step *= growth
+        radii.append(radii[-1] + step)
+    points, elements, _ = _quarter_disk(contact, core, np.array(radii[1:]), 0, 0.0)
+    on_face = points[:, 1] < 1e-9
+    clamped = np.flatnonzero(np.abs(np.hypot(*points.T) - radii[-1]) < 1e-6 * radii[-1])
+    return Mesh(points, elements, np.zeros(len(elements), bool), clamped, _surface_edges(elements, on_face, key=points[:, 0]))
+
+
+def _quarter_disk(core_mm: float, core: int, radii: np.ndarray, skin_layers: int, skin: float):
+    """Points (V, 2), elements (E, 8), and for each element the layer it lies in (-1: the core)."""
+    roundness = 0.6  # of the core: 0 a square, 1 a quarter disk with a flat (degenerate) corner
+    outer = radii[-1]
+    skin_radii = outer + skin * (np.arange(skin_layers) + 1) / max(skin_layers, 1)
+    shares = np.concatenate([[0.0], (radii - core_mm) / (outer - core_mm), skin_radii / outer])  # above 1: true circles
+
+    def core_point(i: float, j: float) -> np.ndarray:
+        square = np.array([i / core, j / core])
+        length = np.hypot(*square)
+        circle = square * square.max() / length if length else square
+        return core_mm * ((1 - roundness) * square + roundness * circle)
+
+    def layer_point(t: float, share: float) -> np.ndarray:
+        angle = t / (2 * core) * np.pi / 2
+        circle = outer * np.array([np.cos(angle), np.sin(angle)])
+        if share >= 1:
+            return share * circle
+        rim = core_point(core, t) if t <= core else core_point(2 * core - t, core)
+        return (1 - share) * rim + share * circle
+
+    index: dict[tuple[float, float], int] = {}
+    points: list[np.ndarray] = []
+
+    def add(point: np.ndarray) -> int:
+        key = (round(point[0], 7) + 0.0, round(point[1], 7) + 0.0)
+        if key not in index:
+            index[key] = len(points)
+            points.append(point)
+        return index[key]
+
+    offsets = [(0, 0), (1, 0), (1, 1), (0, 1), (0.5, 0), (1, 0.5), (0.5, 1), (0, 0.5)]
+    elements, block = [], []
+    for i in range(core):
+        for j in range(core):
+            elements.append([add(core_point(i + a, j + b)) for a, b in offsets])
+            block.append(-1)
+    for layer in range(len(shares) - 1):
+        share = {0: shares[layer], 0.5: 0.5 * (shares[layer] + shares[layer + 1]), 1: shares[layer + 1]}
+        for t in range(2 * core):
+            elements.append([add(layer_point(t + b, share[a])) for a, b in offsets])
+            block.append(layer)
+    return np.array(points), np.array(elements), np.array(block)
+
+
+def _surface_edges(elements: np.ndarray, on_surface: np.ndarray, key: np.ndarray) -> np.ndarray:
+    edges = []
+    for a, middle, b in ((0, 4, 1), (1, 5, 2), (2, 6, 3), (3, 7, 0)):
+        face = elements[:, [a, middle, b]]
+        edges.append(face[on_surface[face].all(axis=1)])
+    found = np.concatenate(edges)
+    flip = key[found[:, 0]] > key[found[:, 2]]
+    found[flip] = found[flip][:, ::-1]
+    return found[np.argsort(key[found[:, 1]])]

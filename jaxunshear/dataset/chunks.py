@@ -1,0 +1,160 @@
+"""Scenes -> contacts -> images, in files of one batch each, so that a killed run goes on where it stopped.
+
+What disturbs an image depends on the seed and the contact's number alone, neither on the chunk nor on what was done before.
+"""
+
+import functools
+import io
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset.configs import config_name, set_name
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.shots import Shots
+from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
+from jaxunshear.scene.sensor import Sensor
+from jaxunshear.storage import write_bytes
+
+RENDER = 16  # images rendered at once: one shape to compile, little memory
+
+
+class Engine(NamedTuple):
+    """What makes contacts and images; the tests put fast stand-ins here."""
+
+    plan: Callable[..., list[np.ndarray]]  # (sensor, scenes) -> index batches
+    simulate: Callable[..., Any]  # (sensor, names, scenes[, level]) -> Contacts
+    look: Callable[..., tuple[np.ndarray, np.ndarray]]  # (settings, sensor, tips, number, age) -> images, pins in px
+
+
+def simulator() -> Engine:
+    """The real one."""
+    from jaxunshear.contact import simulate
+
+    return Engine(simulate.plan, simulate.simulate, look)
+
+
+def _usable(contacts) -> np.ndarray:
+    finite = np.isfinite(contacts.pins).all((1, 2)) & np.isfinite(contacts.residual_mm)
+    return finite & np.asarray(contacts.converged, bool)
+
+
+def simulate_chunks(
+    settings: PairedData | PoseData, sensor: Sensor, shots: Shots, folder: Path, engine: Engine
+) -> list[Path]:
+    """Simulates all shots into one file per batch of `engine.plan`; files that are there already are kept.
+
+    A contact that does not converge is tried once more at the simulator's `reference` level; if that fails too, or if its
+    image is black, it is stored as not usable. A chunk holds `number`, `usable`, `retried` (n,), `images` (n, bytes) at
+    one bit a pixel, `pins` (n, P, 2) px, and what the solver says of each contact.
+    """
+    batches = engine.plan(sensor, shots.scenes)
+    paths = [folder / f"{index:05d}.npz" for index in range(len(batches))]
+    done = [_holds(path, batch) for path, batch in zip(paths, batches, strict=True)]
+    label = f"simulate {set_name(settings)}/{config_name(settings, sensor)}"
+    started = sum(len(batch) for batch, there in zip(batches, done, strict=True) if there)
+    with Progress(label, total=len(shots.scenes), unit="contacts", done=started) as progress:
+        for path, batch, there in zip(paths, batches, done, strict=True):
+            if there:
+                continue
+            chunk = _chunk(settings, sensor, shots, np.asarray(batch), engine)
+            buffer = io.BytesIO()
+            np.savez(buffer, **chunk)  # type: ignore[arg-type]
+            write_bytes(path, buffer.getvalue())
+            progress.advance(len(batch))
+    return paths
+
+
+def _holds(path: Path, batch: np.ndarray) -> bool:
+    """Whether a killed run left this very batch; one planned by an older version is made again."""
+    return path.exists() and np.array_equal(load_chunk(path)["number"], batch)
+
+
+def _chunk(settings, sensor: Sensor, shots: Shots, batch: np.ndarray, engine: Engine) -> dict[str, np.ndarray]:
+    names = settings.stimuli
+    scenes = shots.scenes.take(batch)
+    contacts = engine.simulate(sensor, names, scenes)
+    kept = ("pins", "residual_mm", "iterations", "stuck", "slipping", "free")
+    fields = {name: np.array(getattr(contacts, name)) for name in kept}
+    usable = _usable(contacts)
+    retried = ~usable
+    if retried.any():
+        again = np.flatnonzero(retried)
+        contacts = engine.simulate(sensor, names, scenes.take(again), level="reference")
+        for name in kept:
+            fields[name][again] = getattr(contacts, name)
+        usable[again] = _usable(contacts)
+    size = settings.preprocess.size
+    tips = fields.pop("pins")
+    images = np.zeros((len(batch), -(-size * size // 8)), np.uint8)
+    pins = np.zeros((*tips.shape[:2], 2), np.float32)
+    if usable.any():
+        seen, places = engine.look(settings, sensor, tips[usable], batch[usable], shots.age[batch[usable]])
+        images[usable] = pack(seen)
+        pins[usable] = places
+        usable &= images.any(axis=-1)  # a frame that is not finite comes out black
+    return {"number": batch, "usable": usable, "retried": retried, "images": images, "pins": pins, **fields}
+
+
+def load_chunk(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path) as file:
+            return dict(file)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise UserError(f"chunk {path} cannot be read ({error}): delete it and run the same command again") from error
+
+
+def look(settings: PairedData | PoseData, sensor: Sensor, tips: np.ndarray, number: np.ndarray, age: np.ndarray):
+    """Images (B, S, S) uint8 in {0, 255} of pin tips (B, P, 3) in mm, and the pins' places (B, P, 2) in them, px."""
+    images, pins = [], []
+    for start in range(0, len(tips), RENDER):
+        rows = np.arange(start, min(start + RENDER, len(tips)))
+        padded = np.resize(rows, RENDER)
+        image, place = _look()(
+            settings.camera,
+            settings.nuisance,
+            settings.preprocess,
+            sensor,
+            np.asarray(tips[padded], np.float32),
+            np.uint32(settings.seed),
+            np.asarray(number[padded], np.uint32),
+            np.asarray(age[padded], np.float32),
+        )
+        images.append(np.asarray(image)[: len(rows)])
+        pins.append(np.asarray(place)[: len(rows)])
+    return np.concatenate(images), np.concatenate(pins)
+
+
+@functools.cache
+def _look():
+    import jax
+
+    from jaxunshear.image import camera as cameras
+    from jaxunshear.image.preprocess import binarise
+
+    @functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
+    def run(camera, nuisance, preprocess, sensor, tips, seed, number, age):
+        def one(tip, index, when):
+            key = jax.random.fold_in(jax.random.key(seed), index)
+            return cameras.frame(camera, sensor, nuisance, tip, key, when)
+
+        frames = jax.vmap(one)(tips, number, age)
+        place = cameras.project(camera, tips, sensor) + cameras.drift(nuisance, age)[:, None, :]
+        return binarise(preprocess, frames), cameras.to_image_px(camera, preprocess, place)
+
+    return run
+
+
+def pack(images: np.ndarray) -> np.ndarray:
+    """(B, S, S) binary -> (B, bytes), one bit a pixel."""
+    return np.packbits(images.reshape(len(images), -1) > 0, axis=-1)
+
+
+def unpack(bits: np.ndarray, size: int) -> np.ndarray:
+    """(..., bytes) -> (..., S, S) uint8 in {0, 255}."""
+    return np.unpackbits(bits, axis=-1, count=size * size).reshape(*bits.shape[:-1], size, size) * np.uint8(255)

@@ -1,0 +1,88 @@
+"""The stored configurations of both data sets, and how a set made with other settings is told apart. Imports no JAX."""
+
+import dataclasses
+import hashlib
+import json
+from pathlib import Path
+
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.errors import UserError
+from jaxunshear.image.settings import Camera, Preprocess
+from jaxunshear.scene.sensor import TACTIP_331, Sensor
+
+VERSION = "1.0.0"  # of the stored sets; raise it whenever the same settings give other bits
+PAIRED_SET, POSE_SET = "tactip_paired", "tactip_pose"
+
+PAIRED = {
+    "tiny": PairedData(config="tiny", poses=10),
+    "demo": PairedData(),
+    "standard": PairedData(config="standard", poses=400, taps=2, slides=8, tap_depth_jitter_mm=0.5),
+    "paper": PairedData(
+        config="paper",
+        poses=200,
+        taps=50,
+        slides=150,
+        tap_depth_jitter_mm=1.0,
+        camera=Camera(frame_px=256),
+        preprocess=Preprocess(size=256),
+    ),
+}
+POSE = {
+    "tiny": PoseData(config="tiny", poses=10),
+    "demo": PoseData(),
+    "standard": PoseData(config="standard", poses=3000),
+    "paper": PoseData(config="paper", poses=10_000, camera=Camera(frame_px=256), preprocess=Preprocess(size=256)),
+}
+CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: PAIRED, POSE_SET: POSE}
+
+
+def set_name(settings: PairedData | PoseData) -> str:
+    """The data set that these settings describe."""
+    return PAIRED_SET if isinstance(settings, PairedData) else POSE_SET
+
+
+def describe(settings: PairedData | PoseData, sensor: Sensor) -> dict:
+    """Everything that decides a set's bits, as plain JSON types."""
+    fields = dataclasses.asdict(settings)
+    del fields["config"]  # a name only
+    whole = {"set": set_name(settings), "version": VERSION, "sensor": dataclasses.asdict(sensor), "settings": fields}
+    return json.loads(json.dumps(whole))
+
+
+def fingerprint(settings: PairedData | PoseData, sensor: Sensor) -> str:
+    """Eight hexadecimal digits of `describe`."""
+    text = json.dumps(describe(settings, sensor), sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def config_name(settings: PairedData | PoseData, sensor: Sensor = TACTIP_331) -> str:
+    """Name of the stored configuration: `settings.config` if nothing in it was changed, else `custom-<8 hex digits>`."""
+    known = CONFIGS[set_name(settings)]
+    if settings.config not in known:
+        raise UserError(f"config '{settings.config}' of {set_name(settings)} is unknown: use one of {', '.join(known)}")
+    if settings == known[settings.config] and sensor == TACTIP_331:
+        return settings.config
+    return f"custom-{fingerprint(settings, sensor)}"
+
+
+def set_folder(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> Path:
+    """Where a finished set lies, as TFDS names it: <data_dir>/<set>/<config>/<version>."""
+    return Path(data_dir).absolute() / set_name(settings) / config_name(settings, sensor) / VERSION
+
+
+def unfinished_folder(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> Path:
+    """Where the chunks of a set lie until it is finished."""
+    name = f"{set_name(settings)}-{config_name(settings, sensor)}-{fingerprint(settings, sensor)}"
+    return Path(data_dir).absolute() / ".partial" / name
+
+
+def differences(stored: dict, wanted: dict, path: str = "") -> list[str]:
+    """Names of the fields in which two `describe` dictionaries differ, dotted."""
+    names = []
+    for key in sorted(stored.keys() | wanted.keys()):
+        here, there = stored.get(key), wanted.get(key)
+        if isinstance(here, dict) and isinstance(there, dict):
+            names += differences(here, there, f"{path}{key}.")
+        elif here != there:
+            names.append(f"{path}{key}")
+    return names

@@ -1,0 +1,142 @@
+"""Chunks of contacts -> examples of the two data sets, and the counts that go with a set.
+
+shots = draw(settings)                                                    # dataset/shots.py
+paths = simulate_chunks(settings, sensor, shots, folder, simulator())     # dataset/chunks.py
+for key, example in paired_examples(settings, shots, paths, "train"): ...
+"""
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from jaxunshear.dataset.chunks import load_chunk, unpack
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.shots import SPLITS, Shots
+
+PNG_LEVEL = 4
+
+
+def png(image: np.ndarray) -> bytes:
+    """(S, S) uint8 -> the bytes of a grey PNG."""
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "png", compress_level=PNG_LEVEL)
+    return buffer.getvalue()
+
+
+def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) -> dict:
+    """Counts of a set, and the scene of every contact that was dropped (plain JSON types)."""
+    usable = np.zeros(len(shots.scenes), bool)
+    retried = 0
+    for path in paths:
+        chunk = load_chunk(path)
+        usable[chunk["number"]] = chunk["usable"]
+        retried += int(chunk["retried"].sum())
+    written = usable & shots.slid if isinstance(settings, PairedData) else usable
+    unpaired = 0
+    if isinstance(settings, PairedData):
+        taps = _by_pose(shots, np.flatnonzero(usable & ~shots.slid))
+        alone = np.array([not taps.get(key) for key in _pose_keys(shots)])
+        unpaired = int((written & alone).sum())
+        written &= ~alone
+    return {
+        "contacts": len(shots.scenes),
+        "retried": retried,
+        "dropped": int((~usable).sum()),
+        "slides_without_tap": unpaired,
+        "written": {name: int((written & (shots.split == index)).sum()) for index, name in enumerate(SPLITS)},
+        "dropped_scenes": [
+            {
+                "number": int(row),
+                "stimulus": settings.stimuli[shots.scenes.stimulus[row]],
+                "pose_id": int(shots.pose_id[row]),
+                "pose": shots.scenes.pose[row].tolist(),
+                "move": shots.scenes.move[row].tolist(),
+            }
+            for row in np.flatnonzero(~usable)
+        ],
+    }
+
+
+def _pose_keys(shots: Shots) -> list[tuple[int, int]]:
+    return list(zip(shots.scenes.stimulus.tolist(), shots.pose_id.tolist(), strict=True))
+
+
+def _by_pose(shots: Shots, rows: np.ndarray) -> dict[tuple[int, int], list[int]]:
+    keys = _pose_keys(shots)
+    groups: dict[tuple[int, int], list[int]] = {}
+    for row in rows.tolist():
+        groups.setdefault(keys[row], []).append(row)
+    return groups
+
+
+def _labels(settings: PairedData | PoseData, shots: Shots, row: int) -> dict[str, Any]:
+    return {
+        "pose": shots.scenes.pose[row].astype(np.float32),
+        "edge": shots.edge[row].astype(np.float32),
+        "stimulus": settings.stimuli[shots.scenes.stimulus[row]],
+        "pose_id": int(shots.pose_id[row]),
+    }
+
+
+def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+    """(key, example) of every usable slide of a split with a tap of its pose: slide j takes tap j modulo their number."""
+    inside = shots.split == SPLITS.index(split)
+    tap_images, tap_pins = {}, {}
+    for path in paths:
+        chunk = load_chunk(path)
+        for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]] & ~shots.slid[chunk["number"]]):
+            row = int(chunk["number"][place])
+            tap_images[row] = png(unpack(chunk["images"][place], settings.preprocess.size))
+            tap_pins[row] = chunk["pins"][place]
+    taps = _by_pose(shots, np.array(sorted(tap_images), int))
+    keys = _pose_keys(shots)
+    for path in paths:
+        chunk = load_chunk(path)
+        for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]] & shots.slid[chunk["number"]]):
+            row = int(chunk["number"][place])
+            if keys[row] not in taps:
+                continue
+            slide = int(shots.instance[row])
+            tap = taps[keys[row]][slide % len(taps[keys[row]])]
+            labels = _labels(settings, shots, row)
+            yield (
+                f"{labels['stimulus']}_{labels['pose_id']}_{slide}",
+                {
+                    "canonical": tap_images[tap],
+                    "sheared": png(unpack(chunk["images"][place], settings.preprocess.size)),
+                    "canonical_pins": tap_pins[tap],
+                    "sheared_pins": chunk["pins"][place],
+                    **labels,
+                    "move": shots.scenes.move[row].astype(np.float32),
+                    "friction": np.float32(shots.scenes.friction[row]),
+                    "slide_id": slide,
+                    "tap_id": int(shots.instance[tap]),
+                    "tap_depth_mm": np.float32(shots.scenes.pose[tap, 3]),
+                    "residual_mm": np.float32(chunk["residual_mm"][place]),
+                    **{name: int(chunk[name][place]) for name in ("stuck", "slipping", "free", "iterations")},
+                },
+            )
+
+
+def pose_examples(settings: PoseData, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+    """(key, example) of every usable tap of a split."""
+    inside = shots.split == SPLITS.index(split)
+    for path in paths:
+        chunk = load_chunk(path)
+        for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]]):
+            row = int(chunk["number"][place])
+            labels = _labels(settings, shots, row)
+            yield (
+                f"{labels['stimulus']}_{labels['pose_id']}",
+                {
+                    "image": png(unpack(chunk["images"][place], settings.preprocess.size)),
+                    "pins": chunk["pins"][place],
+                    **labels,
+                    "residual_mm": np.float32(chunk["residual_mm"][place]),
+                    "age": np.float32(shots.age[row]),
+                },
+            )

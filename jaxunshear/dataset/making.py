@@ -1,0 +1,81 @@
+"""Makes the simulated data sets of an experiment, or finds them made."""
+
+import contextlib
+import io
+import shutil
+from pathlib import Path
+
+from jaxunshear.dataset import configs
+from jaxunshear.dataset.chunks import Engine
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.shots import check
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.storage import os_error, read_json
+
+
+def read_metadata(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> dict:
+    """`metadata.json` of a set: settings, sensor, counts, versions. Raises `UserError` if it is missing, or was made with
+    other settings."""
+    folder = configs.set_folder(settings, sensor, data_dir)
+    if not folder.exists():
+        raise UserError(f"there is no data set in {folder}: make it with `jaxunshear data`")
+    metadata = read_json(folder / "metadata.json")
+    wanted = configs.describe(settings, sensor)
+    changed = configs.differences({key: metadata.get(key) for key in wanted}, wanted)
+    if changed:
+        more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+        raise UserError(
+            f"the data set in {folder} was made with another {', '.join(changed[:3])}{more}: "
+            "delete that folder, or use another data folder"
+        )
+    return metadata
+
+
+def make_set(
+    settings: PairedData | PoseData,
+    sensor: Sensor = TACTIP_331,
+    data_dir: Path = Path("datasets"),
+    engine: Engine | None = None,
+) -> dict:
+    """Makes `tactip_paired` or `tactip_pose` under `data_dir`, going on where a killed run stopped; returns its metadata.
+
+    At once if the set is there. Raises `UserError`: settings out of range, a set made with other settings, a full disk.
+    """
+    check(settings)
+    folder = configs.set_folder(settings, sensor, data_dir)
+    if not folder.exists():
+        try:
+            _make(settings, sensor, folder.parents[2], engine)
+        except OSError as error:
+            raise os_error(folder, error) from error
+    metadata = read_metadata(settings, sensor, data_dir)
+    shutil.rmtree(configs.unfinished_folder(settings, sensor, data_dir), ignore_errors=True)  # no longer needed
+    return metadata
+
+
+def _make(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path, engine: Engine | None) -> None:
+    import absl.logging
+    import tensorflow_datasets as tfds
+
+    from data_specs import simulated_set, tactip_paired, tactip_pose
+
+    name = configs.config_name(settings, sensor)
+    builders = {configs.PAIRED_SET: tactip_paired.Builder, configs.POSE_SET: tactip_pose.Builder}
+    standard = name in configs.CONFIGS[configs.set_name(settings)]
+    config = name if standard else simulated_set.SimulatedConfig(name=name, settings=settings, sensor=sensor)
+    absl.logging.set_verbosity(absl.logging.ERROR)  # TFDS warns of each configuration that it does not know
+    tfds.disable_progress_bar()
+    builder = builders[configs.set_name(settings)](config=config, data_dir=data_dir)
+    builder.engine = engine
+    with contextlib.redirect_stdout(io.StringIO()):  # TFDS announces a download
+        builder.download_and_prepare()
+
+
+def make_sets(experiment: Experiment, data_dir: Path, engine: Engine | None = None) -> dict[str, dict]:
+    """Both sets of an experiment; metadata by the sets' names."""
+    made = (
+        make_set(settings, experiment.sensor, data_dir, engine) for settings in (experiment.paired, experiment.pose)
+    )
+    return {metadata["set"]: metadata for metadata in made}

@@ -1,0 +1,47 @@
+"""Sizes and ranges of the two simulated data sets. Imports no JAX."""
+
+from dataclasses import dataclass, field
+
+from jaxunshear.image.settings import Camera, Nuisance, Preprocess
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Paper section 3.2: uniform ranges of the poses about the target contact point, and of the slides."""
+
+    lateral_mm: float = 5.0  # x and y within +- this
+    yaw_deg: float = 45.0  # the text's "[-45, -45]" read as +-45
+    depth_min_mm: float = 1.0
+    depth_max_mm: float = 6.0
+    move_mm: float = 2.5  # slide offset in x and in y within +- this
+
+
+@dataclass(frozen=True)
+class PairedData:
+    """`tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
+
+    config: str = "demo"  # name of the stored configuration; changed fields get a name of their own
+    stimuli: tuple[str, ...] = ("disk", "clover", "teardrop")
+    poses: int = 600  # per stimulus
+    taps: int = 1
+    slides: int = 2
+    tap_depth_jitter_mm: float = 0.0  # the paper: 1.0
+    seed: int = 0
+    ranges: Ranges = field(default_factory=Ranges)
+    camera: Camera = field(default_factory=Camera)
+    nuisance: Nuisance = field(default_factory=Nuisance)
+    preprocess: Preprocess = field(default_factory=Preprocess)
+
+
+@dataclass(frozen=True)
+class PoseData:
+    """`tactip_pose`: taps at poses of their own, drawn separately and with drift (paper section 3.2.2)."""
+
+    config: str = "demo"
+    stimuli: tuple[str, ...] = ("disk", "clover", "teardrop")
+    poses: int = 1000  # per stimulus
+    seed: int = 1
+    ranges: Ranges = field(default_factory=Ranges)
+    camera: Camera = field(default_factory=Camera)
+    nuisance: Nuisance = field(default_factory=lambda: Nuisance(drift_px=1.0, drift_brightness=0.1))
+    preprocess: Preprocess = field(default_factory=Preprocess)

@@ -1,0 +1,131 @@
+"""What a set holds before anything is simulated: poses, taps, slides and splits.
+
+All of it depends on the settings' seed and the stimulus' name alone: adding a stimulus leaves the others as they are.
+"""
+
+import zlib
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset.configs import config_name, set_name
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.errors import UserError
+from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, edge_labels, make_scenes
+from jaxunshear.scene.stimuli import stimulus_named
+
+SPLITS = ("train", "validation", "test")
+HELD_OUT = 0.2  # of the poses of each stimulus, for validation and for test each
+LEAST_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
+
+
+class Shots(NamedTuple):
+    """B contacts, numbered by their row."""
+
+    scenes: Scenes
+    pose_id: np.ndarray  # (B,) within the stimulus
+    instance: np.ndarray  # (B,) number of the tap or of the slide at its pose
+    slid: np.ndarray  # (B,) bool: a slide, not a tap
+    age: np.ndarray  # (B,) in [0, 1]: when in the session it was recorded
+    split: np.ndarray  # (B,) index into SPLITS
+    edge: np.ndarray  # (B, 2) distance (mm) and direction (deg) of the edge, see `scene.edge_labels`
+
+
+def check(settings: PairedData | PoseData) -> None:
+    """Refuses settings from which no set can be drawn, by name."""
+    name = set_name(settings)
+    config_name(settings)
+    if not settings.stimuli:
+        raise UserError(f"{name}: stimuli is empty: name at least one")
+    if len(set(settings.stimuli)) < len(settings.stimuli):
+        raise UserError(f"{name}: stimuli names one of {', '.join(settings.stimuli)} twice")
+    for stimulus in settings.stimuli:
+        stimulus_named(stimulus)
+    if settings.seed < 0:
+        raise UserError(f"{name}: seed = {settings.seed} is negative")
+    if settings.poses < 3:
+        raise UserError(f"{name}: poses = {settings.poses} is too few: each of the three splits needs at least one")
+    ranges = settings.ranges
+    if not 0 < ranges.depth_min_mm <= ranges.depth_max_mm:
+        raise UserError(
+            f"{name}: ranges.depth_min_mm = {ranges.depth_min_mm:g} and ranges.depth_max_mm = {ranges.depth_max_mm:g}: "
+            "need 0 < least <= most"
+        )
+    if isinstance(settings, PairedData):
+        if settings.taps < 1 or settings.slides < 1:
+            raise UserError(f"{name}: taps = {settings.taps} and slides = {settings.slides}: need at least one of each")
+        if settings.taps > settings.slides:
+            raise UserError(
+                f"{name}: taps = {settings.taps} exceeds slides = {settings.slides}: some would never be paired"
+            )
+
+
+def _generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:
+    return np.random.default_rng([seed, zlib.crc32(stimulus.encode()), zlib.crc32(purpose.encode())])
+
+
+def _poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
+    ranges = settings.ranges
+    depth = (ranges.depth_min_mm, ranges.depth_max_mm)
+    generator = _generator(settings.seed, stimulus, "pose")
+    return draw_poses(generator, settings.poses, ranges.lateral_mm, ranges.yaw_deg, depth)
+
+
+def _splits(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
+    """Split of every pose of a stimulus, (poses,), in the ratio 60:20:20."""
+    held = max(1, round(HELD_OUT * settings.poses))
+    split = np.repeat([0, 1, 2], [settings.poses - 2 * held, held, held])
+    return _generator(settings.seed, stimulus, "split").permutation(split)
+
+
+def _ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
+    """(poses,) in [0, 1]: the stimuli take turns, so that wear tells nothing about the shape."""
+    order = np.arange(settings.poses) * len(settings.stimuli) + stimulus
+    return order / (settings.poses * len(settings.stimuli) - 1)
+
+
+def draw_paired(settings: PairedData) -> Shots:
+    """For every stimulus and pose `taps` taps, then `slides` slides that end at the pose."""
+    check(settings)
+    shots = settings.taps + settings.slides
+    slid = np.arange(shots) >= settings.taps
+    pose, move = [], []
+    for name in settings.stimuli:
+        poses = np.repeat(_poses(settings, name)[:, None], shots, axis=1)
+        jitter = settings.tap_depth_jitter_mm
+        depth = poses[:, ~slid, 3]
+        deeper = _generator(settings.seed, name, "depth").uniform(-jitter, jitter, depth.shape)
+        poses[:, ~slid, 3] = np.maximum(depth + deeper, min(LEAST_DEPTH_MM, settings.ranges.depth_min_mm))
+        moves = np.zeros((settings.poses, shots, 2))
+        drawn = draw_moves(
+            _generator(settings.seed, name, "move"), settings.poses * settings.slides, settings.ranges.move_mm
+        )
+        moves[:, slid] = drawn.reshape(settings.poses, settings.slides, 2)
+        pose.append(poses.reshape(-1, 4))
+        move.append(moves.reshape(-1, 2))
+    each = settings.poses * len(settings.stimuli)
+    instance = np.where(slid, np.arange(shots) - settings.taps, np.arange(shots))
+    return _shots(settings, np.concatenate(pose), np.concatenate(move), np.tile(instance, each), np.tile(slid, each))
+
+
+def draw_pose(settings: PoseData) -> Shots:
+    """One tap for every stimulus and pose."""
+    check(settings)
+    pose = np.concatenate([_poses(settings, name) for name in settings.stimuli])
+    zero = np.zeros(len(pose), int)
+    return _shots(settings, pose, np.zeros((len(pose), 2)), zero, zero.astype(bool))
+
+
+def _shots(settings, pose: np.ndarray, move: np.ndarray, instance: np.ndarray, slid: np.ndarray) -> Shots:
+    names = settings.stimuli
+    each = len(pose) // (len(names) * settings.poses)
+    stimulus = np.repeat(np.arange(len(names)), settings.poses * each)
+    pose_id = np.tile(np.repeat(np.arange(settings.poses), each), len(names))
+    age = np.concatenate([np.repeat(_ages(settings, index), each) for index in range(len(names))])
+    split = np.concatenate([np.repeat(_splits(settings, name), each) for name in names])
+    scenes = make_scenes(names, stimulus, pose, move)
+    return Shots(scenes, pose_id, instance, slid, age, split, edge_labels(names, scenes))
+
+
+def draw(settings: PairedData | PoseData) -> Shots:
+    return draw_paired(settings) if isinstance(settings, PairedData) else draw_pose(settings)

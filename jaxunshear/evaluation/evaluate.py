@@ -1,0 +1,144 @@
+"""The paper's tables for one run, on its held-out poses: networks and data in, `results.json` and `montage.npz` out.
+
+The way through: `networks.load` (what the networks say) -> `gather` (one number an image) -> `results_of` (tables).
+"""
+
+import dataclasses
+import io
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.gather import FIELDS, Gathered, gather
+from jaxunshear.evaluation.measurements import BARS
+from jaxunshear.evaluation.paper import PAPER
+from jaxunshear.evaluation.pins import pin_errors
+from jaxunshear.evaluation.score import KINDS, chance
+from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, tables, typical
+from jaxunshear.experiment import Experiment
+from jaxunshear.metrics import ms_ssim, ms_ssim_name, scales_that_fit, true_quantities
+from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.storage import read_json, write_bytes, write_json
+
+BATCH = 32
+KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
+BOOTSTRAP_SEED = 0
+
+
+def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path) -> dict[str, Any]:
+    """Scores the three networks of `run_dir` on the test split of the paired set; writes and returns the results.
+
+    Raises `UserError` where a network or the data set is missing, damaged or empty.
+    """
+    from jaxunshear.dataset.reading import open_set
+    from jaxunshear.evaluation.networks import load
+
+    started = time.perf_counter()
+    run_dir = Path(run_dir)
+    pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
+    total = pairs.length("test")
+    if not total:
+        raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
+    gathered = gather(load(run_dir, experiment.pose.ranges), pairs.split("test", BATCH, FIELDS), total, KEPT)
+    results = results_of(experiment, gathered)
+    results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
+    results["counts"] |= {name: pairs.metadata["counts"][name] for name in ("contacts", "retried", "dropped")}
+    times = run_dir / "times.json"
+    results |= {
+        "time_s": (read_json(times) if times.exists() else {}) | {"evaluate": time.perf_counter() - started},
+        "machine": machine(),
+        "versions": versions(),
+        "command": shlex.join(["jaxunshear", *sys.argv[1:]]),
+    }
+    results = _rounded(results)
+    write_bytes(run_dir / "montage.npz", montage(experiment.paired.stimuli, gathered))
+    write_json(run_dir / "results.json", results)
+    return results
+
+
+def results_of(experiment: Experiment, gathered: Gathered) -> dict[str, Any]:
+    """All of the results that follow from the scores alone: the same scores give the same bits."""
+    labels, scores = gathered.labels, gathered.scores
+    names = experiment.paired.stimuli
+    size = experiment.paired.preprocess.size
+    scales = scales_that_fit(size)
+    true = true_quantities(labels["pose"], labels["edge"])
+    taps = gathered.images["tap"][..., None].astype(np.float32) / 255
+    mean_tap = np.broadcast_to(taps.mean(axis=0), taps.shape)
+    return {
+        "experiment": experiment.name,
+        "claim": experiment.claim,
+        "simulated": True,
+        "metric": {
+            "ms_ssim": ms_ssim_name(scales),
+            "image_px": size,
+            "scales": scales,
+            "pose_mae": "mean absolute error of a PoseNet trained on taps",
+            "pose_ratio": "error over the error on sheared images",
+            "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
+            "swap": f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image with its target",
+            "pin_error": f"matched centroids of {len(gathered.kept)} images against the tap's true pins",
+        },
+        **tables(scores, names, labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED),
+        "pin_error": pin_errors(
+            gathered.images,
+            gathered.pins["canonical_pins"],
+            gathered.pins["sheared_pins"],
+            experiment.paired.camera.mm_across / size,
+        ),
+        "baselines": {
+            "pose_chance": chance(true),
+            "ms_ssim_mean_tap": float(np.asarray(ms_ssim(taps, mean_tap, scales)).mean(dtype=np.float64)),
+        },
+        "contact": contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
+        "counts": {
+            "test_poses": len(np.unique(np.stack([labels["stimulus"], labels["pose_id"]], axis=1), axis=0)),
+            "test_by_stimulus": {name: int(np.sum(labels["stimulus"] == index)) for index, name in enumerate(names)},
+            "pin_images": len(gathered.kept),
+        },
+        "bars": {name: {"sense": sense, "bar": bar} for name, (sense, bar) in BARS.items()},
+        "paper": PAPER,
+        "seeds": {
+            "experiment": experiment.seed,
+            "paired": experiment.paired.seed,
+            "pose": experiment.pose.seed,
+            "bootstrap": BOOTSTRAP_SEED,
+        },
+        "settings": dataclasses.asdict(experiment),
+    }
+
+
+def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:
+    """An npz of a few contacts: for every stimulus one of low, one of middling and one of high similarity unsheared.
+
+    Images (M, S, S) uint8 by kind, `stimulus` (M,) names, `pose` (M, 4), `move` (M, 2), and `ms_ssim_<kind>` (M,).
+    """
+    stimulus = gathered.labels["stimulus"][gathered.kept]
+    shown = typical(gathered.scores["ms_ssim/disentangled"][gathered.kept], stimulus)
+    contacts = gathered.kept[shown]
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        stimulus=np.array(names)[stimulus[shown]],
+        pose=gathered.labels["pose"][contacts],
+        move=gathered.labels["move"][contacts],
+        **{kind: gathered.images[kind][shown] for kind in KINDS},
+        **{f"ms_ssim_{kind}": gathered.scores[f"ms_ssim/{kind}"][contacts] for kind in KINDS if kind != "tap"},
+    )
+    return buffer.getvalue()
+
+
+def _rounded(value: Any) -> Any:
+    """Six significant digits are more than any figure here deserves; what is not finite is null, as in the file."""
+    if isinstance(value, dict):
+        return {name: _rounded(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_rounded(entry) for entry in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if np.isfinite(value) else None
+    return value

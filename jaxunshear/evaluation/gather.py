@@ -1,0 +1,71 @@
+"""One pass over the test contacts: scores of all, images of a few. Memory stays that of one batch and of those few."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.evaluation.score import KINDS, Outputs, pose_scores
+from jaxunshear.metrics import true_quantities
+from jaxunshear.progress import Progress
+
+LABELS = ("stimulus", "pose_id", "pose", "edge", "move", "residual_mm", "iterations", "stuck", "slipping", "free")
+PINS = ("canonical_pins", "sheared_pins")
+FIELDS = ("canonical", "sheared", *PINS, *LABELS)  # what a batch must hold
+
+
+class Gathered(NamedTuple):
+    """N test contacts in the order of the data, of which K have their images kept."""
+
+    scores: dict[str, np.ndarray]  # (N,) by the names of score.py
+    labels: dict[str, np.ndarray]  # (N, ...) by LABELS
+    kept: np.ndarray  # (K,) indices of contacts
+    images: dict[str, np.ndarray]  # (K, S, S) uint8 by KINDS
+    pins: dict[str, np.ndarray]  # (K, P, 2) px by PINS
+
+
+def gather(
+    run: Callable[[np.ndarray, np.ndarray], tuple[Outputs, Mapping]],
+    batches: Iterable[Mapping[str, np.ndarray]],
+    total: int,
+    keep: int,
+) -> Gathered:
+    """Feeds (tap, sheared) of every batch to `run` and collects what it scores; keeps `keep` contacts, evenly spaced.
+
+    A last, shorter batch is filled up by repeating its first contact, so `run` compiles once; the surplus is dropped.
+    """
+    kept = np.unique(np.linspace(0, total - 1, min(keep, total)).round().astype(np.int64))
+    scores: list[dict[str, np.ndarray]] = []
+    labels: list[dict[str, np.ndarray]] = []
+    images: list[dict[str, np.ndarray]] = []
+    pins: list[dict[str, np.ndarray]] = []
+    full = start = 0
+    with Progress("evaluate", total) as progress:
+        for batch in batches:
+            size = len(batch["sheared"])
+            full = max(full, size)
+            outputs, similar = run(_filled(batch["canonical"], full), _filled(batch["sheared"], full))
+            poses = {k: {q: np.asarray(v)[:size] for q, v in pose.items()} for k, pose in outputs.poses.items()}
+            scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
+            scores[-1] |= pose_scores(poses, true_quantities(batch["pose"], batch["edge"]))
+            labels.append({name: np.asarray(batch[name]) for name in LABELS})
+            inside = kept[(kept >= start) & (kept < start + size)] - start
+            images.append({kind: _eight_bit(np.asarray(outputs.images[kind])[inside]) for kind in KINDS})
+            pins.append({name: np.asarray(batch[name])[inside] for name in PINS})
+            start += size
+            progress.advance(size)
+    return Gathered(_joined(scores), _joined(labels), kept[kept < start], _joined(images), _joined(pins))
+
+
+def _filled(images: np.ndarray, size: int) -> np.ndarray:
+    missing = size - len(images)
+    return np.concatenate([images, np.repeat(images[:1], missing, axis=0)]) if missing else images
+
+
+def _eight_bit(images: np.ndarray) -> np.ndarray:
+    """(B, S, S, 1) float in [0, 1] -> (B, S, S) uint8."""
+    return np.rint(images[..., 0] * 255).astype(np.uint8)
+
+
+def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

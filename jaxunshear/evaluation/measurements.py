@@ -1,0 +1,47 @@
+"""Results as rows for machines: a name, a value, a unit, and the bar it should clear. Imports no JAX."""
+
+from typing import Any
+
+BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
+    "ms_ssim.disentangled.overall": (">=", 0.90),
+    "ms_ssim.sheared.overall": ("<=", 0.45),
+    "pose_ratio.disentangled.edge_mm": ("<=", 0.6),
+    "pose_ratio.disentangled.edge_deg": ("<=", 0.6),
+}
+UNITS = {"_mm": "mm", "_deg": "deg", "_px": "px", "_per_image": "pins/image"}
+
+
+def measurements(results: dict[str, Any]) -> dict[str, Any]:
+    """The rows of a results dict, with the machine and the versions they were measured on and with.
+
+    A row: `name` (the path in results.json, joined by dots), `value` (null where there is none), `unit` ("1" for plain
+    numbers), `bar` and its `sense` (">=" or "<="), `ok` (null where no bar is set), and `metric`, the exact quantity.
+    """
+    rows = []
+    for table in ("ms_ssim", "pose_mae", "pose_ratio", "pose_recovery", "swap", "pin_error"):
+        metric = results["metric"].get(table, table)
+        for kind, columns in results[table].items():
+            for column, value in columns.items():
+                if not isinstance(value, str):
+                    rows.append(_row(f"{table}.{kind}.{column}", value, _unit(table, column), metric))
+    rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results["time_s"].items()]
+    return {"rows": rows, "machine": results["machine"], "versions": results["versions"]}
+
+
+def reproducible(results: dict[str, Any]) -> dict[str, Any]:
+    """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
+    return {name: value for name, value in results.items() if name not in ("time_s", "machine", "command")}
+
+
+def _row(name: str, value: float | None, unit: str, metric: str) -> dict[str, Any]:
+    sense, bar = BARS.get(name, (None, None))
+    ok = None
+    if bar is not None:
+        ok = value is not None and (value >= bar if sense == ">=" else value <= bar)
+    return {"name": name, "value": value, "unit": unit, "bar": bar, "sense": sense, "ok": ok, "metric": metric}
+
+
+def _unit(table: str, column: str) -> str:
+    if table in ("pose_ratio", "pose_recovery"):
+        return "1"
+    return next((unit for ending, unit in UNITS.items() if column.endswith(ending)), "1")

@@ -1,0 +1,235 @@
+"""A grey frame becomes a binary image: crop, resize by area, adaptive threshold on a local mean, circular mask.
+
+The same for simulated and real frames. Resizing by area and the local mean are both linear and separable, so each is one fixed
+matrix on the rows and one on the columns; a batch is a few products of matrices.
+
+    images = jax.jit(binarise, static_argnums=0)(Preprocess(size=128), grey)       # (..., H, H) -> (..., 128, 128)
+    image = prepare_frame(Preprocess(size=128), imageio.imread("frame.png"))       # any real frame
+"""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy import ndimage
+from scipy.spatial import ConvexHull
+from skimage.filters import threshold_local, threshold_otsu
+from skimage.measure import label
+from skimage.transform import resize_local_mean
+
+from jaxunshear.errors import UserError
+from jaxunshear.image.pins import in_company
+from jaxunshear.image.settings import Preprocess
+
+OUTER_PINS_OF_DISC = 0.82  # radius of the outermost pins over that of the dark disc, measured: 172 and 210 px
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601, as cameras and image libraries make grey
+
+
+def binarise(preprocess: Preprocess, grey: Array) -> Array:
+    """Square grey crops (..., H, H) in [0, 1] -> binary images (..., S, S) uint8 of {0, 255}."""
+    _check_square(grey.shape)
+    return _binarise(jnp, _jax_matmul, preprocess, jnp.asarray(grey, jnp.float32))
+
+
+def binarise_reference(preprocess: Preprocess, grey: np.ndarray) -> np.ndarray:
+    """The same for one (H, H) crop by scikit-image, in the order of published pipelines: what `binarise` must agree with."""
+    _check_square(grey.shape)
+    small = resize_local_mean(np.asarray(grey, np.float64), (preprocess.size, preprocess.size))
+    threshold = threshold_local(small, _block_px(preprocess), method="mean", offset=-preprocess.offset, mode="reflect")
+    return ((small > threshold) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
+
+
+def _binarise(xp, matmul, preprocess: Preprocess, grey):
+    small = _both_sides(matmul, _area_matrix(grey.shape[-1], preprocess.size), grey)
+    mean = _both_sides(matmul, _mean_matrix(preprocess.size, _block_px(preprocess)), small)
+    mask = _mask(preprocess)
+    white = (small > mean + preprocess.offset) & mask.reshape((1,) * (grey.ndim - 2) + mask.shape)
+    return white.astype(xp.uint8) * np.uint8(255)
+
+
+def _jax_matmul(a, b):
+    return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
+
+
+def _both_sides(matmul, matrix: np.ndarray, image):
+    """M X M^T for every image: both products are tall plain ones, which is faster than a batch of small ones."""
+    half = matmul(image, matrix.T)
+    return matmul(half.swapaxes(-1, -2), matrix.T).swapaxes(-1, -2)
+
+
+def _check_square(shape: tuple[int, ...]) -> None:
+    if len(shape) < 2 or shape[-1] != shape[-2]:
+        raise ValueError(f"binarise takes square crops (..., H, H), got shape {shape}")
+
+
+def _block_px(preprocess: Preprocess) -> int:
+    return max(3, 2 * round(preprocess.block * preprocess.size / 2) + 1)
+
+
+@lru_cache
+def _area_matrix(before: int, after: int) -> np.ndarray:
+    """(after, before): the share of each old pixel in each new one, rows summing to 1."""
+    edges = np.arange(after + 1) * (before / after)
+    old = np.arange(before)
+    overlap = np.minimum(edges[1:, None], old + 1) - np.maximum(edges[:-1, None], old)
+    return (np.clip(overlap, 0, None) * (after / before)).astype(np.float32)
+
+
+@lru_cache
+def _mean_matrix(size: int, block: int) -> np.ndarray:
+    """(size, size): the mean over `block` pixels around each, mirrored at the border as scipy's mode 'reflect'."""
+    return ndimage.uniform_filter1d(np.eye(size), block, axis=0, mode="reflect").astype(np.float32)
+
+
+@lru_cache
+def _mask(preprocess: Preprocess) -> np.ndarray:
+    across = np.arange(preprocess.size) - (preprocess.size - 1) / 2
+    return np.hypot(across[:, None], across) <= preprocess.mask_radius * preprocess.size
+
+
+def prepare_frame(preprocess: Preprocess, raw: np.ndarray, bbox: tuple[int, int, int, int] | None = None) -> np.ndarray:
+    """Any recorded frame (H, W) or (H, W, 1 to 4 channels), of any number type -> binary image (S, S) uint8 of {0, 255}.
+
+    `bbox` = (left, top, right, bottom) in px; without one the dome is found and cropped. A frame that is binary already is
+    not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.
+    """
+    grey = to_grey(raw)
+    if is_binary(grey):
+        square = crop(grey, bbox or _reframed(grey, preprocess.outer_pins))
+        small = _both_sides(np.matmul, _area_matrix(square.shape[0], preprocess.size), square)
+        return ((small >= 0.5) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
+    square = crop(grey, bbox or find_dome(grey, preprocess.outer_pins))
+    return _binarise(np, np.matmul, preprocess, square)
+
+
+def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
+    """Of a binary frame the middle square; where that misses the framing by more than 12%, the one that the pins ask for.
+
+    Resampling costs a binary image its edges, so a framing that is near enough stays.
+    """
+    pins = _fit_circle(_pin_outline(grey > 0.5))
+    if pins is None or pins.off > 0.1 * pins.radius or abs(pins.radius / outer_pins / min(grey.shape) - 1) < 0.12:
+        return _middle(grey.shape)
+    return _square(pins.row, pins.column, pins.radius / outer_pins)
+
+
+def to_grey(raw: np.ndarray) -> np.ndarray:
+    """Any image array -> (H, W) float32 in [0, 1]. Raises UserError for a wrong shape, no pixels, or values that are no numbers."""
+    raw = np.asarray(raw)
+    if raw.ndim == 3 and raw.shape[-1] in (1, 2):
+        raw = raw[..., 0]
+    if raw.ndim not in (2, 3) or (raw.ndim == 3 and raw.shape[-1] not in (3, 4)):
+        raise UserError(
+            f"this is no image: an array of shape {raw.shape}; give (height, width) or (height, width, channels)"
+        )
+    if min(raw.shape[:2]) < 16:
+        raise UserError(f"this image has {raw.shape[1]} x {raw.shape[0]} pixels: too small to show pins")
+    if raw.dtype == bool or np.issubdtype(raw.dtype, np.integer):
+        most = int(raw.max())
+        # Cameras keep 10, 12 or 14 bits in wider words, and masks are kept as 0 and 1.
+        full = next((full for full in (1, 255, 1023, 4095, 16383, 65535) if most <= full), most)
+        grey = raw.astype(np.float32) / full
+    elif np.issubdtype(raw.dtype, np.floating):
+        if not np.isfinite(raw).all():
+            raise UserError("this image holds values that are not finite (NaN or infinity)")
+        grey = raw.astype(np.float32) / (255 if raw.max() > 1.5 else 1)
+    else:
+        raise UserError(f"this is no image: an array of type {raw.dtype}")
+    return np.clip(grey if grey.ndim == 2 else grey[..., :3] @ LUMA, 0.0, 1.0)
+
+
+def is_binary(grey: np.ndarray) -> bool:
+    """Whether (nearly) all pixels are one of two levels far apart: a frame thresholded before (a few greys come of compression)."""
+    low, high = np.min(grey), np.max(grey)
+    if high - low < 0.25:
+        return False
+    return float(np.mean((grey - low < 0.1 * (high - low)) | (high - grey < 0.1 * (high - low)))) > 0.97
+
+
+def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
+    """The square (left, top, right, bottom) that puts the outermost pins `outer_pins` of its side from its middle.
+
+    It goes by the dark dome disc in a light surround; without such a disc by the pins; without pins it is the middle square.
+    Raises UserError for a frame of one flat grey.
+    """
+    if np.ptp(grey) < 0.05:
+        raise UserError("this image is one flat grey: there is nothing to see in it")
+    smallest = min(grey.shape)
+    disc = _fit_circle(_disc_rim(grey))
+    if disc is not None and 0.15 * smallest < disc.radius < 0.75 * smallest and disc.off < 0.05 * disc.radius:
+        return _square(disc.row, disc.column, disc.radius * OUTER_PINS_OF_DISC / outer_pins)
+    window = 2 * (smallest // 14) + 1
+    pins = _fit_circle(_pin_outline(grey > ndimage.uniform_filter(grey, window) + 0.1))
+    if pins is not None and 0.1 * smallest < pins.radius < 0.75 * smallest and pins.off < 0.1 * pins.radius:
+        return _square(pins.row, pins.column, pins.radius / outer_pins)
+    return _middle(grey.shape)
+
+
+def _disc_rim(grey: np.ndarray) -> np.ndarray:
+    """Rim of the largest dark part with its holes (the pins) filled, (N, 2) px as (row, column)."""
+    dark = grey < threshold_otsu(grey)
+    parts = label(dark, connectivity=1)
+    disc = ndimage.binary_fill_holes(parts == 1 + np.argmax(np.bincount(parts[dark])[1:]))
+    disc = ndimage.binary_opening(disc, iterations=max(1, min(grey.shape) // 60))
+    rim = disc & ~ndimage.binary_erosion(disc)
+    rim[[0, -1], :] = rim[:, [0, -1]] = False  # where the frame cuts the disc, its border is no rim
+    return np.argwhere(rim).astype(float)
+
+
+def _pin_outline(white: np.ndarray) -> np.ndarray:
+    """Outermost of the white dots of the usual size (H, W), (N, 2) px as (row, column)."""
+    parts = label(white, connectivity=1)
+    area = np.bincount(parts.ravel())[1:]
+    if np.count_nonzero(area > 2) < 20:
+        return np.zeros((0, 2))
+    typical = np.median(area[area > 2])
+    dots = 1 + np.flatnonzero((area > 0.4 * typical) & (area < 2.5 * typical))
+    centres = in_company(np.array(ndimage.center_of_mass(white, parts, dots)))
+    return centres[ConvexHull(centres).vertices] if len(centres) >= 20 else np.zeros((0, 2))
+
+
+class _Circle(NamedTuple):
+    row: float
+    column: float
+    radius: float
+    off: float  # median distance of the points from it
+
+
+def _fit_circle(points: np.ndarray) -> _Circle | None:
+    """Least-squares circle through (N, 2) points, refitted without the worst; None for too few."""
+    keep = points
+    for _ in range(6):
+        if len(keep) < 10:
+            return None
+        design = np.column_stack([2 * keep, np.ones(len(keep))])
+        solution = np.linalg.lstsq(design, (keep**2).sum(-1), rcond=None)[0]
+        centre, radius = solution[:2], np.sqrt(max(solution[2] + (solution[:2] ** 2).sum(), 0.0))
+        off = np.abs(np.linalg.norm(points - centre, axis=-1) - radius)
+        keep = points[off <= max(1.0, 2.5 * np.median(off))]
+    return _Circle(float(centre[0]), float(centre[1]), float(radius), float(np.median(off)))
+
+
+def _square(row: float, column: float, side: float) -> tuple[int, int, int, int]:
+    whole = round(side)
+    left, top = round(column + 0.5 - whole / 2), round(row + 0.5 - whole / 2)
+    return left, top, left + whole, top + whole
+
+
+def _middle(shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+    return _square((shape[0] - 1) / 2, (shape[1] - 1) / 2, min(shape))
+
+
+def crop(grey: np.ndarray, bbox: tuple[int, int, int, int]) -> np.ndarray:
+    """A square crop; what lies outside the frame repeats its border. A bbox that is not square grows about its middle."""
+    left, top, right, bottom = (round(edge) for edge in bbox)
+    height, width = grey.shape
+    if left >= right or top >= bottom or left >= width or top >= height or right <= 0 or bottom <= 0:
+        raise UserError(f"bbox {left},{top},{right},{bottom} holds no pixels of a frame of {width} x {height}")
+    side = max(right - left, bottom - top)
+    left, top = (left + right - side) // 2, (top + bottom - side) // 2
+    rows = np.clip(np.arange(top, top + side), 0, height - 1)
+    columns = np.clip(np.arange(left, left + side), 0, width - 1)
+    return grey[rows[:, None], columns]

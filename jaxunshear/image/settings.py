@@ -1,0 +1,44 @@
+"""The camera, what disturbs its frames, and how a frame becomes a binary image. Imports no JAX."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole on the dome's axis that looks at the pins from inside, and a square grey frame.
+
+    `mm_across` is the width, at the height of the undeformed apex pin, that fills the frame. Both lengths are fitted to
+    real 331-pin images: the outermost pins stand at 0.375 of the width from the centre, and rings draw closer together
+    towards the rim (outermost gap 0.083 of that radius, real 0.08 to 0.09). A wide lens does that to a near pinhole's view;
+    a far pinhole does it without a lens model.
+    """
+
+    frame_px: int = 256
+    mm_across: float = 33.5
+    distance_mm: float = 200.0  # pinhole above the undeformed apex
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What a real frame has beside its pins; zero switches a term off. Grey levels are fractions of full scale."""
+
+    housing_ring: bool = True
+    specks: int = 6  # mean number in a frame
+    blur_px: float = 0.6  # standard deviation, frame pixels
+    noise: float = 0.02  # standard deviation of each pixel
+    brightness: float = 0.15  # largest relative change of the pins' brightness
+    drift_px: float = 0.0  # largest slow shift of the whole view over a set, frame pixels
+    drift_brightness: float = 0.0  # relative loss of brightness over a set: wear
+
+
+@dataclass(frozen=True)
+class Preprocess:
+    """Grey, crop, resize by area, adaptive threshold on a local mean, circular mask: for simulated and real frames alike."""
+
+    size: int = 128  # output pixels, square
+    block: float = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
+    offset: float = 0.08  # a pixel is white if it exceeds the local mean by this fraction of full scale
+    mask_radius: float = 0.48  # of the circular mask, as a fraction of `size`
+    outer_pins: float = (
+        0.375  # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
+    )

@@ -1,0 +1,277 @@
+"""What an experiment can and cannot ask for: a table of rules. Imports no JAX, so a refusal takes no time.
+
+A rule is (holds, dotted field name, what is wrong and what to do instead). Later rules may rely on earlier ones.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+
+from jaxunshear.dataset.configs import CONFIGS, set_name
+from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.settings import Camera, Nuisance, Preprocess
+from jaxunshear.scene.sensor import Sensor
+from jaxunshear.training.settings import Training
+
+Rule = tuple[bool, str, str]
+
+# The keys of `scene.stimuli.STIMULI`, which imports JAX; a test holds the two together.
+STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2")
+SCHEDULES = ("cosine", "steps")
+LAYOUTS = ("rings", "hexagonal")
+CONTACT_REACH_MM = 15.0  # of the contact rings of `contact.dome`, which imports SciPy; a test holds the two together
+SMALLEST_PX = 16
+LARGEST_PX = 4096
+FEWEST_POSES = 5  # the smallest number that 60:20:20 splits into three non-empty parts
+
+
+def limits(experiment: Experiment) -> Iterator[Rule]:
+    """All rules for `experiment`; the first that does not hold is the one to tell."""
+    yield _name(experiment.name), "name", "use letters, digits, '-', '_' and '.'; it names the folder of the results"
+    yield _seed(experiment.seed), "seed", "use a whole number from 0 to 2147483647"
+    yield from _sensor(experiment.sensor)
+    yield from _paired(experiment.paired, experiment.sensor)
+    yield from _pose(experiment.pose, experiment.sensor)
+    yield from _networks(experiment)
+    paired, pose = experiment.paired, experiment.pose
+    pairs = _train_poses(paired) * len(paired.stimuli) * paired.slides
+    yield from _training(experiment.train, "train", experiment.unshear.size, pairs)
+    taps = _train_poses(pose) * len(pose.stimuli)
+    yield from _training(experiment.train_posenet, "train_posenet", experiment.posenet.size, taps)
+
+
+def _train_poses(data: PairedData | PoseData) -> int:
+    """Per stimulus, as `dataset.examples` splits them."""
+    return data.poses - 2 * max(1, round(0.2 * data.poses))
+
+
+def _name(text: str) -> bool:
+    return re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", text) is not None
+
+
+def _seed(seed: int) -> bool:
+    return 0 <= seed < 2**31
+
+
+def _sensor(sensor: Sensor) -> Iterator[Rule]:
+    yield sensor.layout in LAYOUTS, "sensor.layout", f"use one of {', '.join(LAYOUTS)}"
+    yield 1 <= sensor.rings <= 50, "sensor.rings", "use 1 to 50"
+    for field in (
+        "pin_spacing_mm",
+        "pin_radius_mm",
+        "pin_length_mm",
+        "dome_radius_mm",
+        "skin_mm",
+        "skin_modulus_mpa",
+        "gel_modulus_mpa",
+    ):
+        yield getattr(sensor, field) > 0, f"sensor.{field}", "must be above zero"
+    for field in ("skin_poisson", "gel_poisson"):
+        yield 0 <= getattr(sensor, field) < 0.5, f"sensor.{field}", "use 0 up to, but not, 0.5 (exactly incompressible)"
+    yield (
+        2 * sensor.pin_radius_mm < sensor.pin_spacing_mm,
+        "sensor.pin_radius_mm",
+        f"pins {sensor.pin_spacing_mm:g} mm apart would overlap: use less than half of that",
+    )
+    yield (
+        sensor.skin_mm + sensor.pin_length_mm < sensor.dome_radius_mm,
+        "sensor.dome_radius_mm",
+        "must exceed skin_mm + pin_length_mm",
+    )
+    rim = sensor.dome_radius_mm * math.pi / 2
+    yield (
+        sensor.rings * sensor.pin_spacing_mm < rim,
+        "sensor.rings",
+        f"{sensor.pin_spacing_mm:g} mm apart, they go past the dome's rim at {rim:.1f} mm: use fewer or closer rings",
+    )
+
+
+def _data(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[Rule]:
+    known = CONFIGS[set_name(data)]
+    yield (
+        data.config in known,
+        f"{group}.config",
+        f"is no stored configuration: use one of {', '.join(known)}; changed fields get a name of their own",
+    )
+    yield len(data.stimuli) > 0, f"{group}.stimuli", f"name at least one of {', '.join(STIMULUS_NAMES)}"
+    unknown = ", ".join(name for name in data.stimuli if name not in STIMULUS_NAMES)
+    yield not unknown, f"{group}.stimuli", f"stimulus {unknown} is unknown: use {', '.join(STIMULUS_NAMES)}"
+    yield len(set(data.stimuli)) == len(data.stimuli), f"{group}.stimuli", "name each stimulus once"
+    yield (
+        data.poses >= FEWEST_POSES,
+        f"{group}.poses",
+        f"use at least {FEWEST_POSES}, so that each of the three splits gets a pose",
+    )
+    yield _seed(data.seed), f"{group}.seed", "use a whole number from 0 to 2147483647"
+    yield from _ranges(data.ranges, f"{group}.ranges", sensor)
+    yield from _camera(data.camera, f"{group}.camera", sensor)
+    yield from _nuisance(data.nuisance, f"{group}.nuisance", data.camera)
+    yield from _preprocess(data.preprocess, f"{group}.preprocess", data.camera)
+
+
+def _paired(data: PairedData, sensor: Sensor) -> Iterator[Rule]:
+    yield from _data(data, "paired", sensor)
+    yield data.taps >= 1, "paired.taps", "use at least 1: a sheared image needs a tap to pair with"
+    yield data.slides >= 1, "paired.slides", "use at least 1: without slides there is nothing to unshear"
+    jitter, ranges = data.tap_depth_jitter_mm, data.ranges
+    yield (
+        0 <= jitter <= ranges.depth_min_mm,
+        "paired.tap_depth_jitter_mm",
+        f"use 0 to ranges.depth_min_mm ({ranges.depth_min_mm:g}), or a tap may miss the stimulus",
+    )
+    deepest = _deepest(sensor)
+    yield (
+        ranges.depth_max_mm + jitter <= deepest,
+        "paired.tap_depth_jitter_mm",
+        f"with ranges.depth_max_mm ({ranges.depth_max_mm:g}) it cannot be reached: together at most {deepest:.1f} mm",
+    )
+
+
+def _pose(data: PoseData, sensor: Sensor) -> Iterator[Rule]:
+    yield from _data(data, "pose", sensor)
+
+
+def _deepest(sensor: Sensor) -> float:
+    """As `contact.dome.deepest_mm`: where the undeformed dome is wider than the contact rings."""
+    radius = sensor.dome_radius_mm
+    return radius - math.sqrt(radius**2 - CONTACT_REACH_MM**2) if radius > CONTACT_REACH_MM else radius / 2
+
+
+def _ranges(ranges: Ranges, group: str, sensor: Sensor) -> Iterator[Rule]:
+    dome, deepest = sensor.dome_radius_mm, _deepest(sensor)
+    yield (
+        0 <= ranges.lateral_mm <= dome,
+        f"{group}.lateral_mm",
+        f"use 0 to {dome:g} (the dome's radius): beyond it the target is not touched",
+    )
+    yield 0 <= ranges.yaw_deg <= 180, f"{group}.yaw_deg", "use 0 to 180"
+    yield (
+        ranges.depth_min_mm > 0,
+        f"{group}.depth_min_mm",
+        "must be above zero: at its top or above it the stimulus is not touched",
+    )
+    yield (
+        ranges.depth_min_mm <= ranges.depth_max_mm,
+        f"{group}.depth_min_mm",
+        f"must not exceed depth_max_mm ({ranges.depth_max_mm:g})",
+    )
+    yield (
+        ranges.depth_max_mm <= deepest,
+        f"{group}.depth_max_mm",
+        f"this depth cannot be reached: a dome of radius {dome:g} mm goes to {deepest:.1f} mm",
+    )
+    yield 0 <= ranges.move_mm <= dome, f"{group}.move_mm", f"use 0 to {dome:g} (the dome's radius)"
+
+
+def _camera(camera: Camera, group: str, sensor: Sensor) -> Iterator[Rule]:
+    yield SMALLEST_PX <= camera.frame_px <= LARGEST_PX, f"{group}.frame_px", f"use {SMALLEST_PX} to {LARGEST_PX}"
+    yield camera.mm_across > 0, f"{group}.mm_across", "must be above zero"
+    yield (
+        camera.distance_mm > sensor.dome_radius_mm,
+        f"{group}.distance_mm",
+        f"must exceed the dome's radius ({sensor.dome_radius_mm:g}): the camera looks from above the pins",
+    )
+
+
+def _nuisance(nuisance: Nuisance, group: str, camera: Camera) -> Iterator[Rule]:
+    yield 0 <= nuisance.specks <= 1000, f"{group}.specks", "use 0 to 1000"
+    for field, most in (("blur_px", camera.frame_px / 8), ("drift_px", camera.frame_px / 4)):
+        yield (
+            0 <= getattr(nuisance, field) <= most,
+            f"{group}.{field}",
+            f"use 0 to {most:g} for a frame of {camera.frame_px} px",
+        )
+    for field in ("noise", "brightness", "drift_brightness"):
+        yield 0 <= getattr(nuisance, field) < 1, f"{group}.{field}", "use 0 up to, but not, 1 (fractions of full scale)"
+
+
+def _preprocess(preprocess: Preprocess, group: str, camera: Camera) -> Iterator[Rule]:
+    yield preprocess.size >= SMALLEST_PX, f"{group}.size", f"use at least {SMALLEST_PX} px"
+    yield (
+        preprocess.size <= camera.frame_px,
+        f"{group}.size",
+        f"larger than the camera's frame of {camera.frame_px} px: use a smaller size or a larger camera.frame_px",
+    )
+    yield 0 < preprocess.block <= 1, f"{group}.block", "use a fraction of the image above 0, at most 1"
+    yield -1 < preprocess.offset < 1, f"{group}.offset", "use a fraction of full scale between -1 and 1"
+    yield 0 < preprocess.mask_radius <= 1, f"{group}.mask_radius", "use a fraction of the image above 0, at most 1"
+
+
+def _networks(experiment: Experiment) -> Iterator[Rule]:
+    unshear, posenet = experiment.unshear, experiment.posenet
+    paired, pose = experiment.paired.preprocess, experiment.pose.preprocess
+    yield (
+        unshear.size == paired.size,
+        "unshear.size",
+        f"differs from the data set's images: make it and paired.preprocess.size ({paired.size}) equal",
+    )
+    yield (
+        posenet.size == pose.size,
+        "posenet.size",
+        f"differs from the data set's images: make it and pose.preprocess.size ({pose.size}) equal",
+    )
+    yield (
+        posenet.size == unshear.size,
+        "posenet.size",
+        f"differs from unshear.size ({unshear.size}): PoseNet also reads the unsheared images",
+    )
+    for group, widths in (("unshear", unshear.widths), ("posenet", posenet.widths)):
+        yield (
+            len(widths) > 1 and all(width >= 1 for width in widths),
+            f"{group}.widths",
+            "list at least two positive numbers",
+        )
+    halvings = 2 ** len(unshear.widths)
+    yield (
+        unshear.size % halvings == 0,
+        "unshear.size",
+        f"is not divisible by {halvings}: each of the {len(unshear.widths)} widths halves the image",
+    )
+    yield len(posenet.widths) == 5, "posenet.widths", "list five: PoseNet has five convolutions"
+    yield posenet.size % 16 == 0, "posenet.size", "is no multiple of 16, which PoseNet's strides and pooling need"
+    yield posenet.hidden >= 1, "posenet.hidden", "must be at least 1"
+    yield unshear.pose_channels >= 1, "unshear.pose_channels", "must be at least 1"
+    yield (
+        unshear.disentangled,
+        "unshear.disentangled",
+        "both networks are trained from these settings: for one of them use `jaxunshear train --network`",
+    )
+    yield (
+        unshear.shear_channels >= 0,
+        "unshear.shear_channels",
+        "must not be below zero; 0 builds no shear code",
+    )
+
+
+def _training(training: Training, group: str, size: int, examples: int) -> Iterator[Rule]:
+    yield training.epochs > 0, f"{group}.epochs", "must be above zero"
+    yield training.batch >= 1, f"{group}.batch", "must be at least 1"
+    yield (
+        training.batch <= examples,
+        f"{group}.batch",
+        f"is larger than the training set of {examples}: use a smaller batch or more poses",
+    )
+    yield 0 < training.learning_rate <= 1, f"{group}.learning_rate", "use a number above 0, at most 1"
+    yield training.schedule in SCHEDULES, f"{group}.schedule", f"is unknown: use one of {', '.join(SCHEDULES)}"
+    drops = training.drops
+    yield (
+        not drops or training.schedule == "steps",
+        f"{group}.drops",
+        "have no effect with this schedule: use schedule 'steps'",
+    )
+    yield (
+        all(epoch > 0 and 0 < factor <= 1 for epoch, factor in drops),
+        f"{group}.drops",
+        "are pairs epoch:factor, the epoch above 0, the factor above 0 and at most 1",
+    )
+    epochs = [epoch for epoch, _ in drops]
+    yield epochs == sorted(set(epochs)), f"{group}.drops", "must be in the order of their epochs"
+    for field in ("beta1", "beta2", "averaging"):
+        yield 0 <= getattr(training, field) < 1, f"{group}.{field}", "use 0 up to, but not, 1"
+    for field in ("l1", "l2", "patch_weight", "reconstruction_weight"):
+        yield getattr(training, field) >= 0, f"{group}.{field}", "must not be below zero"
+    yield training.crops >= 1, f"{group}.crops", "must be at least 1; train.patch_weight 0 switches the patch loss off"
+    yield 1 <= training.crop_px <= size, f"{group}.crop_px", f"must be 1 to the image's {size} px"
+    yield 0 <= training.shift <= 0.25, f"{group}.shift", "use a fraction of the image, 0 to 0.25"
+    yield training.validate_every >= 1, f"{group}.validate_every", "must be at least 1"

@@ -1,0 +1,153 @@
+"""How alike two images are: MS-SSIM, SSIM and mean squared error, one number an image.
+
+MS-SSIM after Wang, Simoncelli and Bovik (2003), with the constants that TensorFlow and pytorch-msssim use: an 11x11
+Gaussian window of 1.5 pixels, applied only where it fits, K = (.01, .03), 2x2 means between scales.
+
+The choice that is not obvious: windows and means are separable, so each is a product with a small band matrix from the
+left and one from the right. On a CPU two matrix products are faster than a convolution with one channel, and their
+gradient is two more of them.
+
+>>> ms_ssim(unsheared, tap, scales=scales_that_fit(128))   # (B, 128, 128, 1) in [0, 1] -> (B,)
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+WINDOW = 11  # pixels
+SIGMA = 1.5  # pixels
+C1, C2 = 0.01**2, 0.03**2  # of a dynamic range of 1
+WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # of the scales, finest first
+_NOTHING = 1e-9  # a mean contrast-structure below this is the rounding of a spatial mean: 0
+
+
+def scales_that_fit(size: int) -> int:
+    """How many scales of MS-SSIM fit an image of `size` pixels: at most 5, and the window must fit each; 0 below 11."""
+    scales = 0
+    while scales < len(WEIGHTS) and size >= WINDOW:
+        scales, size = scales + 1, -(-size // 2)
+    return scales
+
+
+def ms_ssim_name(scales: int) -> str:
+    """The name a figure is reported under: `ms_ssim` only with all five scales, `ms_ssim@4` and the like otherwise."""
+    return "ms_ssim" if scales == len(WEIGHTS) else f"ms_ssim@{scales}"
+
+
+def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Array:
+    """Multi-scale structural similarity of (B, H, W, 1) images in [0, 1] -> (B,), 1 for equal images.
+
+    Contrast-structure at all scales but the coarsest, full SSIM there; each is averaged over its image, clamped at 0
+    and raised to its weight. With fewer than five scales the first weights are used, made to sum to 1: another
+    quantity, to be reported under another name (`ms_ssim_name`). Images of odd size repeat their last row or column
+    before a 2x2 mean. Values and gradients are finite everywhere; where a clamped factor makes the value 0, so is the
+    gradient.
+
+    Raises `ValueError` for shapes that differ, integers, or an image too small for `scales`.
+    """
+    a, b = _checked(a, b)
+    if not 1 <= scales <= len(WEIGHTS):
+        raise ValueError(f"scales must be 1 to {len(WEIGHTS)}, not {scales}")
+    size = min(a.shape[1:3])
+    if scales > (fit := scales_that_fit(size)):
+        height, width = a.shape[1:3]
+        raise ValueError(f"a {height}x{width} image is too small for {scales} scales of MS-SSIM: {fit} fit")
+    return _ms_ssim(a, b, scales)
+
+
+def ssim(a: ArrayLike, b: ArrayLike) -> Array:
+    """Structural similarity (Wang 2004), averaged over the image, of (B, H, W, 1) images in [0, 1] -> (B,) in [-1, 1].
+
+    Raises `ValueError` as `ms_ssim` does.
+    """
+    a, b = _checked(a, b)
+    if min(a.shape[1:3]) < WINDOW:
+        raise ValueError(f"a {a.shape[1]}x{a.shape[2]} image is smaller than SSIM's window of {WINDOW} pixels")
+    return _ssim(a, b)
+
+
+def mse(a: ArrayLike, b: ArrayLike) -> Array:
+    """Mean squared error of (B, H, W, 1) images in [0, 1] -> (B,). Raises `ValueError` as `ms_ssim` does."""
+    a, b = _checked(a, b)
+    return jnp.mean(jnp.square(a - b), axis=(1, 2, 3))
+
+
+def _checked(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
+    """Both as floating point of at least 32 bits."""
+    a, b = jnp.asarray(a), jnp.asarray(b)
+    if a.shape != b.shape or a.ndim != 4 or a.shape[-1] != 1:
+        raise ValueError(f"two batches of one shape (B, H, W, 1) are needed, not {a.shape} and {b.shape}")
+    for x in (a, b):
+        if not jnp.issubdtype(x.dtype, jnp.floating):
+            raise ValueError(f"images in [0, 1] are needed, not {x.dtype}: divide 8-bit images by 255 first")
+    dtype = jnp.promote_types(jnp.promote_types(a.dtype, b.dtype), jnp.float32)
+    return a.astype(dtype), b.astype(dtype)
+
+
+@partial(jax.jit, static_argnames="scales")
+def _ms_ssim(a: Array, b: Array, scales: int) -> Array:
+    weights = np.array(WEIGHTS[:scales]) / sum(WEIGHTS[:scales])
+    if scales == len(WEIGHTS):
+        weights = np.array(WEIGHTS)  # these sum to 1.0001, and every library leaves them so
+    a, b = a[..., 0], b[..., 0]
+    value = jnp.ones(a.shape[0], a.dtype)
+    for scale, weight in enumerate(weights.tolist()):
+        similarity, contrast = _local(a, b)
+        if scale == scales - 1:
+            return value * _power(similarity, weight)
+        value = value * _power(contrast, weight)
+        a, b = _both_sides(_halving, a), _both_sides(_halving, b)
+    raise AssertionError("unreachable: scales >= 1")
+
+
+@jax.jit
+def _ssim(a: Array, b: Array) -> Array:
+    return _local(a[..., 0], b[..., 0])[0]
+
+
+def _local(a: Array, b: Array) -> tuple[Array, Array]:
+    """SSIM and contrast-structure of (B, H, W) pairs, each averaged over its image -> (B,), (B,)."""
+    mean_a, mean_b, square_a, square_b, product = _both_sides(_blur, jnp.stack([a, b, a * a, b * b, a * b]))
+    covariance = product - mean_a * mean_b
+    variances = square_a - mean_a * mean_a + square_b - mean_b * mean_b
+    contrast = (2 * covariance + C2) / (variances + C2)
+    luminance = (2 * mean_a * mean_b + C1) / (mean_a * mean_a + mean_b * mean_b + C1)
+    return jnp.mean(luminance * contrast, axis=(1, 2)), jnp.mean(contrast, axis=(1, 2))
+
+
+def _power(x: Array, weight: float) -> Array:
+    """max(x, 0) ** weight, whose gradient at and below 0 is 0 rather than infinite or NaN."""
+    positive = x > _NOTHING
+    return jnp.where(positive, jnp.where(positive, x, 1) ** weight, 0)
+
+
+def _both_sides(matrix, images: Array) -> Array:
+    """matrix(H) @ image @ matrix(W).T over all leading axes, in full float32 also where the device would use less."""
+    rows = jnp.asarray(matrix(images.shape[-2]), images.dtype)
+    columns = jnp.asarray(matrix(images.shape[-1]), images.dtype)
+    right = jnp.matmul(images, columns.T, precision="highest")
+    return jnp.matmul(rows, right, precision="highest")
+
+
+def _blur(size: int) -> np.ndarray:
+    """(size - 10, size) band matrix: the Gaussian window at every place where it fits."""
+    kernel = np.exp(-0.5 * ((np.arange(WINDOW) - WINDOW // 2) / SIGMA) ** 2)
+    kernel /= kernel.sum()
+    matrix = np.zeros((size - WINDOW + 1, size))
+    for row in range(len(matrix)):
+        matrix[row, row : row + WINDOW] = kernel
+    return matrix
+
+
+def _halving(size: int) -> np.ndarray:
+    """(ceil(size / 2), size): means of neighbouring pairs; a last one without a partner is its own."""
+    matrix = np.zeros((-(-size // 2), size))
+    for column in range(size):
+        matrix[column // 2, column] = 0.5
+    if size % 2:
+        matrix[-1, -1] = 1
+    return matrix

@@ -1,0 +1,61 @@
+"""Pin error: how far the pins seen in an image stand from where they should.
+
+Similarity of images is blind to a grid shifted by a whole pitch; centroids matched one to one are not.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+
+from jaxunshear.image.pins import find_pins
+
+__all__ = ["PinError", "PinMatch", "find_pins", "match_pins", "pin_error"]
+
+
+class PinMatch(NamedTuple):
+    """Pins matched one to one: distances (K,) of the pairs, how many true pins were missed, how many found are extra."""
+
+    error_px: np.ndarray
+    missed: int
+    extra: int
+
+
+class PinError(NamedTuple):
+    """Over a batch of images: root mean square error of the matched pins, and missed and extra pins per image."""
+
+    rms_px: float
+    rms_mm: float
+    missed: float
+    extra: float
+
+
+def match_pins(found: np.ndarray, true: np.ndarray, limit_px: float) -> PinMatch:
+    """Found pins (N, 2) to true pins (P, 2) px, one to one with the least sum of squares; none beyond `limit_px`."""
+    if len(found) == 0 or len(true) == 0:
+        return PinMatch(np.zeros(0), len(true), len(found))
+    distance = np.linalg.norm(np.asarray(found)[:, None] - np.asarray(true)[None], axis=-1)
+    # Beyond the limit all are equally bad: a far outlier must not bend the pairs of the others.
+    rows, columns = linear_sum_assignment(np.minimum(distance, 2 * limit_px) ** 2)
+    error = distance[rows, columns]
+    error = error[error <= limit_px]
+    return PinMatch(error, len(true) - len(error), len(found) - len(error))
+
+
+def pin_error(images: np.ndarray, true_px: np.ndarray, mm_per_px: float, limit_px: float | None = None) -> PinError:
+    """Binary images (B, S, S) or (B, S, S, 1) against true pins (B, P, 2) px as (column, row).
+
+    `limit_px` of a match defaults to the usual distance between neighbours. NaN errors where no pin matched at all.
+    """
+    images = np.asarray(images)
+    images = images[..., 0] if images.ndim == 4 else images
+    true_px = np.asarray(true_px)
+    if limit_px is None:
+        nearest = cKDTree(true_px[0]).query(true_px[0], k=2)[0][:, 1]
+        limit_px = float(np.median(nearest))
+    matches = [match_pins(find_pins(image), true, limit_px) for image, true in zip(images, true_px, strict=True)]
+    squares = np.concatenate([match.error_px for match in matches]) ** 2
+    rms = float(np.sqrt(squares.mean())) if squares.size else float("nan")
+    missed, extra = (float(np.mean([match[i] for match in matches])) for i in (1, 2))
+    return PinError(rms, rms * mm_per_px, missed, extra)

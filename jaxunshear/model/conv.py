@@ -1,0 +1,121 @@
+"""Convolutions whose gradients are as fast as their forward pass.
+
+XLA's CPU backend runs forward convolutions at the machine's peak, but the gradients that `jax.grad` derives from them
+at a few per cent of it (strided and transposed ones above all). Two rewritings cure that, on every backend exactly:
+
+1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel a few
+   plain matrix products.
+2. A 4x4 convolution of stride 2 is a 2x2 convolution between *blocks*: `to_blocks` moves each 2x2 block of pixels into
+   the channels. The transposed convolution writes blocks instead of reading them.
+
+>>> y = conv_valid(to_blocks(pad(x, 1), 2), down_kernel(w))    # (B, H, W, C) -> (B, H/2, W/2, N), w (4, 4, C, N)
+>>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks of
+2H
+
+*Bordered blocks* are the blocks of an image that was padded by one pixel: the outermost half of the outermost blocks
+lies outside the image and must be zero (`layers.inside`).
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+_NHWC = ("NHWC", "HWIO", "NHWC")
+
+
+def pad(x: Array, pixels: int) -> Array:
+    """(B, H, W, C) with `pixels` zeros on all four sides."""
+    return jnp.pad(x, ((0, 0), (pixels, pixels), (pixels, pixels), (0, 0)))
+
+
+def to_blocks(x: Array, side: int) -> Array:
+    """Space to depth: (B, s H, s W, C) -> (B, H, W, s s C), channels ordered (row in block, column in block,
+    channel)."""
+    b, h, w, c = x.shape
+    x = x.reshape(b, h // side, side, w // side, side, c).transpose(0, 1, 3, 2, 4, 5)
+    return x.reshape(b, h // side, w // side, side * side * c)
+
+
+def from_blocks(x: Array, side: int) -> Array:
+    """Depth to space, the inverse of `to_blocks`."""
+    b, h, w, c = x.shape
+    x = x.reshape(b, h, w, side, side, c // (side * side)).transpose(0, 1, 3, 2, 4, 5)
+    return x.reshape(b, h * side, w * side, c // (side * side))
+
+
+@jax.custom_vjp
+def conv_valid(x: Array, w: Array) -> Array:
+    """Convolution (as networks say; a correlation) without padding: x (B, H, W, C), w (k, k, C, N) -> (B, H-k+1,
+    W-k+1, N)."""
+    return lax.conv_general_dilated(x, w, (1, 1), "VALID", dimension_numbers=_NHWC)
+
+
+def _forward(x: Array, w: Array) -> tuple[Array, tuple[Array, Array]]:
+    return conv_valid(x, w), (x, w)
+
+
+def _backward(saved: tuple[Array, Array], dy: Array) -> tuple[Array, Array]:
+    x, w = saved
+    k = w.shape[0]
+    turned = jnp.flip(w, (0, 1)).swapaxes(2, 3)
+    return conv_valid(pad(dy, k - 1), turned), _kernel_gradient(x, dy, k)
+
+
+conv_valid.defvjp(_forward, _backward)
+
+
+def _kernel_gradient(x: Array, dy: Array, k: int) -> Array:
+    """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place], as matrix products. The narrower of the two
+    arrays is the one that is shifted, since each shift is a copy."""
+    c, n = x.shape[-1], dy.shape[-1]
+    shifts = [(i, j) for i in range(k) for j in range(k)]
+    if c <= n:
+        h, w = dy.shape[1:3]
+        rows = dy.reshape(-1, n)
+        parts = [x[:, i : i + h, j : j + w].reshape(-1, c).T @ rows for i, j in shifts]
+        return jnp.stack(parts).reshape(k, k, c, n)
+    moved = [jnp.pad(dy, ((0, 0), (i, k - 1 - i), (j, k - 1 - j), (0, 0))) for i, j in shifts]
+    product = x.reshape(-1, c).T @ jnp.concatenate(moved, -1).reshape(-1, k * k * n)
+    return product.reshape(c, k, k, n).transpose(1, 2, 0, 3)
+
+
+def down_kernel(w: Array) -> Array:
+    """(4, 4, C, N) of a stride-2 convolution -> (2, 2, 4C, N) between the blocks of its padded input and its output."""
+    c, n = w.shape[2:]
+    return w.reshape(2, 2, 2, 2, c, n).transpose(0, 2, 1, 3, 4, 5).reshape(2, 2, 4 * c, n)
+
+
+def up_kernel(w: Array) -> Array:
+    """(4, 4, C, N) of a stride-2 transposed convolution (Flax's 'SAME') -> (2, 2, C, 4N) from its padded input to the
+    bordered blocks of its output."""
+    c, n = w.shape[2:]
+    w = w.reshape(2, 2, 2, 2, c, n)[:, ::-1, :, ::-1]
+    return w.transpose(0, 2, 4, 1, 3, 5).reshape(2, 2, c, 4 * n)
+
+
+def first_kernel(w: Array) -> Array:
+    """(4, 4, C, N) of a stride-2 convolution -> (2, 2, 16C, 4N) from 4x4 blocks of the image, padded by 4, to the
+    bordered blocks of the output: what the next `down_kernel` reads, so the widest array of the network is never
+    rearranged."""
+    # the output's row 2p-1+a reads the image's rows 4p-3+2a+k, which is row t = 1+2a+k of the 4x4 blocks p and p+1
+    place = _placement(8, 2, lambda t, a: t - 1 - 2 * a, w.dtype)
+    big = jnp.einsum("tak,sbl,klcn->tscabn", place, place, w, precision="highest")
+    t, s, c, a, b, n = big.shape
+    return big.reshape(2, 4, 2, 4, c, a * b * n).transpose(0, 2, 1, 3, 4, 5).reshape(2, 2, 16 * c, 4 * n)
+
+
+def last_kernel(w: Array) -> Array:
+    """(4, 4, C, N) of a stride-2 transposed convolution -> (2, 2, 4C, 16N) from the bordered blocks of its input to
+    the 4x4 blocks of its output, nothing to crop."""
+    # the input's row 2q-1+s of blocks q and q+1 (s = 0..3) reaches the output's row 4q+u through k = 2s-u
+    place = _placement(4, 4, lambda s, u: 2 * s - u, w.dtype)
+    big = jnp.einsum("suk,tvl,klcn->stcuvn", place, place, w, precision="highest")
+    c, n = w.shape[2:]
+    return big.reshape(2, 2, 2, 2, c, 16 * n).transpose(0, 2, 1, 3, 4, 5).reshape(2, 2, 4 * c, 16 * n)
+
+
+def _placement(rows: int, columns: int, tap, dtype) -> Array:
+    """1 where kernel tap `tap(row, column)` is k, else 0: (rows, columns, 4)."""
+    row, column = np.indices((rows, columns))
+    return jnp.asarray(np.asarray(tap(row, column))[..., None] == np.arange(4), dtype)

@@ -1,0 +1,176 @@
+"""The layers of both networks: convolution + batch normalisation + ReLU, over plain or blocked arrays (see conv.py).
+
+Batch normalisation is written out, with its own gradient: sums over pixels as matrix products with the mask of pixels
+(column sums are slow in XLA's CPU backend), the variance as the mean squared deviation (never negative), in float32 or
+wider, and scale, shift, ReLU and mask in one pass.
+"""
+
+from functools import partial
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxunshear.model import conv
+
+INIT = nn.initializers.normal(0.02)  # paper, appendix B
+EPSILON = 1e-5
+MOMENTUM = 0.9  # of the running statistics
+
+
+def inside(height: int, width: int) -> np.ndarray:
+    """(height, width, 4) 0/1: which of the 2x2 pixels of each bordered block lie inside the image."""
+    rows, columns = (np.ones((n, 2)) for n in (height, width))
+    for lines in (rows, columns):
+        lines[0, 0] = lines[-1, 1] = 0
+    return (rows[:, None, :, None] * columns[None, :, None, :]).reshape(height, width, 4)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(3,))
+def norm_relu(x: Array, scale: Array, bias: Array, bordered: bool) -> tuple[Array, Array, Array]:
+    """ReLU(batch norm(x)) and the batch's mean and variance (C,) that it used.
+
+    x (B, H, W, C), or bordered blocks (B, H, W, 4 C): only pixels inside count, the others come out as zero. The
+    gradient runs through the first output; mean and variance are for the running statistics.
+    """
+    return _norm_relu(x, scale, bias, bordered)[0]
+
+
+def _norm_relu(x, scale, bias, bordered):
+    mean = _sums(x, bordered) / _count(x, bordered)
+    centred = x - _wide(mean, bordered)
+    variance = _sums(centred * centred, bordered) / _count(x, bordered)
+    inverse = jax.lax.rsqrt(variance + EPSILON)
+    y = affine_relu(x, scale, bias, mean, variance, bordered)
+    return (y, mean, variance), (x, y, scale, mean, inverse)
+
+
+def _norm_relu_backward(bordered, saved, cotangents):
+    x, y, scale, mean, inverse = saved
+    dy = jnp.where(y > 0, cotangents[0], 0)  # y is zero outside, so this masks as well
+    normal = (x - _wide(mean, bordered)) * _wide(inverse, bordered)
+    n = _count(x, bordered)
+    d_bias, d_scale = _sums(dy, bordered), _sums(dy * normal, bordered)
+    dx = dy - _wide(d_bias / n, bordered) - normal * _wide(d_scale / n, bordered)
+    return _masked(dx * _wide(scale * inverse, bordered), bordered), d_scale, d_bias
+
+
+norm_relu.defvjp(_norm_relu, _norm_relu_backward)
+
+
+def affine_relu(x: Array, scale: Array, bias: Array, mean: Array, variance: Array, bordered: bool) -> Array:
+    """ReLU(batch norm) with given statistics (C,), zero outside the image."""
+    factor = scale * jax.lax.rsqrt(variance + EPSILON)
+    y = x * _wide(factor, bordered) + _wide(bias - mean * factor, bordered)
+    return _masked(jax.nn.relu(y), bordered)
+
+
+def _wide(channels: Array, bordered: bool) -> Array:
+    """(C,) -> shape that multiplies (B, H, W, C) or (B, H, W, 4 C)."""
+    return (jnp.tile(channels, 4) if bordered else channels)[None, None, None]
+
+
+def _masked(x: Array, bordered: bool) -> Array:
+    if not bordered:
+        return x
+    _, h, w, c = x.shape
+    mask = np.repeat(inside(h, w), c // 4, axis=-1)
+    return jnp.where(jnp.asarray(mask[None] > 0), x, 0)
+
+
+def _count(x: Array, bordered: bool) -> int:
+    b, h, w, _ = x.shape
+    return b * (2 * (h - 1) * 2 * (w - 1) if bordered else h * w)
+
+
+def _sums(x: Array, bordered: bool) -> Array:
+    """Sums over images and the pixels inside: (B, H, W, C) or bordered (B, H, W, 4 C) -> (C,)."""
+    b, h, w, c = x.shape
+    pixels = x.reshape(-1, c)
+    if not bordered:
+        return (jnp.ones((1, pixels.shape[0]), x.dtype) @ pixels)[0]
+    mask = jnp.tile(jnp.asarray(inside(h, w).reshape(-1, 4).T, x.dtype), (1, b))
+    products = (mask @ pixels).reshape(4, 4, c // 4)  # of each mask with each phase; those of equal phase count
+    return jnp.einsum("ppc->c", products)
+
+
+class NormRelu(nn.Module):
+    """Batch normalisation and ReLU; see `norm_relu`. Its variables are named as Flax's BatchNorm names them."""
+
+    bordered: bool = False
+
+    @nn.compact
+    def __call__(self, x: Array, train: bool) -> Array:
+        c = x.shape[-1] // (4 if self.bordered else 1)
+        scale = self.param("scale", nn.initializers.ones, (c,))
+        bias = self.param("bias", nn.initializers.zeros, (c,))
+        mean = self.variable("batch_stats", "mean", jnp.zeros, (c,))
+        variance = self.variable("batch_stats", "var", jnp.ones, (c,))
+        if not train:
+            return affine_relu(x, scale, bias, mean.value, variance.value, self.bordered)
+        y, batch_mean, batch_variance = norm_relu(x, scale, bias, self.bordered)
+        if not self.is_initializing():
+            mean.value = MOMENTUM * mean.value + (1 - MOMENTUM) * batch_mean
+            variance.value = MOMENTUM * variance.value + (1 - MOMENTUM) * batch_variance
+        return y
+
+
+class First(nn.Module):
+    """4x4 convolution of stride 2 from the image (B, S, S, C) to the bordered blocks (B, S/4+1, S/4+1, 4 width)."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, x: Array, train: bool) -> Array:
+        w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width))
+        blocks = conv.to_blocks(conv.pad(x, 4), 4)
+        return NormRelu(bordered=True, name="norm")(conv.conv_valid(blocks, conv.first_kernel(w)), train)
+
+
+class Down(nn.Module):
+    """4x4 convolution of stride 2 to (B, H/2, W/2, width), from (B, H, W, C) or from bordered blocks of it."""
+
+    width: int
+    from_blocks: bool = False
+
+    @nn.compact
+    def __call__(self, x: Array, train: bool) -> Array:
+        blocks = x if self.from_blocks else conv.to_blocks(conv.pad(x, 1), 2)
+        w = self.param("kernel", INIT, (4, 4, blocks.shape[-1] // 4, self.width))
+        return NormRelu(name="norm")(conv.conv_valid(blocks, conv.down_kernel(w)), train)
+
+
+class Same(nn.Module):
+    """3x3 convolution of stride 1: (B, H, W, C) -> (B, H, W, width)."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, x: Array, train: bool) -> Array:
+        w = self.param("kernel", INIT, (3, 3, x.shape[-1], self.width))
+        return NormRelu(name="norm")(conv.conv_valid(conv.pad(x, 1), w), train)
+
+
+class Up(nn.Module):
+    """4x4 transposed convolution of stride 2 from a bordered array (B, H+2, W+2, C) to bordered blocks (B, H+1, W+1, 4
+    width) of (2H, 2W); `conv.from_blocks` makes the next bordered array of them."""
+
+    width: int
+
+    @nn.compact
+    def __call__(self, x: Array, train: bool) -> Array:
+        w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width))
+        return NormRelu(bordered=True, name="norm")(conv.conv_valid(x, conv.up_kernel(w)), train)
+
+
+class Last(nn.Module):
+    """4x4 transposed convolution of stride 2, with bias, from bordered blocks (B, H+1, W+1, 4 C) to the image (B, 4H,
+    4W, 1)."""
+
+    @nn.compact
+    def __call__(self, x: Array) -> Array:
+        w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, 1))
+        bias = self.param("bias", nn.initializers.zeros, (1,))
+        return conv.from_blocks(conv.conv_valid(x, conv.last_kernel(w)), 4) + bias[None, None, None]

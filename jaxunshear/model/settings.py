@@ -1,0 +1,27 @@
+"""Shapes of the networks. Imports no JAX."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class UnshearNet:
+    """Entangled or Disentangled UnshearNet (paper section 3.3, appendix A).
+
+    The paper's figures with kernels and widths are missing from its text: 4x4 kernels and these widths are our choice.
+    Each width is one stride-2 convolution, so size / 2**len(widths) is the side of the codes (8 in the paper).
+    """
+
+    size: int = 128
+    widths: tuple[int, ...] = (32, 64, 64, 64)
+    pose_channels: int = 64  # of z_p
+    shear_channels: int = 64  # of z_s; 0 builds no shear code and no DS
+    disentangled: bool = True
+
+
+@dataclass(frozen=True)
+class PoseNet:
+    """Five convolutions, max pooling after the 2nd and 4th, two dense layers, sigmoid output (paper appendix A)."""
+
+    size: int = 128
+    widths: tuple[int, ...] = (16, 32, 32, 64, 64)
+    hidden: int = 128

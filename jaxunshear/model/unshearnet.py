@@ -1,0 +1,134 @@
+"""Entangled and Disentangled UnshearNet (paper section 3.3, appendix A) behind pure functions.
+
+>>> variables = init(net, jax.random.key(0))
+>>> z_p, z_s = encode(net, variables, sheared)                    # (B, S, S, 1) in [0, 1] -> (B, s, s, channels) each
+>>> canonical = jax.nn.sigmoid(decode_canonical(net, variables, z_p))
+>>> canonical = unshear(net, variables, sheared)                  # the same, in one go
+
+E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS both codes to the sheared one. The entangled
+network has one code and DC alone; its z_s is None. Inputs are binary images scaled to [0, 1], decoders return logits.
+"""
+
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxunshear.model import conv
+from jaxunshear.model.layers import Down, First, Last, Same, Up
+from jaxunshear.model.settings import UnshearNet
+
+Variables = dict[str, Any]  # {"params": ..., "batch_stats": ...}, each by module: E, pose, shear, DC, DS
+
+
+class Encoder(nn.Module):
+    """E: an image (B, S, S, 1) -> (B, S / 2**layers, S / 2**layers, widths[-1])."""
+
+    widths: tuple[int, ...]
+
+    @nn.compact
+    def __call__(self, x: Array, train: bool) -> Array:
+        x = First(self.widths[0])(x, train)
+        for layer, width in enumerate(self.widths[1:]):
+            x = Down(width, from_blocks=layer == 0)(x, train)
+        return x
+
+
+class Decoder(nn.Module):
+    """DC and DS, the encoder's mirror: a code -> logits of an image (B, S, S, 1)."""
+
+    widths: tuple[int, ...]  # the encoder's
+
+    @nn.compact
+    def __call__(self, z: Array, train: bool) -> Array:
+        x = conv.pad(z, 1)
+        for layer, width in enumerate(reversed(self.widths[:-1])):
+            x = Up(width)(x if layer == 0 else conv.from_blocks(x, 2), train)
+        return Last()(x)
+
+
+class Network(nn.Module):
+    """All parts under their names in the paper; use the functions below."""
+
+    net: UnshearNet
+
+    def setup(self) -> None:
+        net = self.net
+        self.E, self.DC = Encoder(net.widths), Decoder(net.widths)
+        if net.disentangled:
+            self.pose = Same(net.pose_channels)
+            if net.shear_channels:
+                self.shear, self.DS = Same(net.shear_channels), Decoder(net.widths)
+
+    def encode_pose(self, images: Array, train: bool) -> Array:
+        z = self.E(images, train)
+        return self.pose(z, train) if self.net.disentangled else z
+
+    def encode(self, images: Array, train: bool) -> tuple[Array, Array | None]:
+        z = self.E(images, train)
+        if not self.net.disentangled:
+            return z, None
+        return self.pose(z, train), self.shear(z, train) if self.net.shear_channels else None
+
+    def decode_canonical(self, z_p: Array, train: bool) -> Array:
+        return self.DC(z_p, train)
+
+    def decode_sheared(self, z_p: Array, z_s: Array, train: bool) -> Array:
+        return self.DS(jnp.concatenate([z_p, z_s], -1), train)
+
+    def unshear(self, images: Array, train: bool) -> Array:
+        return jax.nn.sigmoid(self.DC(self.encode_pose(images, train), train))
+
+    def __call__(self, images: Array, train: bool) -> tuple[Array, Array | None]:
+        z_p, z_s = self.encode(images, train)
+        return self.DC(z_p, train), None if z_s is None else self.decode_sheared(z_p, z_s, train)
+
+
+def init(net: UnshearNet, key: Array) -> Variables:
+    """Fresh variables. Raises ValueError where `size` and `widths` do not fit each other."""
+    check(net)
+    side = 2 ** len(net.widths)  # the variables' shapes do not depend on the image's size
+    return dict(Network(net).init(key, jnp.zeros((1, side, side, 1)), True))
+
+
+def check(net: UnshearNet) -> None:
+    """Raises ValueError that names the field where a network of these settings cannot be built."""
+    if len(net.widths) < 2:
+        raise ValueError(f"widths: at least two layers are needed, got {net.widths}")
+    if net.size % 2 ** len(net.widths):
+        raise ValueError(f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)")
+
+
+def encode(net: UnshearNet, variables: Variables, images: Array, train: bool = False) -> tuple[Array, Array | None]:
+    """Images (B, S, S, 1) in [0, 1] -> (z_p, z_s), each (B, s, s, channels); z_s is None without a shear code.
+    With `train` the batch's own statistics are used (and not kept)."""
+    return _apply(net, variables, "encode", images, train=train)
+
+
+def decode_canonical(net: UnshearNet, variables: Variables, z_p: Array, train: bool = False) -> Array:
+    """DC: pose code -> logits (B, S, S, 1) of the canonical image."""
+    return _apply(net, variables, "decode_canonical", z_p, train=train)
+
+
+def decode_sheared(net: UnshearNet, variables: Variables, z_p: Array, z_s: Array, train: bool = False) -> Array:
+    """DS: both codes -> logits (B, S, S, 1) of the sheared image."""
+    return _apply(net, variables, "decode_sheared", z_p, z_s, train=train)
+
+
+def unshear(net: UnshearNet, variables: Variables, images: Array) -> Array:
+    """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
+    return _apply(net, variables, "unshear", images, train=False)
+
+
+def reconstruct(net: UnshearNet, variables: Variables, images: Array) -> tuple[Array, Array | None, Variables]:
+    """The training pass over sheared images: logits of the canonical and the sheared image (None without DS), and the
+    updated running statistics."""
+    (canonical, sheared), updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])
+    return canonical, sheared, updates["batch_stats"]
+
+
+def _apply(net: UnshearNet, variables: Variables, method: str, *inputs: Array, train: bool) -> Any:
+    result = Network(net).apply(variables, *inputs, train, method=method, mutable=["batch_stats"] if train else False)
+    return result[0] if train else result

@@ -1,0 +1,88 @@
+"""The drawn figures of the report, each an SVG text; the same numbers give the same bytes."""
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from jaxunshear.report.history import History
+
+INK, FAINT = "#1c2330", "#8a93a3"
+COLOURS = {"disentangled": "#1f6feb", "entangled": "#d9822b", "posenet": "#2a9d6f"}
+STYLE: Any = {  # the names are a closed list of matplotlib's
+    "svg.hashsalt": "jaxunshear",
+    "svg.fonttype": "none",  # text stays text: small, and set in the reader's font
+    "font.family": "sans-serif",
+    "font.size": 10,
+    "axes.titlesize": 10,
+    "text.color": INK,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "axes.grid": True,
+    "grid.color": "#e6e9ef",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+}
+DASHES = ("-", "--", ":")
+
+
+def loss_curves(histories: Mapping[str, History]) -> str:
+    """Each loss that is both trained and validated, over epochs: one panel a network."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(3.4 * len(histories), 2.8), layout="constrained")
+        panels = figure.subplots(1, len(histories), squeeze=False)[0]
+        for axes, (network, history) in zip(panels, histories.items(), strict=True):
+            colour = COLOURS.get(network, INK)
+            names = [name for name in history.validation if name in history.training]
+            for name, dash in zip(names, DASHES, strict=False):
+                axes.plot(history.epoch, history.training[name], dash, color=colour, linewidth=1, alpha=0.45)
+                axes.plot(history.epoch, history.validation[name], dash, color=colour, linewidth=2, label=name)
+            axes.set(title=network, xlabel="epoch", yscale="log")
+            axes.legend()
+        panels[0].set_ylabel("mean squared error")
+        return _svg(figure)
+
+
+def error_over_time(histories: Mapping[str, History], name: str, label: str) -> str:
+    """The validation figure `name` over seconds of training, a line for every network that has it."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(3.4, 2.6), layout="constrained")
+        axes = figure.subplots()
+        for network, history in histories.items():
+            if name in history.validation:
+                colour = COLOURS.get(network, INK)
+                values = history.validation[name]
+                axes.plot(history.train_seconds, values, "o-", color=colour, markersize=3, label=network)
+        axes.set(xlabel="seconds of training", ylabel=label, yscale="log")
+        axes.set_xlim(left=0)
+        axes.legend()
+        return _svg(figure)
+
+
+def stage_times(stages: Sequence[str], seconds: Sequence[float]) -> str:
+    """Wall clock of each stage, in order, as bars."""
+    with rc_context(STYLE):
+        figure = Figure(figsize=(6.6, 0.6 + 0.3 * len(stages)), layout="constrained")
+        axes = figure.subplots()
+        bars = axes.barh(stages, seconds, color="#9db7dd", height=0.65)
+        axes.bar_label(bars, [f"{value:.1f} s" if value < 100 else f"{value:.0f} s" for value in seconds], padding=3)
+        axes.set(xlabel="wall clock, seconds")
+        axes.margins(x=0.12)
+        axes.invert_yaxis()
+        axes.grid(False, axis="y")
+        return _svg(figure)
+
+
+def _svg(figure: Figure) -> str:
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
+    text = buffer.getvalue()
+    return text[text.index("<svg") :]

@@ -1,0 +1,45 @@
+"""The training logs of a run, read for drawing: one JSON object a line, written at each validation."""
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+NETWORKS = ("disentangled", "entangled", "posenet")
+
+
+class History(NamedTuple):
+    """V validations of one network; all lists are of length V."""
+
+    epoch: list[float]
+    train_seconds: list[float]
+    training: dict[str, list[float]]  # losses by name
+    validation: dict[str, list[float]]
+
+
+def read_history(path: Path) -> History | None:
+    """None where there is no log, or nothing in it yet. A last line cut short by a kill is left out."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError:
+        return None
+    lines = []
+    for line in text.splitlines():
+        try:
+            lines.append(json.loads(line))
+        except ValueError:
+            continue
+    lines = [line for line in lines if isinstance(line, dict) and "train_seconds" in line and "epoch" in line]
+    if not lines:
+        return None
+    return History(
+        [line["epoch"] for line in lines],
+        [line["train_seconds"] for line in lines],
+        _columns([line.get("train", {}) for line in lines]),
+        _columns([line.get("validation", {}) for line in lines]),
+    )
+
+
+def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float]]:
+    """Those names that every row has."""
+    names = [name for name in rows[0] if all(isinstance(row.get(name), int | float) for row in rows)]
+    return {name: [float(row[name]) for row in rows] for name in names}

@@ -1,0 +1,140 @@
+"""The stages of an experiment, in the order of the data: data, three trainings, evaluation, report.
+
+Every stage leaves its work under one folder and finds it again, so the same command continues a stopped run. Only this file
+knows all stages; none of them knows another.
+"""
+
+import dataclasses
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.config import from_json, to_json
+from jaxunshear.dataset import configs
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.storage import read_json, write_json
+
+NETWORKS = ("entangled", "disentangled", "posenet")
+
+
+def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str) -> dict[str, Any]:
+    """Run `stages` (of "data", "entangled", "disentangled", "posenet", "evaluate", "report") into out/<name>.
+
+    Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can mend.
+    """
+    folder = Path(out) / experiment.name
+    _keep_settings(experiment, folder)
+    results: dict[str, Any] = {}
+    for stage in stages:
+        began = time.perf_counter()
+        if stage == "data":
+            worked = _make_data(experiment, data)
+        elif stage in NETWORKS:
+            worked = _train(experiment, stage, folder, data)
+        elif stage == "evaluate":
+            from jaxunshear.evaluation.evaluate import evaluate
+
+            results, worked = evaluate(experiment, folder, data), True
+            results["command"] = command
+            _tell(results)
+        else:
+            from jaxunshear.report.report import write_report
+
+            print(f"report: {write_report(folder)}")
+            worked = False  # its time cannot stand in itself
+        if worked:
+            _keep_time(folder, stage, time.perf_counter() - began)
+    return results
+
+
+def _keep_settings(experiment: Experiment, folder: Path) -> None:
+    """experiment.json, or a refusal to mix the work of two different experiments in one folder."""
+    path = folder / "experiment.json"
+    wanted = to_json(experiment)
+    if path.exists():
+        stored = to_json(from_json(read_json(path)))
+        changed = [name for name in configs.differences(stored, wanted) if name != "claim"]
+        if changed:
+            raise UserError(
+                f"{folder} holds a run with another {', '.join(changed[:3])}: give another --out, or delete that folder"
+            )
+    write_json(path, wanted)
+
+
+def _make_data(experiment: Experiment, data: Path) -> bool:
+    from jaxunshear.dataset.making import make_sets
+
+    there = all(
+        configs.set_folder(settings, experiment.sensor, data).exists() for settings in (experiment.paired, experiment.pose)
+    )
+    for name, metadata in make_sets(experiment, data).items():
+        counts = metadata["counts"]
+        print(f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped")
+    return not there
+
+
+def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
+    """Train one network, or find it trained. Returns whether there was anything to do."""
+    if (folder / network / "summary.json").exists():
+        return False
+    from jaxunshear.dataset.reading import open_set
+    from jaxunshear.training.loop import train_posenet, train_unshear
+
+    pose = network == "posenet"
+    settings: Any = experiment.pose if pose else experiment.paired
+    training = experiment.train_posenet if pose else experiment.train
+    examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
+    fields = ("image", "pose", "edge") if pose else ("canonical", "sheared")
+    common: dict[str, Any] = {
+        "training": training,
+        "batches": examples.train_batches(training.batch, experiment.seed, training.shift, fields),
+        "validation": _first(examples.split, training.validation_images, fields),
+        "seed": experiment.seed,
+        "folder": folder / network,
+        "epoch_images": examples.length("train"),
+        "origin": configs.describe(settings, experiment.sensor),
+    }
+    if pose:
+        summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
+    else:
+        net = dataclasses.replace(experiment.unshear, disentangled=network == "disentangled")
+        summary = train_unshear(net, **common)
+    print(
+        f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
+        f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
+    )
+    return True
+
+
+def _first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Any]]:
+    """The first `count` validation examples, in batches."""
+    batch = 64
+
+    def batches() -> Iterator[Any]:
+        taken = 0
+        for examples in split("validation", batch, fields):
+            examples = {name: values[: count - taken] for name, values in examples.items()}
+            taken += len(examples[fields[0]])
+            yield examples
+            if taken >= count:
+                return
+
+    return batches
+
+
+def _keep_time(folder: Path, stage: str, seconds: float) -> None:
+    """times.json: wall-clock seconds of a stage, in the run that finished it."""
+    path = folder / "times.json"
+    times = read_json(path) if path.exists() else {}
+    write_json(path, times | {stage: round(seconds, 3)})
+
+
+def _tell(results: dict[str, Any]) -> None:
+    from jaxunshear.evaluation.measurements import measurements
+
+    for row in measurements(results)["rows"]:
+        bar = "" if row["bar"] is None else f"  (bar {row.get('sense', '')} {row['bar']}: {'met' if row['ok'] else 'MISSED'})"
+        print(f"{row['name']:<40} {row['value']} {row['unit']}{bar}", file=sys.stdout)

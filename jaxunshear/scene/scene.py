@@ -1,0 +1,65 @@
+"""A scene: which stimulus is touched, at which pose, after which slide. Many scenes are arrays side by side.
+
+A tap presses down at the pose. A slide presses at `pose - move` and then moves by `move` to the pose; `move` is in the
+target frame, as the pose is. What the sensor touches at the end is the same; what friction did to its skin is not.
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.errors import UserError
+from jaxunshear.scene.stimuli import outward_normal, signed_distance, stimulus_named
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """B scenes (numpy): `pose` is x, y (mm), yaw (deg), depth (mm) in the target frame of the stimulus."""
+
+    stimulus: np.ndarray  # (B,) index into a tuple of stimulus names
+    pose: np.ndarray  # (B, 4)
+    move: np.ndarray  # (B, 2) mm, target frame; zero for a tap
+    friction: np.ndarray  # (B,) Coulomb coefficient
+
+    def __len__(self) -> int:
+        return len(self.stimulus)
+
+    def take(self, index: np.ndarray) -> "Scenes":
+        return Scenes(*(field[index] for field in (self.stimulus, self.pose, self.move, self.friction)))
+
+
+def draw_poses(generator: np.random.Generator, count: int, lateral_mm: float, yaw_deg: float, depth_mm: tuple[float, float]):
+    """Uniform poses (count, 4) as in section 3.2 of the paper."""
+    if count < 1:
+        raise UserError(f"poses = {count}: draw at least one")
+    low = [-lateral_mm, -lateral_mm, -yaw_deg, depth_mm[0]]
+    high = [lateral_mm, lateral_mm, yaw_deg, depth_mm[1]]
+    return generator.uniform(low, high, (count, 4))
+
+
+def draw_moves(generator: np.random.Generator, count: int, move_mm: float) -> np.ndarray:
+    """Uniform slide offsets (count, 2) in mm."""
+    return generator.uniform(-move_mm, move_mm, (count, 2))
+
+
+def make_scenes(names: tuple[str, ...], stimulus: np.ndarray, pose: np.ndarray, move: np.ndarray) -> Scenes:
+    """Scenes with the friction that each stimulus' material has."""
+    friction = np.array([stimulus_named(name).friction for name in names])
+    return Scenes(np.asarray(stimulus), np.asarray(pose, float), np.asarray(move, float), friction[stimulus])
+
+
+def edge_labels(names: tuple[str, ...], scenes: Scenes) -> np.ndarray:
+    """(B, 2): signed distance (mm, negative inside) of the sensor's axis from the nearest edge, and the direction of the
+    edge's outward normal in the sensor frame (deg, in (-180, 180]): the pose that is not ambiguous on a smooth edge."""
+    labels = np.zeros((len(scenes), 2))
+    for index, name in enumerate(names):
+        here = np.flatnonzero(scenes.stimulus == index)
+        if not len(here):
+            continue
+        xy = jnp.asarray(scenes.pose[here, :2], jnp.float32)
+        distance, normal = jax.jit(lambda p, s=stimulus_named(name): (signed_distance(s, p), outward_normal(s, p)))(xy)
+        angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - scenes.pose[here, 2]
+        labels[here] = np.stack([np.asarray(distance), 180 - (180 - angle) % 360], axis=-1)
+    return labels

@@ -1,0 +1,76 @@
+"""Files are written beside their place and moved into it: a killed run leaves the old file or the new one, never half.
+
+>>> write_json(Path("runs/demo/results.json"), {"ms_ssim": 0.9})
+>>> read_json(Path("runs/demo/results.json"))["ms_ssim"]
+"""
+
+import contextlib
+import errno
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+
+
+def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
+    """The line for people that an `OSError` at `path` deserves."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return UserError(f"cannot {verb} {path}: the disk is full; free some space, then run the same command")
+    return UserError(f"cannot {verb} {path}: {error.strerror or error}")
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Replace `path` by `data` in one step; missing folders are made. Raises `UserError` that names the path."""
+    path = Path(path)
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with part.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):  # the first error is the one worth telling
+            part.unlink(missing_ok=True)
+        raise os_error(path, error) from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Replace `path` by UTF-8 `text` in one step."""
+    write_bytes(path, text.encode())
+
+
+def write_json(path: Path, obj: Any) -> None:
+    """Replace `path` by `obj` as indented JSON in one step; NaN and infinity become null, as JSON has neither."""
+    write_text(path, json.dumps(_plain(obj), indent=2, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> Any:
+    """What `path` holds. Raises `UserError` where it is missing or is no JSON."""
+    path = Path(path)
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise os_error(path, error, "read") from error
+    except ValueError as error:
+        raise UserError(f"{path} is not valid JSON ({error}): delete it and make it again") from error
+
+
+def _plain(obj: Any) -> Any:
+    """`obj` of built-in types only: arrays and their scalars become lists and numbers, paths become text."""
+    if isinstance(obj, dict):
+        return {str(key): _plain(value) for key, value in obj.items()}
+    if isinstance(obj, list | tuple):
+        return [_plain(value) for value in obj]
+    if isinstance(obj, float):
+        return obj if obj - obj == 0 else None
+    if obj is None or isinstance(obj, str | bool | int):
+        return obj
+    if isinstance(obj, Path):
+        return str(obj)
+    if hasattr(obj, "tolist"):  # numpy and JAX, without importing either
+        return _plain(obj.tolist())
+    raise TypeError(f"{type(obj).__name__} cannot be written as JSON")

@@ -1,0 +1,189 @@
+"""Checkpoints of a training: the only file that knows Orbax.
+
+FOLDER/model.json                  what is trained, with which settings
+FOLDER/checkpoints/<step>/state    arrays by name (Orbax)
+FOLDER/checkpoints/<step>/record.json   history of the training up to here, the best step, a digest of the arrays
+
+A checkpoint is written under another name and then renamed, so a killed run leaves whole ones only. The latest and the
+best are kept.
+"""
+
+import dataclasses
+import hashlib
+import shutil
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import orbax.checkpoint as ocp
+
+from jaxunshear import storage
+from jaxunshear.errors import UserError
+from jaxunshear.model.settings import PoseNet, UnshearNet
+
+MODEL = "model.json"
+NETS = {"unshear": UnshearNet, "posenet": PoseNet}
+
+
+def save(folder: Path, step: int, state: Any, record: dict[str, Any]) -> None:
+    """Write the tree `state` and the JSON `record` (with "best_step") as checkpoint `step`; then drop all but it and
+    the best.
+
+    Raises UserError where that fails; earlier checkpoints stay.
+    """
+    root = Path(folder) / "checkpoints"
+    part = root / f"{step:08d}.part"
+    arrays = _named(jax.device_get(state))
+    try:
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir(parents=True)
+        with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as writer:
+            writer.save((part / "state").absolute(), arrays)
+        storage.write_json(part / "record.json", record | {"step": step, "digest": _digest(arrays)})
+        target = root / f"{step:08d}"
+        shutil.rmtree(target, ignore_errors=True)
+        part.rename(target)
+    except UserError:
+        raise
+    except Exception as error:  # a full disk reaches us as many types
+        raise UserError(
+            f"cannot write checkpoint {part.with_suffix('')} ({_line(error)}): is the disk full?"
+        ) from error
+    for path in root.iterdir():
+        if path.name not in (f"{step:08d}", f"{record['best_step']:08d}"):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def latest(folder: Path) -> int | None:
+    """Step of the latest checkpoint in `folder`; None without one."""
+    root = Path(folder) / "checkpoints"
+    steps = [int(path.name) for path in root.iterdir() if path.name.isdigit()] if root.is_dir() else []
+    return max(steps, default=None)
+
+
+def restore(folder: Path, step: int, like: Any) -> tuple[Any, dict[str, Any]]:
+    """The state of checkpoint `step`, in the form of the tree `like`, and its record. Raises UserError if it is
+    damaged."""
+    arrays, record = _read(folder, step)
+    names = _named(like)
+    shapes, wanted = ({name: np.shape(leaf) for name, leaf in tree.items()} for tree in (arrays, names))
+    wrong = next((name for name in shapes | wanted if shapes.get(name) != wanted.get(name)), None)
+    if wrong:
+        path = _path(folder, step)
+        raise UserError(f"checkpoint {path} does not fit this network ({wrong}): delete {folder} to train again")
+    leaves = [jax.numpy.asarray(arrays[name]) for name in names]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves), record
+
+
+def load_best(folder: Path) -> dict[str, Any]:
+    """Variables (averaged weights and statistics) of the best checkpoint by validation loss. Raises UserError."""
+    step = latest(folder)
+    if step is None:
+        raise UserError(f"{folder} holds no trained model (no checkpoints): train first, or name another folder")
+    best = _record(folder, step)["best_step"]
+    arrays, _ = _read(folder, best)
+    variables: dict[str, Any] = {}
+    for name, array in arrays.items():
+        kind, *modules = name.split(".")
+        if kind == "average":
+            place = variables
+            for module in modules[:-1]:
+                place = place.setdefault(module, {})
+            place[modules[-1]] = jax.numpy.asarray(array)
+    return variables
+
+
+def write_settings(folder: Path, settings: dict[str, Any]) -> None:
+    """Keep what a training was asked for in model.json. Raises UserError if the folder holds a training of other
+    settings."""
+    path = Path(folder) / MODEL
+    if not path.exists():
+        return storage.write_json(path, settings)
+    old, new = _flat(storage.read_json(path)), _flat(settings)
+    for name in old | new:
+        if old.get(name) != new.get(name):
+            change = f"{name} = {old.get(name)}, now {new.get(name)}"
+            raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
+
+
+def read_net(folder: Path) -> UnshearNet | PoseNet:
+    """The network's settings from model.json. Raises UserError."""
+    path = Path(folder) / MODEL
+    if not path.exists():
+        raise UserError(f"{folder} holds no trained model (no {MODEL}): train first, or name another folder")
+    try:
+        stored = storage.read_json(path)
+        kind = NETS[stored["kind"]]
+        fields = {field.name: stored["net"][field.name] for field in dataclasses.fields(kind)}
+        return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
+    except (KeyError, TypeError) as error:
+        raise UserError(f"{path} lacks or misnames {error}: delete {folder} and train again") from error
+
+
+def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    path, record = _path(folder, step), _record(folder, step)
+    try:
+        with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as reader:
+            arrays = reader.restore((path / "state").absolute())
+        intact = _digest(arrays) == record["digest"]
+    except Exception as error:  # whatever a damaged file makes of itself
+        raise UserError(f"checkpoint {path} is damaged ({_line(error)}): {_remedy(folder, path)}") from error
+    if not intact:
+        raise UserError(f"checkpoint {path} is damaged (its digest differs): {_remedy(folder, path)}")
+    return arrays, record
+
+
+def _record(folder: Path, step: int) -> dict[str, Any]:
+    path = _path(folder, step)
+    try:
+        record = storage.read_json(path / "record.json")
+        if not {"best_step", "digest", "history"} <= record.keys():
+            raise UserError("its record is incomplete")
+        return record
+    except (UserError, AttributeError) as error:
+        raise UserError(f"checkpoint {path} is damaged ({_line(error)}): {_remedy(folder, path)}") from error
+
+
+def _remedy(folder: Path, path: Path) -> str:
+    others = [p for p in path.parent.iterdir() if p.name.isdigit() and p != path] if path.parent.is_dir() else []
+    back = f"delete {path} to go on from the one before, or " if others else ""
+    return f"{back}delete {folder} to train from the start"
+
+
+def _path(folder: Path, step: int) -> Path:
+    return Path(folder) / "checkpoints" / f"{step:08d}"
+
+
+def _line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+
+
+def _named(tree: Any) -> dict[str, Any]:
+    """Leaves by dotted path, in the tree's order."""
+    name = partial(jax.tree_util.keystr, simple=True, separator=".")
+    return {name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
+
+
+def _digest(arrays: dict[str, Any]) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for name in sorted(arrays):
+        array = np.asarray(arrays[name])
+        digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
+
+
+def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested JSON as {"train.epochs": 5}; tuples and lists are the same to it."""
+    if not isinstance(tree, dict):
+        return {prefix: _as_json(tree)}
+    flat: dict[str, Any] = {}
+    for name, value in tree.items():
+        flat |= _flat(value, f"{prefix}.{name}" if prefix else name)
+    return flat
+
+
+def _as_json(value: Any) -> Any:
+    """Tuples as the lists that JSON makes of them."""
+    return [_as_json(item) for item in value] if isinstance(value, list | tuple) else value

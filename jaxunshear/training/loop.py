@@ -1,0 +1,365 @@
+"""Training: one jitted, donated step, validation, checkpoints, and going on after a kill.
+
+>>> train_unshear(net, training, batches, validation, seed=0, folder=Path("runs/demo/disentangled"), epoch_images=2160)
+
+`batches(start_step)` is an endless iterator of batches, the same ones whichever step it starts from; `validation()` a
+finite one. All randomness of a step follows from the seed and the step's number, so a run that was killed ends with
+the very bits of an undisturbed one. (You can skip `_Task` and read `_train`.)
+"""
+
+import dataclasses
+import json
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jax import Array
+
+from jaxunshear import storage
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.errors import UserError
+from jaxunshear.model import posenet, settings, unshearnet
+from jaxunshear.progress import Progress
+from jaxunshear.training import checkpoint, losses
+from jaxunshear.training.memory import keep_freed_memory
+from jaxunshear.training.settings import Training
+
+Batch = dict[str, Any]
+Batches = Callable[[int], Iterator[Batch]]
+Validation = Callable[[], Iterator[Batch]]
+Tree = Any
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a finished training says of itself; also in FOLDER/summary.json."""
+
+    kind: str
+    steps: int
+    images: int  # seen, with repeats
+    parameters: int
+    best_step: int
+    best_loss: float  # validation
+    train_seconds: float  # steps and their data, without compilation, validation and checkpoints
+    compile_seconds: float
+    images_per_second: float
+
+
+class State(NamedTuple):
+    """All that a step changes."""
+
+    step: Array
+    params: Tree
+    batch_stats: Tree
+    optimiser: Tree
+    average: dict[str, Tree]  # moving averages of both: the variables that are validated, kept and used
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What differs between the networks. Terms are losses per example (B,), by name."""
+
+    kind: str
+    init: Callable[[Array], Tree]
+    terms: Callable[[Tree, Batch, Array], tuple[dict[str, Array], Tree]]  # variables, batch, key -> terms, batch_stats
+    weights: dict[str, float]
+    validate: Callable[[Tree, Batch], dict[str, Array]]
+    rank: str  # the validation term that the best model is chosen by
+
+
+def train_unshear(
+    net: settings.UnshearNet,
+    training: Training,
+    batches: Batches,
+    validation: Validation,
+    seed: int,
+    folder: Path,
+    *,
+    epoch_images: int,
+    origin: Any = None,
+) -> Summary:
+    """Train an entangled or disentangled UnshearNet into `folder`, or go on where it stopped, or return at once if
+    finished.
+
+    Batches: {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}. `epoch_images` pairs are one epoch. `origin` is
+    any JSON that says where the data come from; a folder trained from another origin or with other settings is refused.
+    Raises UserError (a loss that is not finite, a damaged checkpoint, settings that do not fit).
+    """
+    crop = training.crop_px
+    if not 0 < crop <= net.size:
+        raise UserError(f"crop_px: crops of {crop} px do not fit images of {net.size} px")
+
+    def terms(variables, batch, key):
+        canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
+        logits, sheared_logits, batch_stats = unshearnet.reconstruct(net, variables, sheared)
+        image = jax.nn.sigmoid(logits)
+        corners = losses.random_corners(key, len(image), training.crops, net.size, crop)
+        counts = losses.coverage(corners, net.size, crop)
+        named = {"supervised": losses.supervised(image, canonical), "patch": losses.patch(image, canonical, counts)}
+        if sheared_logits is not None:
+            named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
+        return named, batch_stats
+
+    def validate(variables, batch):
+        canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
+        z_p, z_s = unshearnet.encode(net, variables, sheared)
+        image = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
+        named = {"supervised": losses.supervised(image, canonical)}
+        if z_s is not None:
+            again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
+            named["reconstruction"] = losses.reconstruction(again, sheared)
+        return named
+
+    weights = {"supervised": 1.0, "patch": training.patch_weight, "reconstruction": training.reconstruction_weight}
+    _checked(unshearnet.check, net)
+    task = _Task("unshear", lambda key: unshearnet.init(net, key), terms, weights, validate, "supervised")
+    asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
+    return _train(task, training, batches, validation, seed, Path(folder), epoch_images, asked | {"origin": origin})
+
+
+def train_posenet(
+    net: settings.PoseNet,
+    training: Training,
+    batches: Batches,
+    validation: Validation,
+    seed: int,
+    folder: Path,
+    *,
+    ranges: Ranges,
+    epoch_images: int,
+    origin: Any = None,
+) -> Summary:
+    """Train PoseNet; as `train_unshear`. Batches: {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2)
+    float32."""
+
+    def terms(variables, batch, key):
+        outputs, batch_stats = posenet.predict_training(net, variables, _unit(batch["image"]))
+        return {"pose": losses.pose(outputs, posenet.pose_targets(batch["pose"], batch["edge"], ranges))}, batch_stats
+
+    def validate(variables, batch):
+        outputs = posenet.predict(net, variables, _unit(batch["image"]))
+        targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
+        got, true = posenet.pose_from_outputs(outputs, ranges), posenet.pose_from_outputs(targets, ranges)
+        turn = {"edge_deg": 360.0}
+        errors = {name: jnp.abs(_wrapped(got[name] - true[name], turn.get(name))) for name in got}
+        return {"pose": losses.pose(outputs, targets)} | errors
+
+    _checked(posenet.check, net)
+    task = _Task("posenet", lambda key: posenet.init(net, key), terms, {"pose": 1.0}, validate, "pose")
+    asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
+    return _train(
+        task,
+        training,
+        batches,
+        validation,
+        seed,
+        Path(folder),
+        epoch_images,
+        asked | {"ranges": asdict(ranges), "origin": origin},
+    )
+
+
+def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> Callable[[Array], Array]:
+    """Step -> learning rate. Raises UserError for an unknown schedule."""
+    first = training.learning_rate
+    if training.schedule == "cosine":
+        return optax.cosine_decay_schedule(first, steps)
+    if training.schedule != "steps":
+        raise UserError(f'schedule: "{training.schedule}" is unknown; use "cosine" or "steps"')
+
+    def drop(step):
+        rate = jnp.asarray(first)
+        for epoch, factor in training.drops:
+            rate = jnp.where(step >= epoch * steps_per_epoch, first * factor, rate)
+        return rate
+
+    return drop
+
+
+def _train(
+    task: _Task,
+    training: Training,
+    batches: Batches,
+    validation: Validation,
+    seed: int,
+    folder: Path,
+    epoch_images: int,
+    asked: dict[str, Any],
+) -> Summary:
+    checkpoint.write_settings(folder, {"kind": task.kind} | asked)
+    if (folder / "summary.json").exists():
+        return _summary(folder / "summary.json")
+    keep_freed_memory()
+    batch_size, steps_per_epoch = training.batch, epoch_images / training.batch
+    steps = max(1, round(training.epochs * steps_per_epoch))
+    optimiser = optax.adam(learning_rate(training, steps, steps_per_epoch), training.beta1, training.beta2)
+    key_init, key_steps = jax.random.split(jax.random.key(seed))
+
+    state = jax.jit(lambda key: _fresh(task.init(key), optimiser))(key_init)
+    history: list[dict[str, Any]] = []
+    best_step, best_loss, seconds, compile_seconds = 0, math.inf, 0.0, 0.0
+    start = checkpoint.latest(folder) or 0
+    if start:
+        state, record = checkpoint.restore(folder, start, state)
+        history, best_step, seconds = record["history"], record["best_step"], record["train_seconds"]
+        compile_seconds = record["compile_seconds"]
+        best_loss = min(_ranked(line["validation"][task.rank]) for line in history)
+    _write_log(folder, history)
+
+    stream = iter(batches(start))
+    batch = jax.device_put(next(stream))
+    began = time.perf_counter()
+    step = jax.jit(_step(task, training, optimiser, key_steps), donate_argnums=0).lower(state, batch).compile()
+    validate = jax.jit(task.validate)
+    compile_seconds += time.perf_counter() - began
+
+    with Progress(f"train {folder.name}", steps * batch_size, done=start * batch_size) as progress:
+        began = time.perf_counter()
+        waiting: list[tuple[int, dict[str, Array]]] = []
+        for done in range(start + 1, steps + 1):
+            state, metrics = step(state, batch)
+            waiting.append((done, metrics))
+            if done < steps:
+                batch = jax.device_put(next(stream))  # read while the step runs
+            at_checkpoint = done % training.validate_every == 0 or done == steps
+            while len(waiting) > (0 if at_checkpoint else 1):
+                last = _finite(*waiting.pop(0), folder)
+            progress.advance(batch_size)
+            if not at_checkpoint:
+                continue
+            seconds += time.perf_counter() - began
+            scores = _mean_terms(validate, state.average, validation())
+            if best_step == 0 or _ranked(scores[task.rank]) < best_loss:
+                best_step, best_loss = done, _ranked(scores[task.rank])
+            counts = {
+                "step": done,
+                "epoch": done / steps_per_epoch,
+                "images": done * batch_size,
+                "train_seconds": seconds,
+            }
+            history.append(counts | {"train": last, "validation": scores})
+            times = {"train_seconds": seconds, "compile_seconds": compile_seconds}
+            checkpoint.save(folder, done, state, {"history": history, "best_step": best_step} | times)
+            _write_log(folder, history)
+            began = time.perf_counter()
+
+    summary = Summary(
+        kind=task.kind,
+        steps=steps,
+        images=steps * batch_size,
+        parameters=sum(leaf.size for leaf in jax.tree.leaves(state.params)),
+        best_step=best_step,
+        best_loss=best_loss,
+        train_seconds=seconds,
+        compile_seconds=compile_seconds,
+        images_per_second=steps * batch_size / seconds,
+    )
+    storage.write_json(folder / "summary.json", asdict(summary))
+    return summary
+
+
+def _fresh(variables: Tree, optimiser: optax.GradientTransformation) -> State:
+    params, batch_stats = variables["params"], variables["batch_stats"]
+    average = {"params": params, "batch_stats": batch_stats}
+    return State(jnp.zeros((), jnp.int32), params, batch_stats, optimiser.init(params), average)
+
+
+def _step(task: _Task, training: Training, optimiser: optax.GradientTransformation, key: Array):
+    """The step: (state, batch) -> (state, mean terms, regularisation and gradient norm by name)."""
+
+    def loss(params, batch_stats, batch, step_key):
+        terms, batch_stats = task.terms({"params": params, "batch_stats": batch_stats}, batch, step_key)
+        metrics = {name: jnp.mean(values) for name, values in terms.items()}
+        kernels = losses.regularisation(params, training.l1, training.l2)
+        total = kernels + sum(task.weights[name] * value for name, value in metrics.items())
+        return total, (metrics | {"regularisation": kernels}, batch_stats)
+
+    def step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
+        step_key = jax.random.fold_in(key, state.step)
+        gradient_of = jax.grad(loss, has_aux=True)
+        gradient, (metrics, batch_stats) = gradient_of(state.params, state.batch_stats, batch, step_key)
+        updates, moments = optimiser.update(gradient, state.optimiser, state.params)
+        params = optax.apply_updates(state.params, updates)
+        # averages start short, else the first weights would linger in them
+        decay = jnp.minimum(training.averaging, (1.0 + state.step) / (10.0 + state.step))
+        new = {"params": params, "batch_stats": batch_stats}
+        average = jax.tree.map(lambda old, now: decay * old + (1 - decay) * now, state.average, new)
+        metrics["gradient"] = jnp.sqrt(sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(gradient)))
+        return State(state.step + 1, params, batch_stats, moments, average), metrics
+
+    return step
+
+
+def _finite(step: int, metrics: dict[str, Array], folder: Path) -> dict[str, float]:
+    """Metrics as floats. Raises UserError where one is not finite: nothing learnt after that is worth keeping."""
+    values = {name: float(value) for name, value in jax.device_get(metrics).items()}
+    broken = [name for name, value in values.items() if not math.isfinite(value)]
+    if broken:
+        named = ", ".join(
+            name for name in broken if name != "gradient" or len(broken) == 1
+        )  # it follows from the others
+        kept = checkpoint.latest(folder)
+        where = f"the checkpoint of step {kept} is kept" if kept else "no checkpoint was written yet"
+        hint = "look for broken data, or lower learning_rate (in another folder)"
+        raise UserError(f"training {folder} stopped: {named} not finite at step {step}; {where}; {hint}")
+    return values
+
+
+def _mean_terms(validate, variables: Tree, batches: Iterator[Batch]) -> dict[str, float | None]:
+    """Means over all validation examples, None where one is not finite (JSON has no NaN).
+
+    A smaller last batch is filled up, so that nothing is compiled twice.
+    """
+    sums: dict[str, float] = {}
+    count, full = 0, 0
+    for batch in batches:
+        size = len(next(iter(batch.values())))
+        full = max(full, size)
+        filled = {name: np.resize(np.asarray(value), (full, *np.shape(value)[1:])) for name, value in batch.items()}
+        for name, values in jax.device_get(validate(variables, filled)).items():
+            sums[name] = sums.get(name, 0.0) + float(np.sum(values[:size], dtype=np.float64))
+        count += size
+    if not count:
+        raise UserError("the validation split is empty: ask for more poses")
+    return {name: total / count if math.isfinite(total) else None for name, total in sums.items()}
+
+
+def _ranked(loss: float | None) -> float:
+    """A loss that was not finite ranks last."""
+    return math.inf if loss is None else loss
+
+
+def _unit(images: Array) -> Array:
+    """uint8 {0, 255} -> float32 [0, 1]; floats are taken as they are."""
+    return images.astype(jnp.float32) / 255.0 if jnp.issubdtype(images.dtype, jnp.integer) else images
+
+
+def _wrapped(difference: Array, turn: float | None) -> Array:
+    return difference if turn is None else (difference + turn / 2) % turn - turn / 2
+
+
+def _checked(check: Callable[[Any], None], net: Any) -> None:
+    try:
+        check(net)
+    except ValueError as error:
+        raise UserError(str(error)) from error
+
+
+def _write_log(folder: Path, history: list[dict[str, Any]]) -> None:
+    """log.jsonl anew from the checkpoint's history, so that it never holds a line twice or one of a lost step."""
+    storage.write_text(folder / "log.jsonl", "".join(json.dumps(line) + "\n" for line in history))
+
+
+def _summary(path: Path) -> Summary:
+    stored = storage.read_json(path)
+    try:
+        return Summary(**{field.name: stored[field.name] for field in dataclasses.fields(Summary)})
+    except (KeyError, TypeError) as error:
+        raise UserError(f"{path} lacks {error}: delete it to go on from the latest checkpoint") from error

@@ -1,0 +1,59 @@
+"""The paper's losses (section 3.3) as named terms per example; `loop.py` weighs and adds them.
+
+One sum gives every module the gradient the paper lists for it: E sees all three terms, DC `supervised` and `patch`, DS
+`reconstruction`, since no other path leads from a term to a module.
+"""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+
+def supervised(canonical: Array, target: Array) -> Array:
+    """L_sup: mean squared difference of images (B, S, S, 1) in [0, 1] -> (B,)."""
+    return jnp.mean((canonical - target) ** 2, (1, 2, 3))
+
+
+def reconstruction(sheared: Array, target: Array) -> Array:
+    """L_rec: the same, of the sheared image."""
+    return supervised(sheared, target)
+
+
+def patch(canonical: Array, target: Array, counts: Array) -> Array:
+    """L_patch: mean absolute difference over all pixels of all crops -> (B,). `counts` (B, S, S): crops that cover a
+    pixel."""
+    difference = jnp.abs(canonical - target)[..., 0]
+    return jnp.sum(counts * difference, (1, 2)) / jnp.sum(counts, (1, 2))
+
+
+def coverage(corners: Array, size: int, side: int) -> Array:
+    """How many crops of `side` pixels cover each pixel: corners (B, crops, 2) [row, column] -> counts (B, size, size).
+
+    A crop is the outer product of an indicator of its rows and one of its columns, so the counts are one matrix
+    product and the crops themselves are never cut out.
+    """
+    start = corners[..., None]
+    pixel = jnp.arange(size)[None, None, None]
+    rows, columns = jnp.moveaxis(((pixel >= start) & (pixel < start + side)).astype(jnp.float32), 2, 0)
+    return jnp.einsum("bkr,bkc->brc", rows, columns, precision="highest")
+
+
+def random_corners(key: Array, images: int, crops: int, size: int, side: int) -> Array:
+    """Uniform upper left corners (images, crops, 2) of crops that lie in the image."""
+    return jax.random.randint(key, (images, crops, 2), 0, size - side + 1)
+
+
+def pose(outputs: Array, targets: Array) -> Array:
+    """PoseNet's L2 loss: mean squared difference of outputs (B, 5) and targets -> (B,)."""
+    return jnp.mean((outputs - targets) ** 2, -1)
+
+
+def regularisation(params: Any, l1: float, l2: float) -> Array:
+    """l1 sum |w| + l2 sum w^2 over all kernels (no biases, no normalisation)."""
+    total = jnp.zeros(())
+    for path, leaf in jax.tree_util.tree_leaves_with_path(params):
+        if path[-1].key == "kernel":
+            total += l1 * jnp.sum(jnp.abs(leaf)) + l2 * jnp.sum(leaf**2)
+    return total

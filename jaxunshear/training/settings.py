@@ -1,0 +1,26 @@
+"""How networks are trained. Imports no JAX."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Training:
+    """Losses, optimiser and schedule of one network (paper section 3.3, appendix B)."""
+
+    epochs: float = 6.0
+    batch: int = 16
+    learning_rate: float = 1e-3
+    schedule: str = "cosine"  # "cosine": to zero over the run; "steps": factors of `drops`
+    drops: tuple[tuple[float, float], ...] = ()  # (epoch, factor on the first learning rate)
+    beta1: float = 0.5
+    beta2: float = 0.999
+    l1: float = 0.0  # on convolution and dense kernels, summed; the paper's "10e-4" is 1e-3
+    l2: float = 0.0
+    patch_weight: float = 0.1  # lambda: L2 to L1-patch loss is 10:1
+    crops: int = 100
+    crop_px: int = 20
+    reconstruction_weight: float = 1.0
+    averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
+    shift: float = 0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
+    validate_every: int = 100  # steps; also when a checkpoint is written
+    validation_images: int = 256  # at most, the first of the validation split

@@ -1,0 +1,127 @@
+"""Elements by fields whose answer is known, the condensed compliance by its symmetries."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.contact.elasticity import condense, interpolation, isotropic, ring_loads, stiffness
+from jaxunshear.contact.mesh import dome_mesh, half_space_mesh, shape_functions
+from jaxunshear.errors import UserError
+
+
+@pytest.fixture(scope="module")
+def dome():
+    return dome_mesh(20.0, 1.0, 3.0)
+
+
+def volume(mesh):
+    gauss = np.array([[x, y] for y in (-1, 1) for x in (-1, 1)]) / np.sqrt(3)
+    values, slopes = shape_functions(gauss)
+    corners = mesh.nodes[mesh.elements]
+    determinant = np.linalg.det(np.einsum("qnl,enx->eqlx", slopes, corners))
+    assert np.all(determinant > 0) or np.all(determinant < 0), "an element is folded"
+    return np.sum(np.abs(determinant) * 2 * np.pi * np.einsum("qn,en->eq", values, corners[..., 0]))
+
+
+def test_the_dome_is_a_hemisphere(dome):
+    assert volume(dome) == pytest.approx(2 / 3 * np.pi * 20**3, rel=1e-4)
+    on_surface = dome.nodes[dome.surface.ravel()]
+    np.testing.assert_allclose(np.hypot(on_surface[:, 0], 20 - on_surface[:, 1]), 20, atol=1e-9)
+    assert np.all(np.diff(dome.nodes[dome.surface[:, 1], 0]) > 0)
+
+
+def test_the_half_space_is_a_half_ball():
+    mesh = half_space_mesh(1.0, 0.25)
+    assert volume(mesh) == pytest.approx(2 / 3 * np.pi * np.hypot(*mesh.nodes.T).max() ** 3, rel=1e-3)
+
+
+def fields(mesh):
+    """Displacements (V, 3) = (U, V, W) of harmonic m that a homogeneous body bears without a force inside it."""
+    r, z = mesh.nodes.T
+    one, zero = np.ones_like(r), np.zeros_like(r)
+    return {
+        "translation in x": (1, [one, -one, zero]),
+        "translation in z": (0, [zero, zero, one]),
+        "rotation about y": (1, [z, -z, -r]),
+        "stretch in z": (0, [zero, zero, z]),
+        "radial stretch": (0, [r, zero, zero]),
+        "twist": (0, [zero, r * z, zero]),
+        "stretch x, shrink y": (2, [r, -r, zero]),
+    }
+
+
+@pytest.mark.parametrize("name", ["translation in x", "translation in z", "rotation about y", "stretch in z", "radial stretch", "twist", "stretch x, shrink y"])
+def test_patch(dome, name):
+    m, field = fields(dome)[name]
+    k0, k1, k2 = stiffness(dome, np.broadcast_to(isotropic(1.0, 0.3), (len(dome.elements), 6, 6)))
+    force = ((k0 + m * k1 + m * m * k2) @ np.stack(field, -1).ravel()).reshape(-1, 3)
+    r, z = dome.nodes.T
+    inside = (np.hypot(r, 20 - z) < 20 - 1e-6) & (z < 20 - 1e-6)
+    # curved mid-sides and reduced integration leave a little; a wrong strain term leaves forces of order one
+    assert np.abs(force[inside]).max() < (1e-9 if name.startswith(("translation", "rotation")) else 2e-2) * max(1, np.abs(force).max())
+
+
+def test_rings_carry_one_newton_and_pins_follow_linear_fields(dome):
+    loads = ring_loads(dome, np.arange(6) * 2.0)
+    np.testing.assert_allclose(loads.sum(0), 1, rtol=1e-12)
+    points = np.array([[0.0, 2.0], [7.3, 5.1], [0.4, 1.5]])
+    np.testing.assert_allclose(interpolation(dome, points) @ dome.nodes, points, atol=1e-8)
+    with pytest.raises(UserError, match="outside the gel"):
+        interpolation(dome, np.array([[25.0, 1.0]]))
+
+
+@pytest.fixture(scope="module")
+def compliance(dome):
+    materials = np.where(dome.skin[:, None, None], isotropic(1.0, 0.49), isotropic(0.1, 0.49))
+    pins = np.array([[3 * np.cos(a), 3 * np.sin(a), 2.5] for a in np.arange(6) * np.pi / 3])
+    return condense(dome, materials, np.arange(5) * 2.5, pins, 40), materials, pins
+
+
+def test_compliance_is_symmetric_positive_definite(compliance):
+    w = compliance[0].w
+    np.testing.assert_allclose(w, w.T, atol=1e-12)
+    assert np.linalg.eigvalsh(w).min() > 0
+
+
+def test_compliance_scales_with_the_moduli(dome, compliance):
+    made, materials, pins = compliance
+    stiffer = condense(dome, 4 * materials, np.arange(5) * 2.5, pins, 40)
+    np.testing.assert_allclose(4 * stiffer.w, made.w, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(4 * stiffer.g, made.g, rtol=1e-9, atol=1e-12)
+
+
+def test_turning_a_load_by_60_degrees_turns_the_answer(compliance):
+    made = compliance[0]
+    cos, sin = np.cos(np.pi / 3), np.sin(np.pi / 3)
+    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
+
+    def image_of(points):
+        gap = np.linalg.norm((points @ turn.T)[:, None] - points[None], axis=-1)
+        assert gap.min(1).max() < 1e-9
+        return gap.argmin(1)
+
+    force = np.random.default_rng(0).normal(size=made.nodes.shape)
+    turned = np.empty_like(force)
+    turned[image_of(made.nodes)] = force @ turn.T
+    for matrix, points in ((made.w, made.nodes), (made.g, made.pins)):
+        before = (matrix @ force.ravel()).reshape(-1, 3)
+        after = (matrix @ turned.ravel()).reshape(-1, 3)
+        np.testing.assert_allclose(after[image_of(points)], before @ turn.T, atol=1e-9 * np.abs(before).max())
+
+
+def test_a_push_moves_the_skin_with_it_and_reaches_the_pins(compliance):
+    made = compliance[0]
+    for axis in range(3):
+        force = np.zeros_like(made.nodes)
+        force[0, axis] = 1.0
+        assert (made.w @ force.ravel()).reshape(-1, 3)[0, axis] > 0
+        assert np.all((made.g @ force.ravel()).reshape(-1, 3)[:, axis] > 0)
+
+
+def test_flat_punch_stiffness(half_space):
+    """Displacing the resolved disk as one needs P = 2 a E* d (Sneddon): solve W f = d on the nodes within a."""
+    nodes = half_space.compliance.nodes
+    inside = np.flatnonzero(np.hypot(nodes[:, 0], nodes[:, 1]) < 0.92)
+    unknowns = 3 * inside + 2
+    force = np.linalg.solve(half_space.compliance.w[np.ix_(unknowns, unknowns)], np.full(len(inside), 1e-3))
+    radius = 0.9 + 0.09 / 2  # the last ring's hat reaches half a spacing beyond it
+    assert force.sum() == pytest.approx(2 * radius * half_space.normal_modulus * 1e-3, rel=0.05)

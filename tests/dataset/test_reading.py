@@ -1,0 +1,191 @@
+import dataclasses
+import itertools
+import re
+import time
+
+import numpy as np
+import pytest
+
+from jaxunshear.dataset import reading
+from jaxunshear.dataset.configs import set_folder
+from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.reading import open_set, shifted
+from jaxunshear.dataset.shots import SPLITS, draw
+from jaxunshear.errors import UserError
+
+
+@pytest.fixture
+def made(paired, sensor, engine, tmp_path):
+    make_set(paired, sensor, tmp_path, engine)
+    return open_set("tactip_paired", paired, tmp_path, sensor)
+
+
+def take(batches, count):
+    return list(itertools.islice(batches, count))
+
+
+def image_of(engine, settings, row):
+    return engine.look(settings, None, np.zeros((1, 1, 3)), [row], None)[0][0]
+
+
+def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine):
+    shots = draw(paired)
+    seen = set()
+    for split in SPLITS:
+        batches = list(made.split(split, 8))
+        assert [len(batch["pose"]) for batch in batches[:-1]] == [8] * (len(batches) - 1)
+        assert sum(len(batch["pose"]) for batch in batches) == made.length(split)
+        for batch in batches:
+            assert batch["sheared"].shape[1:] == batch["canonical"].shape[1:] == (32, 32, 1)
+            assert batch["sheared"].dtype == np.uint8
+            assert batch["sheared_pins"].shape[1:] == (19, 2)
+            assert all(
+                batch[name].dtype == np.float32 for name in ("pose", "edge", "move", "friction", "canonical_pins")
+            )
+            for place in range(len(batch["pose"])):
+                here = (shots.scenes.stimulus == batch["stimulus"][place]) & (shots.pose_id == batch["pose_id"][place])
+                slide = np.flatnonzero(here & shots.slid & (shots.instance == batch["slide_id"][place]))[0]
+                tap = np.flatnonzero(here & ~shots.slid & (shots.instance == batch["tap_id"][place]))[0]
+                np.testing.assert_array_equal(batch["sheared"][place, :, :, 0], image_of(engine, paired, slide))
+                np.testing.assert_array_equal(batch["canonical"][place, :, :, 0], image_of(engine, paired, tap))
+                np.testing.assert_allclose(batch["edge"][place], shots.edge[slide], rtol=1e-6)
+                assert shots.split[slide] == SPLITS.index(split)
+                seen.add(slide)
+    assert len(seen) == shots.slid.sum()
+
+
+def test_no_pose_is_in_two_splits(made):
+    poses = [{tuple(pose) for batch in made.split(split, 100) for pose in batch["pose"]} for split in SPLITS]
+    assert [len(part) for part in poses] == [12, 4, 4]
+    assert not poses[0] & poses[1]
+    assert not poses[0] & poses[2]
+    assert not poses[1] & poses[2]
+
+
+def test_batches_depend_on_seed_and_step_alone(made):
+    steps = made.train_batches(batch=5, seed=3, shift=0.1)
+    whole, later = take(steps(0), 20), take(steps(13), 7)
+    for before, after in zip(whole[13:], later, strict=True):
+        assert all(np.array_equal(before[name], after[name]) for name in before)
+    other = next(made.train_batches(batch=5, seed=4, shift=0.1)(0))
+    assert not np.array_equal(whole[0]["pose"], other["pose"])
+
+
+def test_an_epoch_has_every_slide_once_and_each_is_shuffled_anew(made):
+    slides = [
+        key
+        for batch in take(made.train_batches(6, 0, 0.0)(0), 12)
+        for key in zip(*(batch[name].tolist() for name in ("stimulus", "pose_id", "slide_id")), strict=True)
+    ]
+    first, second = slides[:36], slides[36:]
+    assert len(set(first)) == len(first) == made.length("train") == 36
+    assert set(first) == set(second)
+    assert first != second
+    assert first != sorted(first)
+
+
+def test_a_slide_meets_every_tap_of_its_pose_and_no_other(made, paired, engine):
+    shots = draw(paired)
+    met: dict[tuple, set] = {}
+    for batch in take(made.train_batches(12, 0, 0.0)(0), 90):
+        for place, key in enumerate(zip(batch["stimulus"], batch["pose_id"], batch["slide_id"], strict=True)):
+            tap = int(batch["tap_id"][place])
+            met.setdefault(key, set()).add(tap)
+            here = (shots.scenes.stimulus == key[0]) & (shots.pose_id == key[1]) & ~shots.slid
+            row = np.flatnonzero(here & (shots.instance == tap))[0]
+            np.testing.assert_array_equal(batch["canonical"][place, :, :, 0], image_of(engine, paired, row))
+    assert all(taps == {0, 1} for taps in met.values())
+
+
+def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine):
+    shots, offsets = draw(paired), set()
+    for batch in take(made.train_batches(12, 0, 0.1)(0), 10):
+        for place in range(12):
+            here = (shots.scenes.stimulus == batch["stimulus"][place]) & (shots.pose_id == batch["pose_id"][place])
+            row = np.flatnonzero(here & shots.slid & (shots.instance == batch["slide_id"][place]))[0]
+            tap = np.flatnonzero(here & ~shots.slid & (shots.instance == batch["tap_id"][place]))[0]
+            still = shots.scenes.pose[row, :2] + 16
+            offset = batch["sheared_pins"][place, 0] - still - 1e-3 * row  # as the stand-in places them
+            np.testing.assert_allclose(batch["canonical_pins"][place, 0] - still - 1e-3 * tap, offset, atol=1e-4)
+            columns, rows = np.rint(offset).astype(int)
+            offsets.add((columns, rows))
+            for name, number in (("sheared", row), ("canonical", tap)):
+                expected = np.zeros((32, 32), np.uint8)
+                whole = np.pad(image_of(engine, paired, number), 8)
+                expected[:] = whole[8 - rows : 40 - rows, 8 - columns : 40 - columns]
+                np.testing.assert_array_equal(batch[name][place, :, :, 0], expected)
+    assert {abs(part) for offset in offsets for part in offset} == {0, 1, 2, 3}
+    assert len(offsets) > 30
+
+
+def test_a_shift_to_the_right_and_down_moves_a_pin_to_higher_columns_and_rows():
+    image = np.zeros((8, 8, 1), np.uint8)
+    image[2, 3] = 255
+    moved = shifted({"image": image, "pins": np.array([[3.0, 2.0]], np.float32), "pose": 7}, columns=2, rows=1)
+    assert np.argwhere(moved["image"][..., 0]).tolist() == [[3, 5]]
+    assert moved["pins"].tolist() == [[5, 3]]
+    assert moved["pose"] == 7
+
+
+def test_only_the_named_fields_are_read(made):
+    assert set(next(made.train_batches(4, 0, 0.0, fields=("sheared", "pose"))(0))) == {"sheared", "pose"}
+    assert set(next(made.split("test", 4, fields=("edge",)))) == {"edge"}
+
+
+def test_the_pose_set(pose, sensor, engine, tmp_path):
+    make_set(pose, sensor, tmp_path, engine)
+    reader = open_set("tactip_pose", pose, tmp_path, sensor)
+    batch = next(reader.train_batches(batch=4, seed=0, shift=0.02)(0))
+    assert batch["image"].shape == (4, 32, 32, 1)
+    assert batch["pose"].shape == (4, 4)
+    assert batch["edge"].shape == (4, 2)
+    assert reader.length("train") == 12
+
+
+def test_a_split_too_large_for_memory_is_the_same(made, monkeypatch, paired, sensor, tmp_path):
+    inside = next(made.split("train", 36))
+    monkeypatch.setattr(reading, "MEMORY_BYTES", 1000)
+    outside = next(open_set("tactip_paired", paired, tmp_path, sensor).split("train", 36))
+    assert all(np.array_equal(inside[name], outside[name]) for name in inside)
+    assert [path.name for path in made.folder.parent.iterdir()] == ["1.0.0"]
+
+
+def test_reading_keeps_up_with_training(made):
+    steps = made.train_batches(16, 0, 0.015)(0)
+    next(steps)
+    start = time.perf_counter()
+    take(steps, 40)
+    assert 640 / (time.perf_counter() - start) > 500  # training takes 50-100 pairs/s; measured: several thousand
+
+
+@pytest.mark.parametrize("damage", ["truncated", "changed", "missing", "empty"])
+def test_a_damaged_shard_is_named_with_the_remedy(damage, made):
+    (shard,) = made.folder.glob("*-train.array_record*")
+    data = shard.read_bytes()
+    if damage == "missing":
+        shard.unlink()
+    else:
+        middle = len(data) // 2
+        flipped = data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+        shard.write_bytes({"truncated": data[:middle], "changed": flipped, "empty": b""}[damage])
+    with pytest.raises(UserError, match=rf"{re.escape(shard.name)} is .*delete .*`jaxunshear data`"):
+        made.train_batches(4, 0, 0.0)
+    assert made.length("test") == sum(len(batch["pose"]) for batch in made.split("test", 4))  # the others still read
+
+
+@pytest.mark.parametrize("name", ["metadata.json", "shards.json"])
+def test_broken_json_is_named(name, made, paired, sensor, tmp_path):
+    (made.folder / name).write_text('{"set": ')
+    with pytest.raises(UserError, match=name):
+        next(open_set("tactip_paired", paired, tmp_path, sensor).split("test", 4))
+
+
+def test_a_missing_set_and_a_missing_split_are_told(made, paired, pose, sensor, tmp_path):
+    other = dataclasses.replace(paired, seed=7)
+    with pytest.raises(UserError, match=r"no data set in .*jaxunshear data"):
+        open_set("tactip_paired", other, tmp_path, sensor)
+    with pytest.raises(UserError, match="split 'all' is unknown"):
+        made.length("all")
+    with pytest.raises(UserError, match="does not fit"):
+        open_set("tactip_paired", pose, tmp_path, sensor)
+    assert set_folder(paired, sensor, tmp_path) == made.folder

@@ -1,0 +1,166 @@
+"""Every layout of recordings, whole and broken, written by the test."""
+
+import csv
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.errors import UserError
+from jaxunshear.image.settings import Preprocess
+
+PREPROCESS = Preprocess(size=64)
+OLDER = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
+NEWER = [f"{kind}_{i}" for kind in ("pose", "shear") for i in ("x", "y", "z", "Rx", "Ry", "Rz")]
+
+
+def binary(seed, size=96):
+    rng = np.random.default_rng(seed)
+    return np.kron(rng.random((size // 4, size // 4)) > 0.7, np.ones((4, 4))).astype(np.uint8) * np.uint8(255)
+
+
+def write_images(folder, names):
+    folder.mkdir(parents=True)
+    for seed, name in enumerate(names):
+        Image.fromarray(binary(seed)).save(folder / name)
+
+
+def write_targets(file, image_column, columns, names):
+    with open(file, "w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow([image_column, *columns])
+        for i, name in enumerate(names):
+            writer.writerow([name, *(100 * i + np.arange(len(columns)))])
+
+
+def older(root, images="images", column="sensor_image", names=("image_1.png", "image_2.png", "image_10.png")):
+    write_images(root / images, names)
+    write_targets(root / "targets.csv", column, OLDER, names)
+    (root / "meta.json").write_text('{"tap_depth": -5.0}')
+    return root
+
+
+def test_a_single_image(tmp_path):
+    write_images(tmp_path / "a", ["one.png"])
+    recordings = read_recordings(tmp_path / "a" / "one.png", PREPROCESS)
+    ((index, name, image),) = recordings.frames()
+    assert (index, name, image.shape, image.dtype) == (0, "one.png", (64, 64), np.uint8)
+    assert recordings.poses is None
+    assert recordings.moves is None
+
+
+@pytest.mark.parametrize(
+    ("images", "column", "names"),
+    [
+        ("images", "sensor_image", ("image_1.png", "image_2.png", "image_10.png")),
+        ("frames_bw", "image_name", ("frame_1_0.png", "frame_2_0.png", "frame_10_0.png")),
+    ],
+)
+def test_the_older_layout_and_its_variant(tmp_path, images, column, names):
+    recordings = read_recordings(older(tmp_path / "set", images, column, names), PREPROCESS)
+    assert recordings.names == tuple(f"{images}/{name}" for name in names)  # in the order of their numbers
+    np.testing.assert_array_equal(recordings.poses, 100 * np.arange(3)[:, None] + np.arange(6))
+    np.testing.assert_array_equal(recordings.moves, 100 * np.arange(3)[:, None] + np.arange(6, 12))
+    assert recordings.notes == []
+    assert len(list(recordings.frames())) == len(recordings) == 3
+
+
+def test_the_newer_layout_with_a_broken_json(tmp_path):
+    for split in ("train", "val"):
+        write_images(tmp_path / split / "processed_images", ["image_1.png", "image_2.png"])
+        write_images(tmp_path / split / "sensor_images", ["image_1.png"])
+        write_targets(tmp_path / split / "targets.csv", "sensor_image", NEWER, ["image_1.png", "image_2.png"])
+        (tmp_path / split / "env_params.json").write_text('{"robot": "cr"}')
+    (tmp_path / "val" / "collect_params.json").write_text('{"sort": false}}')
+    recordings = read_recordings(tmp_path, PREPROCESS)
+    assert recordings.names[0] == "train/processed_images/image_1.png"
+    assert len(recordings) == 4
+    assert recordings.poses.shape == recordings.moves.shape == (4, 6)
+    assert len(recordings.notes) == 1
+    assert str(tmp_path / "val" / "collect_params.json") in recordings.notes[0]
+
+
+def test_bad_images_are_left_out_by_name(tmp_path):
+    root = older(tmp_path / "set")
+    whole = (root / "images" / "image_2.png").read_bytes()
+    (root / "images" / "image_2.png").write_bytes(whole[: len(whole) // 2])
+    (root / "images" / "._image_1.png").write_bytes(b"not an image")
+    recordings = read_recordings(root, PREPROCESS)
+    assert [index for index, _, _ in recordings.frames()] == [0, 2]
+    assert len(recordings.notes) == 1
+    assert "images/image_2.png" in recordings.notes[0]
+
+
+def test_a_folder_without_one_readable_image(tmp_path):
+    for name in ("a.png", "b.png"):
+        (tmp_path / name).write_bytes(b"nothing")
+    with pytest.raises(UserError, match="none of 2 images"):
+        list(read_recordings(tmp_path, PREPROCESS).frames())
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda text: text.replace("pose_4", "pose_four"), "no column pose_4"),
+        (lambda text: text.replace("sensor_image", "picture"), "sensor_image or image_name"),
+        (lambda text: "", "sensor_image or image_name"),
+        (lambda text: text.replace("image_2.png,100,", "image_2.png,abc,"), "1 rows whose poses are no numbers"),
+        (lambda text: text.replace("image_10.png", "image_11.png"), "no row for 1 of 3 images, the first image_10.png"),
+    ],
+    ids=["column", "image_column", "empty", "number", "row"],
+)
+def test_broken_labels_are_told_of_and_the_images_read(tmp_path, spoil, says):
+    root = older(tmp_path / "set")
+    file = root / "targets.csv"
+    file.write_text(spoil(file.read_text()))
+    recordings = read_recordings(root, PREPROCESS)
+    assert len(list(recordings.frames())) == 3
+    assert any(says in note and "targets.csv" in note for note in recordings.notes)
+
+
+def test_only_rows_without_labels_are_unknown(tmp_path):
+    root = older(tmp_path / "set")
+    file = root / "targets.csv"
+    file.write_text(file.read_text().replace("image_2.png,100,", "image_2.png,abc,"))
+    poses = read_recordings(root, PREPROCESS).poses
+    np.testing.assert_array_equal(np.isnan(poses).all(1), [False, True, False])
+
+
+def test_paths_that_hold_nothing(tmp_path):
+    with pytest.raises(UserError, match="does not exist"):
+        read_recordings(tmp_path / "absent", PREPROCESS)
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(UserError, match=r"notes\.txt is no image"):
+        read_recordings(tmp_path / "notes.txt", PREPROCESS)
+    with pytest.raises(UserError, match="holds no images"):
+        read_recordings(tmp_path, PREPROCESS)
+
+
+@pytest.mark.parametrize("mode", ["P", "I;16", "1", "RGBA", "LA", "CMYK"])
+def test_colour_modes(tmp_path, mode):
+    image = Image.fromarray(binary(0))
+    image = Image.fromarray(binary(0).astype(np.uint16) * 257) if mode == "I;16" else image.convert(mode)
+    file = tmp_path / ("a.tif" if mode == "CMYK" else "a.png")
+    image.save(file)
+    Image.fromarray(binary(0)).save(tmp_path / "grey.png")
+    ((_, _, same),) = read_recordings(tmp_path / "grey.png", PREPROCESS).frames()
+    ((_, _, read),) = read_recordings(file, PREPROCESS).frames()
+    np.testing.assert_array_equal(read, same)
+
+
+def test_real_recordings(real_recordings, tmp_path):
+    subprocess.run(
+        [sys.executable, real_recordings / "unpack.py", tmp_path, "--limit", "3"], check=True, capture_output=True
+    )
+    recordings = read_recordings(tmp_path, Preprocess(size=128))
+    assert [image.shape for _, _, image in recordings.frames()] == [(128, 128)] * 9
+    assert np.isfinite(recordings.poses).all()
+    assert recordings.notes == []
+    raw = read_recordings(real_recordings / "raw", PREPROCESS)
+    assert len(list(raw.frames())) == len(raw.poses) == 3
+    newer = read_recordings(real_recordings / "surface_3d_sample", PREPROCESS)
+    assert np.isfinite(newer.poses).all()
+    assert len(list(newer.frames())) == 40

@@ -1,0 +1,131 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.configs import PAIRED, POSE, config_name
+from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
+from jaxunshear.dataset.shots import LEAST_DEPTH_MM, SPLITS, draw_paired, draw_pose
+from jaxunshear.errors import UserError
+from jaxunshear.scene.sensor import TACTIP_127
+
+
+def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
+    shots = draw_paired(paired)
+    assert len(shots.scenes) == 2 * 10 * 5
+    for stimulus in range(2):
+        for pose_id in range(10):
+            here = (shots.scenes.stimulus == stimulus) & (shots.pose_id == pose_id)
+            assert sorted(zip(shots.slid[here], shots.instance[here], strict=True)) == [
+                (0, 0),
+                (0, 1),
+                (1, 0),
+                (1, 1),
+                (1, 2),
+            ]
+            assert len(set(shots.split[here])) == 1
+            assert np.ptp(shots.scenes.pose[here], axis=0).max() == 0  # no depth jitter asked for
+    assert not shots.scenes.move[~shots.slid].any()
+    assert np.all(shots.scenes.move[shots.slid] != 0)
+
+
+@pytest.mark.parametrize(("poses", "parts"), [(3, (1, 1, 1)), (10, (6, 2, 2)), (200, (120, 40, 40))])
+def test_splits_are_60_20_20_of_the_poses(poses, parts):
+    shots = draw_pose(PoseData(stimuli=("disk", "clover"), poses=poses))
+    for stimulus in range(2):
+        split = shots.split[shots.scenes.stimulus == stimulus]
+        assert tuple(np.bincount(split, minlength=len(SPLITS))) == parts
+
+
+def test_ranges_are_those_of_the_paper_and_filled():
+    shots = draw_paired(PairedData(stimuli=("disk",), poses=400, slides=2))
+    most = np.abs(shots.scenes.pose[:, :3]).max(0)
+    assert np.all(most <= [5, 5, 45])
+    assert np.all(most > [4.9, 4.9, 44])
+    assert 1 <= shots.scenes.pose[:, 3].min() < 1.1 < 5.9 < shots.scenes.pose[:, 3].max() <= 6
+    assert 2.4 < np.abs(shots.scenes.move).max() <= 2.5
+
+
+def test_depth_jitter_moves_taps_alone_and_never_above_the_stimulus():
+    settings = PairedData(stimuli=("disk",), poses=100, taps=4, slides=4, tap_depth_jitter_mm=1.0)
+    shots, still = draw_paired(settings), draw_paired(dataclasses.replace(settings, tap_depth_jitter_mm=0.0))
+    moved = shots.scenes.pose - still.scenes.pose
+    assert not moved[shots.slid].any()
+    assert not moved[:, :3].any()
+    assert 0.9 < np.abs(moved[~shots.slid, 3]).max() <= 1
+    shallow = draw_paired(dataclasses.replace(settings, ranges=Ranges(depth_min_mm=0.5, depth_max_mm=0.6)))
+    assert shallow.scenes.pose[:, 3].min() == LEAST_DEPTH_MM
+
+
+def test_a_stimulus_keeps_its_poses_beside_others_and_a_seed_changes_them():
+    alone, beside = (
+        draw_pose(PoseData(stimuli=("clover",), poses=9)),
+        draw_pose(PoseData(stimuli=("disk", "clover"), poses=9)),
+    )
+    there = beside.scenes.stimulus == 1
+    np.testing.assert_array_equal(alone.scenes.pose, beside.scenes.pose[there])
+    np.testing.assert_array_equal(alone.split, beside.split[there])
+    other = draw_pose(PoseData(stimuli=("clover",), poses=9, seed=5))
+    assert not np.any(alone.scenes.pose == other.scenes.pose)
+
+
+def test_the_two_sets_share_no_pose():
+    paired, pose = draw_paired(PairedData(poses=20)), draw_pose(PoseData(poses=20))
+    assert not set(paired.scenes.pose[:, 0]) & set(pose.scenes.pose[:, 0])
+
+
+def test_age_runs_from_first_to_last_and_tells_nothing_of_the_shape():
+    shots = draw_pose(PoseData(poses=50))
+    assert (shots.age.min(), shots.age.max()) == (0, 1)
+    means = [shots.age[shots.scenes.stimulus == index].mean() for index in range(3)]
+    assert np.ptp(means) < 0.02
+
+
+def test_friction_is_the_materials(paired):
+    shots = draw_paired(paired)
+    disk, spiral = (set(shots.scenes.friction[shots.scenes.stimulus == index]) for index in range(2))
+    assert len(disk) == len(spiral) == 1
+    assert disk != spiral
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        ({"stimuli": ("cube",)}, "cube"),
+        ({"stimuli": ()}, "stimuli is empty"),
+        ({"stimuli": ("disk", "disk")}, "twice"),
+        ({"poses": 0}, "poses = 0"),
+        ({"poses": 2}, "poses = 2"),
+        ({"taps": 0}, "taps = 0"),
+        ({"slides": 0}, "slides = 0"),
+        ({"taps": 3, "slides": 2}, "taps = 3 exceeds slides = 2"),
+        ({"seed": -1}, "seed = -1"),
+        ({"config": "huge"}, "config 'huge'.*tiny, demo, standard, paper"),
+        ({"ranges": Ranges(depth_min_mm=0.0)}, "depth_min_mm = 0"),
+        ({"ranges": Ranges(depth_min_mm=3, depth_max_mm=2)}, "depth_max_mm = 2"),
+    ],
+)
+def test_impossible_settings_are_refused_by_name(change, line):
+    with pytest.raises(UserError, match=line):
+        draw_paired(dataclasses.replace(PairedData(), **change))
+
+
+def test_changed_settings_have_a_name_of_their_own():
+    assert [config_name(settings) for settings in (*PAIRED.values(), *POSE.values())] == 2 * [
+        "tiny",
+        "demo",
+        "standard",
+        "paper",
+    ]
+    changed = dataclasses.replace(PairedData(), poses=7)
+    names = {config_name(changed), config_name(changed, TACTIP_127), config_name(PairedData(), TACTIP_127)}
+    assert len(names) == 3
+    assert all(name.startswith("custom-") and len(name) == 15 for name in names)
+
+
+def test_the_paper_configuration_has_the_papers_counts():
+    paired, pose = PAIRED["paper"], POSE["paper"]
+    assert 3 * paired.poses * paired.taps == 30_000
+    assert 3 * paired.poses * paired.slides == 90_000
+    assert len(pose.stimuli) * pose.poses == 30_000
+    assert paired.preprocess.size == pose.preprocess.size == 256

@@ -1,0 +1,177 @@
+"""From arrays to results.json with networks and data made up here: an oracle, and networks that do nothing."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+
+from jaxunshear.evaluation.evaluate import montage, results_of
+from jaxunshear.evaluation.gather import FIELDS, gather
+from jaxunshear.evaluation.measurements import measurements, reproducible
+from jaxunshear.evaluation.score import CELLS, KINDS, Outputs, chance, image_scores
+from jaxunshear.experiment import Experiment
+from jaxunshear.metrics import true_quantities
+
+SIZE, PITCH = 128, 8
+
+
+def lattice(shift):
+    """A lattice of dots and its centres (P, 2) as (column, row), moved by `shift` px."""
+    axis = np.arange(24, SIZE - 24, PITCH, dtype=np.float32)
+    pins = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2) + np.asarray(shift, np.float32)
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    away = np.hypot(columns[..., None] - pins[:, 0], rows[..., None] - pins[:, 1]).min(axis=-1)
+    return np.where(away < 2.2, 255, 0).astype(np.uint8)[..., None], pins
+
+
+def contacts(count=9):
+    """Every field of a batch; sheared images are the tap's moved by (2, 1) px."""
+    generator = np.random.default_rng(0)
+    taps, slides = lattice((0, 0)), lattice((2, 1))
+    batch = {
+        "canonical": np.stack([taps[0]] * count),
+        "sheared": np.stack([slides[0]] * count),
+        "canonical_pins": np.stack([taps[1]] * count),
+        "sheared_pins": np.stack([slides[1]] * count),
+        "stimulus": np.arange(count) % 3,
+        "pose_id": np.arange(count) // 6,
+        "pose": generator.uniform(-5, 5, (count, 4)).astype(np.float32),
+        "edge": np.stack([generator.uniform(-5, 5, count), generator.uniform(-170, 170, count)], 1).astype(np.float32),
+        "move": np.ones((count, 2), np.float32),
+        "residual_mm": np.linspace(0, 1e-3, count, dtype=np.float32),
+        **{name: np.arange(count) for name in ("iterations", "stuck", "slipping", "free")},
+    }
+    assert set(FIELDS) == set(batch)
+    return batch
+
+
+def batches(whole, size):
+    count = len(whole["sheared"])
+    return [{name: value[i : i + size] for name, value in whole.items()} for i in range(0, count, size)]
+
+
+def oracle(whole, sizes=None):
+    """Networks that unshear perfectly (disentangled) or not at all (entangled), and pose errors known by kind."""
+    wrong = {"tap": 0.0, "sheared": 4.0, "entangled": 4.0, "disentangled": 1.0}
+    place = [0]
+
+    def run(tap, sheared):
+        if sizes is not None:
+            sizes.append((len(tap), len(sheared)))
+        tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
+        images = {"tap": tap, "sheared": sheared, "entangled": sheared, "disentangled": tap}
+        drawn = {"DC(z_p)": tap, "DC(z_s)": sheared, "DS(z_p,z_s)": sheared, "DS(z_p,z_p)": tap}
+        index = np.arange(place[0], place[0] + len(tap)) % len(whole["pose"])
+        place[0] += len(tap)
+        true = true_quantities(whole["pose"][index], whole["edge"][index])
+        poses = {kind: {name: value + wrong[kind] for name, value in true.items()} for kind in KINDS}
+        return Outputs(images, drawn, poses), image_scores(images, drawn)
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def gathered():
+    whole = contacts()
+    return gather(oracle(whole), batches(whole, 4), total=9, keep=7)
+
+
+@pytest.fixture(scope="module")
+def results(gathered):
+    return results_of(Experiment(name="made up", claim="none"), gathered)
+
+
+def test_an_oracle_is_perfect_and_doing_nothing_changes_nothing(results):
+    found = results["ms_ssim"]
+    assert found["disentangled"]["overall"] == pytest.approx(1, abs=1e-5)
+    assert found["entangled"] == found["sheared"]
+    assert found["sheared"]["overall"] < 0.7
+    assert results["pose_mae"]["tap"]["edge_deg"] == pytest.approx(0, abs=1e-4)
+    assert results["pose_mae"]["sheared"]["edge_deg"] == pytest.approx(4, abs=1e-4)
+    assert results["pose_recovery"]["disentangled"]["edge_mm"] == pytest.approx(0.75, abs=1e-4)
+    assert results["pose_recovery"]["entangled"]["edge_mm"] == pytest.approx(0, abs=1e-4)
+
+
+def test_the_swap_tells_right_codes_from_wrong_ones(results):
+    swap = results["swap"]
+    assert set(swap) == set(CELLS)
+    for right, wrong in (("DC(z_p)", "DC(z_s)"), ("DS(z_p,z_s)", "DS(z_p,z_p)")):
+        assert swap[right]["mse"] == 0
+        assert swap[right]["ssim"] == pytest.approx(1, abs=1e-5)
+        assert swap[wrong]["mse"] > 0.02
+        assert swap[wrong]["ms_ssim"] < 0.7
+
+
+def test_pin_error_is_that_of_the_known_shift(results):
+    pins = results["pin_error"]
+    assert pins["disentangled"]["rms_px"] < 0.15
+    assert pins["disentangled"]["missed_per_image"] == 0
+    assert pins["sheared"]["rms_px"] == pytest.approx(np.hypot(2, 1), abs=0.15)
+    assert pins["true_slide"]["rms_px"] == pytest.approx(np.hypot(2, 1), abs=1e-4)
+    mm_per_px = Experiment("", "").paired.camera.mm_across / SIZE
+    assert pins["true_slide"]["rms_mm"] == pytest.approx(np.hypot(2, 1) * mm_per_px, rel=1e-4)
+
+
+def test_what_is_measured_is_named(results):
+    assert results["metric"]["ms_ssim"] == "ms_ssim@4"
+    assert results["metric"]["image_px"] == SIZE
+    assert results["counts"]["test_by_stimulus"] == {"disk": 3, "clover": 3, "teardrop": 3}
+    assert results["counts"]["test_poses"] == 6
+    assert results["paper"]["ms_ssim"]["disentangled"]["overall"] == 0.93
+    assert results["seeds"]["bootstrap"] == 0
+
+
+def test_results_are_the_same_bits_again_and_go_into_json(gathered, results):
+    again = results_of(Experiment(name="made up", claim="none"), gathered)
+    assert json.dumps(reproducible(again)) == json.dumps(reproducible(results))
+
+
+def test_measurements_of_results_have_the_bars(results):
+    rows = measurements(results | {"time_s": {}, "machine": {}, "versions": {}})["rows"]
+    barred = {row["name"]: row["ok"] for row in rows if row["ok"] is not None}
+    assert len(barred) == 4
+    assert barred["ms_ssim.disentangled.overall"]
+    assert barred["pose_ratio.disentangled.edge_mm"]
+
+
+def test_batches_of_any_size_gather_the_same(gathered):
+    whole, sizes = contacts(), []
+    other = gather(oracle(whole, sizes), batches(whole, 9), total=9, keep=7)
+    assert sizes == [(9, 9)]
+    for name in gathered.scores:
+        if not name.startswith("pose/"):  # the oracle's poses follow the padding
+            np.testing.assert_array_equal(gathered.scores[name], other.scores[name])
+    np.testing.assert_array_equal(gathered.kept, other.kept)
+    for kind in KINDS:
+        np.testing.assert_array_equal(gathered.images[kind], other.images[kind])
+
+
+def test_the_last_batch_is_filled_up_so_that_one_shape_is_compiled():
+    whole, sizes = contacts(), []
+    found = gather(oracle(whole, sizes), batches(whole, 4), total=9, keep=3)
+    assert sizes == [(4, 4)] * 3
+    assert all(len(value) == 9 for value in found.scores.values())
+    assert found.kept.tolist() == [0, 4, 8]
+    assert found.images["tap"].shape == (3, SIZE, SIZE)
+
+
+def test_montage_holds_a_few_of_each_stimulus(gathered):
+    with np.load(io.BytesIO(montage(("disk", "clover", "teardrop"), gathered))) as shown:
+        assert set(shown["stimulus"].tolist()) == {"disk", "clover", "teardrop"}
+        count = len(shown["stimulus"])
+        assert 3 <= count <= 9
+        for kind in KINDS:
+            assert shown[kind].shape == (count, SIZE, SIZE)
+            assert shown[kind].dtype == np.uint8
+        np.testing.assert_allclose(shown["ms_ssim_disentangled"], 1, atol=1e-5)
+
+
+def test_chance_is_the_error_of_one_answer():
+    pose, edge = np.zeros((4, 4)), np.zeros((4, 2))
+    pose[:, 0] = [-2, -1, 1, 2]
+    edge[:, 1] = [170, 180, -170, -180]
+    found = chance(true_quantities(pose, edge))
+    assert found["x_mm"] == pytest.approx(1.5)
+    assert found["edge_deg"] == pytest.approx(5)  # not 175: angles meet behind 180
+    assert found["yaw_deg"] == 0

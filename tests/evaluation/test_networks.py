@@ -1,0 +1,76 @@
+"""The adapter from networks on disk to outputs, and which codes each cell is fed."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation import networks
+from jaxunshear.evaluation.score import CELLS, KINDS
+from jaxunshear.metrics import QUANTITIES
+from jaxunshear.model import unshearnet
+from jaxunshear.model.settings import UnshearNet
+
+NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
+init = jax.jit(unshearnet.init, static_argnums=0)
+swapped = jax.jit(networks.swapped, static_argnums=0)
+
+
+def images(count=2):
+    return (np.random.default_rng(0).random((count, 32, 32, 1)) < 0.3).astype(np.uint8) * 255
+
+
+def apart(variables, sheared):
+    z_p, z_s = unshearnet.encode(NET, variables, sheared)
+    return {
+        "DC(z_p)": unshearnet.unshear(NET, variables, sheared),
+        "DC(z_s)": jax.nn.sigmoid(unshearnet.decode_canonical(NET, variables, z_s)),
+        "DS(z_p,z_s)": jax.nn.sigmoid(unshearnet.decode_sheared(NET, variables, z_p, z_s)),
+        "DS(z_p,z_p)": jax.nn.sigmoid(unshearnet.decode_sheared(NET, variables, z_p, z_p)),
+    }
+
+
+def test_cells_are_fed_the_right_codes():
+    # fresh kernels are so small that every image is grey; larger ones make the cells differ
+    variables = jax.tree.map(lambda x: 20 * x, init(NET, jax.random.key(0)))
+    sheared = images().astype(np.float32) / 255
+    cells = swapped(NET, variables, sheared)
+    assert set(cells) == set(CELLS)
+    expected = jax.jit(apart)(variables, sheared)
+    for cell in CELLS:
+        np.testing.assert_allclose(cells[cell], expected[cell], atol=1e-5)
+    for right, wrong in (("DC(z_p)", "DC(z_s)"), ("DS(z_p,z_s)", "DS(z_p,z_p)")):
+        assert not np.allclose(cells[right], cells[wrong], atol=1e-3)
+
+
+@pytest.mark.parametrize(("shear_channels", "cells"), [(0, {"DC(z_p)"}), (2, {"DC(z_p)", "DS(z_p,z_s)"})])
+def test_cells_that_cannot_be_drawn_are_left_out(shear_channels, cells):
+    net = replace(NET, shear_channels=shear_channels)
+    variables = init(net, jax.random.key(0))
+    assert set(swapped(net, variables, images().astype(np.float32) / 255)) == cells
+
+
+def test_outputs_and_scores_of_trained_networks(trained):
+    run = networks.load(trained, Ranges())
+    outputs, scores = run(images(), images()[::-1])
+    assert set(outputs.images) == set(KINDS)
+    assert set(outputs.cells) == set(CELLS)
+    for image in (*outputs.images.values(), *outputs.cells.values()):
+        assert image.shape == (2, 32, 32, 1)
+        assert 0 <= float(image.min()) <= float(image.max()) <= 1
+    np.testing.assert_array_equal(outputs.images["tap"] * 255, images())
+    np.testing.assert_array_equal(outputs.images["disentangled"], outputs.cells["DC(z_p)"])
+    for kind in KINDS:
+        assert {name: value.shape for name, value in outputs.poses[kind].items()} == dict.fromkeys(QUANTITIES, (2,))
+    assert all(value.shape == (2,) and np.isfinite(value).all() for value in scores.values())
+    assert len(scores) == 3 + 4 * 3
+
+
+def test_a_missing_network_is_named(trained, tmp_path):
+    for name in ("disentangled", "posenet"):
+        (tmp_path / name).symlink_to(trained / name)
+    with pytest.raises(UserError, match="entangled"):
+        networks.load(tmp_path, Ranges())

@@ -1,0 +1,95 @@
+"""The whole stage on files: networks on disk and a stand-in for the data set, results.json and montage.npz out."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxunshear.dataset import reading
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.evaluate import evaluate
+from jaxunshear.evaluation.measurements import reproducible
+from jaxunshear.experiment import Experiment
+
+SIZE, COUNT = 32, 6
+
+
+class Reader:
+    """Stands in for the reader of `tactip_paired`: random dots and labels."""
+
+    metadata = {"counts": {"contacts": 99, "retried": 2, "dropped": 1}}  # noqa: RUF012
+
+    def __init__(self, count):
+        self.count = count
+
+    def length(self, split):
+        return {"train": 18, "validation": 6, "test": self.count}[split]
+
+    def split(self, name, batch, fields):
+        assert name == "test"
+        generator = np.random.default_rng(0)
+        images = (generator.random((2, self.count, SIZE, SIZE, 1)) < 0.2).astype(np.uint8) * 255
+        pins = np.stack(np.meshgrid(*[np.arange(8, 24, 4.0)] * 2), axis=-1).reshape(-1, 2).astype(np.float32)
+        whole = {
+            "canonical": images[0],
+            "sheared": images[1],
+            "canonical_pins": np.stack([pins] * self.count),
+            "sheared_pins": np.stack([pins + 1] * self.count),
+            "stimulus": np.arange(self.count) % 2,
+            "pose_id": np.arange(self.count),
+            "pose": generator.normal(size=(self.count, 4)).astype(np.float32),
+            "edge": generator.normal(size=(self.count, 2)).astype(np.float32),
+            "move": np.ones((self.count, 2), np.float32),
+        } | {name: np.ones(self.count) for name in ("residual_mm", "iterations", "stuck", "slipping", "free")}
+        for start in range(0, self.count, batch):
+            yield {field: whole[field][start : start + batch] for field in fields}
+
+
+@pytest.fixture
+def run_dir(trained, tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "open_set", lambda spec, settings, data_dir, sensor: Reader(COUNT))
+    return shutil.copytree(trained, tmp_path / "run")
+
+
+@pytest.fixture
+def experiment():
+    whole = Experiment(name="small", claim="that the stage works")
+    return replace(whole, paired=replace(whole.paired, preprocess=replace(whole.paired.preprocess, size=SIZE)))
+
+
+def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment, tmp_path):
+    (run_dir / "times.json").write_text(json.dumps({"data": 12.5}))
+    results = evaluate(experiment, run_dir, tmp_path / "data")
+    assert json.loads((run_dir / "results.json").read_text()) == results
+    assert results["metric"]["ms_ssim"] == "ms_ssim@2"
+    assert results["time_s"]["data"] == 12.5
+    assert results["time_s"]["evaluate"] > 0
+    assert results["counts"]["test"] == COUNT
+    assert results["counts"]["dropped"] == 1
+    assert results["ms_ssim"]["disentangled"]["teardrop"] is None
+    for name in (
+        "ms_ssim",
+        "pose_mae",
+        "swap",
+        "pin_error",
+        "spread",
+        "machine",
+        "versions",
+        "seeds",
+        "command",
+        "paper",
+    ):
+        assert results[name], name
+    montage = (run_dir / "montage.npz").read_bytes()
+    again = evaluate(experiment, run_dir, tmp_path / "data")
+    assert reproducible(again) == reproducible(results)
+    assert (run_dir / "montage.npz").read_bytes() == montage
+
+
+def test_an_empty_test_split_is_refused(run_dir, experiment, tmp_path, monkeypatch):
+    monkeypatch.setattr(reading, "open_set", lambda *_: Reader(0))
+    with pytest.raises(UserError, match="empty"):
+        evaluate(experiment, run_dir, tmp_path / "data")
+    assert not (run_dir / "results.json").exists()

@@ -1,0 +1,97 @@
+"""Tables on known answers: means by group, ratios, recovery, intervals, and what is shown."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.evaluation.score import CELLS, KINDS
+from jaxunshear.evaluation.spread import intervals
+from jaxunshear.evaluation.summary import contact_quality, tables, typical
+from jaxunshear.metrics import QUANTITIES
+
+NAMES = ("disk", "clover", "teardrop")
+STIMULUS = np.array([0, 0, 0, 0, 1, 1])  # no teardrop
+POSE_ID = np.array([0, 0, 1, 1, 0, 1])
+
+
+def made_up(error_by_kind=None):
+    errors = error_by_kind or {"tap": 1.0, "sheared": 5.0, "entangled": 3.0, "disentangled": 2.0}
+    scores = {f"ms_ssim/{kind}": np.array([0.1, 0.2, 0.3, 0.4, 0.9, 0.7], np.float32) for kind in KINDS[1:]}
+    scores |= {f"pose/{kind}/{name}": np.full(6, errors[kind], np.float32) for kind in KINDS for name in QUANTITIES}
+    scores |= {f"swap/{cell}/{metric}": np.full(6, 0.5) for cell in CELLS for metric in ("mse", "ssim", "ms_ssim")}
+    return scores
+
+
+def test_means_by_stimulus_and_overall():
+    found = tables(made_up(), NAMES, STIMULUS, POSE_ID, seed=0)
+    row = found["ms_ssim"]["disentangled"]
+    assert row["disk"] == pytest.approx(0.25)
+    assert row["clover"] == pytest.approx(0.8)
+    assert row["teardrop"] is None
+    assert row["overall"] == pytest.approx(2.6 / 6)
+    low, high = found["spread"]["ms_ssim"]["disentangled"]["overall"]
+    assert low < row["overall"] < high
+    assert found["spread"]["ms_ssim"]["disentangled"]["teardrop"] is None
+
+
+def test_ratio_and_recovery():
+    found = tables(made_up(), NAMES, STIMULUS, POSE_ID, seed=0)
+    assert found["pose_mae"]["sheared"]["edge_mm"] == 5
+    assert found["pose_ratio"]["disentangled"]["edge_mm"] == pytest.approx(0.4)
+    assert found["pose_recovery"]["disentangled"]["edge_mm"] == pytest.approx(0.75)
+    assert found["pose_recovery"]["entangled"]["edge_deg"] == pytest.approx(0.5)
+
+
+def test_no_recovery_where_the_slide_does_no_damage():
+    same = dict.fromkeys(KINDS, 2.0)
+    assert tables(made_up(same), NAMES, STIMULUS, POSE_ID, 0)["pose_recovery"]["entangled"]["x_mm"] is None
+    none = dict.fromkeys(KINDS, 0.0)
+    assert tables(made_up(none), NAMES, STIMULUS, POSE_ID, 0)["pose_ratio"]["entangled"]["x_mm"] is None
+
+
+def test_cells_that_could_not_be_drawn_are_left_out():
+    scores = {name: value for name, value in made_up().items() if not name.startswith("swap/DC(z_s)")}
+    assert set(tables(scores, NAMES, STIMULUS, POSE_ID, 0)["swap"]) == set(CELLS) - {"DC(z_s)"}
+
+
+def test_intervals_are_repeatable_and_seeded():
+    values = {"a": np.random.default_rng(0).normal(size=40)}
+    poses = np.arange(40)
+    assert intervals(values, poses, 1) == intervals(values, poses, 1)
+    assert intervals(values, poses, 1) != intervals(values, poses, 2)
+
+
+def test_interval_width_is_the_standard_error_of_independent_poses():
+    generator = np.random.default_rng(3)
+    by_pose = generator.normal(size=200)
+    once = intervals({"a": by_pose}, np.arange(200), 0)["a"]
+    assert once[1] - once[0] == pytest.approx(2 * 1.96 * by_pose.std() / np.sqrt(200), rel=0.1)
+    # ten equal slides at each pose tell nothing new: the interval stays as wide
+    often = intervals({"a": np.repeat(by_pose, 10)}, np.repeat(np.arange(200), 10), 0)["a"]
+    assert often == pytest.approx(once)
+
+
+def test_intervals_refuse_what_does_not_fit():
+    with pytest.raises(ValueError, match="one length"):
+        intervals({"a": np.zeros(3)}, np.zeros(2, int), 0)
+    with pytest.raises(ValueError, match="at least 1"):
+        intervals({}, np.zeros(0, int), 0)
+
+
+def test_the_same_pose_number_of_two_stimuli_is_two_poses():
+    values = {"ms_ssim/sheared": None}
+    scores = made_up() | {name: np.array([0.0, 1.0]) for name in values}
+    scores = {name: value[:2] for name, value in scores.items()}
+    found = tables(scores, NAMES, np.array([0, 1]), np.array([7, 7]), seed=0)
+    low, high = found["spread"]["ms_ssim"]["sheared"]["overall"]
+    assert (low, high) == (0, 1)  # one pose alone would give an interval of no width
+
+
+def test_contact_quality_known_answer():
+    found = contact_quality({"residual_mm": np.array([1.0, 2, 3, 10])})
+    assert found == {"residual_mm": {"mean": 4, "median": 2.5, "p95": pytest.approx(8.95), "max": 10}}
+
+
+def test_typical_shows_low_middling_and_high_of_each_stimulus():
+    scores = np.array([0.5, 0.1, 0.9, 0.4, 0.6, 0.3])
+    assert typical(scores, np.array([0, 0, 0, 1, 1, 1]), (0, 0.5, 1)).tolist() == [1, 0, 2, 5, 3, 4]
+    assert typical(scores[:1], np.array([2])).tolist() == [0]

@@ -1,0 +1,190 @@
+"""Preprocessing against scikit-image, and `prepare_frame` on frames of every kind, good and bad."""
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.errors import UserError
+from jaxunshear.image.camera import frame, outer_fraction, project, to_image_px
+from jaxunshear.image.pins import find_pins
+from jaxunshear.image.preprocess import binarise, binarise_reference, crop, find_dome, prepare_frame, to_grey
+from jaxunshear.image.settings import Camera, Nuisance, Preprocess
+from jaxunshear.metrics.pins import pin_error
+from jaxunshear.scene.sensor import TACTIP_331, pin_tips
+
+CAMERA = Camera()
+SIZES = pytest.mark.parametrize("size", [128, 256])
+
+
+def pressed(seed):
+    """Pin tips of a made-up contact: pushed up and aside under a patch."""
+    rng = np.random.default_rng(seed)
+    tips = pin_tips(TACTIP_331)
+    patch = np.exp(-((np.hypot(*(tips[:, :2] - rng.uniform(-3, 3, 2)).T) / 6) ** 2))[:, None]
+    return tips + patch * np.array([*rng.uniform(-2, 2, 2), rng.uniform(1, 3)])
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Four undeformed and four pressed frames (8, F, F)."""
+    tips = np.stack([pin_tips(TACTIP_331)] * 4 + [pressed(seed) for seed in range(4)]).astype(np.float32)
+    keys = jax.random.split(jax.random.key(3), len(tips))
+    return np.asarray(jax.vmap(lambda tip, key: frame(CAMERA, TACTIP_331, Nuisance(), tip, key))(tips, keys))
+
+
+def photograph(square, height=480, width=640, side=400, top=30, left=150, light=0.75):
+    """A colour photograph (height, width, 3) uint8 in which the square frame lies in a light surround."""
+    small = np.asarray(Image.fromarray(square).resize((side, side), Image.Resampling.BOX))
+    whole = np.full((height + 400, width + 400), light, np.float32)
+    whole[200 + top : 200 + top + side, 200 + left : 200 + left + side] = small
+    whole = whole[200 : 200 + height, 200 : 200 + width]
+    return np.round(255 * whole[..., None] * np.array([0.8, 1.0, 0.9])).clip(0, 255).astype(np.uint8)
+
+
+@SIZES
+def test_agrees_with_scikit_image_on_simulated_frames(frames, size):
+    preprocess = Preprocess(size=size)
+    ours = np.asarray(jax.jit(binarise, static_argnums=0)(preprocess, frames))
+    assert ours.shape == (8, size, size)
+    assert set(np.unique(ours)) == {0, 255}
+    theirs = np.stack([binarise_reference(preprocess, grey) for grey in frames])
+    assert np.mean(ours == theirs) >= 0.999
+
+
+@pytest.mark.parametrize(("before", "size"), [(100, 128), (425, 128), (425, 256), (97, 64)])
+def test_agrees_with_scikit_image_at_uneven_ratios(before, size):
+    smooth = np.random.default_rng(0).random((before // 5 + 1, before // 5 + 1)).astype(np.float32)
+    grey = np.kron(smooth, np.ones((5, 5), np.float32))[:before, :before]
+    preprocess = Preprocess(size=size)
+    assert np.mean(np.asarray(binarise(preprocess, grey)) == binarise_reference(preprocess, grey)) >= 0.999
+
+
+def test_vmap_equals_a_batch_and_a_single_frame(frames):
+    preprocess = Preprocess()
+    batch = np.asarray(binarise(preprocess, frames))
+    np.testing.assert_array_equal(jax.vmap(lambda grey: binarise(preprocess, grey))(frames), batch)
+    np.testing.assert_array_equal(binarise(preprocess, frames[0]), batch[0])
+    np.testing.assert_array_equal(binarise(preprocess, frames.reshape(2, 4, *frames.shape[1:]))[1, 2], batch[6])
+
+
+def test_what_is_not_square_is_refused():
+    with pytest.raises(ValueError, match=r"\(64, 32\)"):
+        binarise(Preprocess(), np.zeros((64, 32)))
+
+
+@SIZES
+def test_every_pin_of_an_undeformed_frame_is_found_where_it_is(frames, size):
+    preprocess = Preprocess(size=size)
+    images = np.asarray(binarise(preprocess, frames[:4]))
+    assert [len(find_pins(image)) for image in images] == [331] * 4
+    true = to_image_px(CAMERA, preprocess, project(CAMERA, pin_tips(TACTIP_331), TACTIP_331))
+    error = pin_error(images, np.tile(np.asarray(true)[None], (4, 1, 1)), mm_per_px=CAMERA.mm_across / size)
+    assert error.missed == error.extra == 0
+    assert error.rms_px < 0.3
+
+
+@SIZES
+def test_a_uniform_change_of_light_hardly_matters(frames, size):
+    preprocess = Preprocess(size=size)
+    assert np.mean(binarise(preprocess, frames) == binarise(preprocess, 0.9 * frames)) > 0.98
+
+
+def test_the_mask_blackens_what_is_outside(frames):
+    images = np.asarray(binarise(Preprocess(size=64, mask_radius=0.3, offset=-1.0), frames[:1]))[0]
+    rows, columns = np.indices(images.shape) - 31.5
+    np.testing.assert_array_equal(images > 0, np.hypot(rows, columns) <= 0.3 * 64)
+
+
+@pytest.mark.parametrize(("side", "top", "left"), [(400, 30, 150), (300, 120, 20), (460, 10, 90), (420, -15, 200)])
+@SIZES
+def test_the_dome_is_found_wherever_it_lies(frames, side, top, left, size):
+    photo = photograph(frames[0], side=side, top=top, left=left)
+    found = find_pins(prepare_frame(Preprocess(size=size), photo))
+    assert abs(len(found) - 331) <= 1
+    reach = np.hypot(*(found - (size - 1) / 2).T).max() / size
+    assert reach == pytest.approx(outer_fraction(CAMERA, TACTIP_331), abs=0.01)
+
+
+def test_pins_in_a_dark_surround_are_found_too():
+    dark = Nuisance(housing_ring=False, specks=0)
+    square = np.asarray(frame(CAMERA, TACTIP_331, dark, pin_tips(TACTIP_331), jax.random.key(0)))
+    photo = photograph(square, side=380, top=60, left=200, light=0.03)
+    left, top, right, bottom = find_dome(to_grey(photo), Preprocess().outer_pins)
+    np.testing.assert_allclose([left, top, right, bottom], [200, 60, 580, 440], atol=8)
+    assert len(find_pins(prepare_frame(Preprocess(size=256), photo))) == 331
+
+
+def test_a_bbox_is_obeyed(frames):
+    photo = photograph(frames[0], side=400, top=30, left=150)
+    image = prepare_frame(Preprocess(size=256), photo, bbox=(150, 30, 550, 430))
+    same = np.asarray(binarise(Preprocess(size=256), frames[0]))
+    assert np.mean(image == same) > 0.97
+    assert crop(np.zeros((20, 30)), (5, 2, 15, 8)).shape == (10, 10)
+    with pytest.raises(UserError, match="bbox"):
+        prepare_frame(Preprocess(), photo, bbox=(700, 0, 800, 100))
+
+
+@pytest.mark.parametrize("kind", ["uint16", "twelve_bits", "float", "rgba", "one_channel", "grey_alpha"])
+def test_number_types_and_channels_do_not_matter(frames, kind):
+    photo = photograph(frames[0])
+    grey = np.round(255 * to_grey(photo)).astype(np.uint8)
+    other = {
+        "uint16": grey.astype(np.uint16) * 257,
+        "twelve_bits": np.round(grey * (4095 / 255)).astype(np.uint16),
+        "float": grey / 255,
+        "rgba": np.concatenate([np.repeat(grey[..., None], 3, -1), np.full_like(grey, 255)[..., None]], -1),
+        "one_channel": grey[..., None],
+        "grey_alpha": np.stack([grey, np.full_like(grey, 255)], -1),
+    }[kind]
+    assert np.mean(prepare_frame(Preprocess(), other) == prepare_frame(Preprocess(), grey)) > 0.999
+
+
+@pytest.mark.parametrize("kind", ["uint8", "bool", "zero_one", "jpeg"])
+def test_a_binary_frame_is_not_thresholded_again(frames, kind):
+    image = np.asarray(binarise(Preprocess(size=128), frames[0]))
+    other = {"uint8": image, "bool": image > 0, "zero_one": image // 255, "jpeg": np.clip(image, 8, 246)}[kind]
+    np.testing.assert_array_equal(prepare_frame(Preprocess(size=128), other), image)
+
+
+def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):
+    image = np.asarray(binarise(Preprocess(size=512), frames[0]))
+    closer = image[50:-50, 50:-50]
+    found = find_pins(prepare_frame(Preprocess(size=256), closer))
+    assert abs(len(found) - 331) <= 1
+    assert np.hypot(*(found - 127.5).T).max() / 256 == pytest.approx(outer_fraction(CAMERA, TACTIP_331), abs=0.015)
+
+
+@pytest.mark.parametrize(
+    ("raw", "says"),
+    [
+        (np.full((64, 64), np.nan), "not finite"),
+        (np.zeros((0, 0)), "too small"),
+        (np.zeros((4, 300)), "too small"),
+        (np.zeros((64, 64, 7)), "shape"),
+        (np.zeros(64), "shape"),
+        (np.array([["a"] * 32] * 32), "type"),
+        (np.zeros((64, 64), np.uint8), "flat"),
+        (np.full((64, 64, 3), 255, np.uint8), "flat"),
+    ],
+    ids=["nan", "empty", "thin", "channels", "line", "text", "black", "white"],
+)
+def test_what_is_no_image_is_refused(raw, says):
+    with pytest.raises(UserError, match=says):
+        prepare_frame(Preprocess(), raw)
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+@SIZES
+def test_real_frames(real_recordings, number, size):
+    raw = np.asarray(Image.open(real_recordings / "raw" / f"image_{number}.png"))
+    preprocess = Preprocess(size=size)
+    grey = to_grey(raw)
+    square = crop(grey, find_dome(grey, preprocess.outer_pins))
+    image = prepare_frame(preprocess, raw)
+    assert np.mean(np.asarray(binarise(preprocess, square)) == binarise_reference(preprocess, square)) >= 0.999
+    assert np.mean(image == binarise_reference(preprocess, square)) >= 0.999
+    found = find_pins(image)
+    assert abs(len(found) - 331) <= 3
+    outermost = np.sort(np.hypot(*(found - found.mean(0)).T))[-60:].mean() / size
+    assert outermost == pytest.approx(outer_fraction(CAMERA, TACTIP_331), abs=0.01)

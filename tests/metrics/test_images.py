@@ -1,0 +1,128 @@
+"""MS-SSIM, SSIM and MSE against an independent library, known answers, and the corners where powers misbehave."""
+
+import json
+import runpy
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.metrics import images
+
+GOLDEN = Path(__file__).resolve().parents[1] / "golden"
+PAIRS = runpy.run_path(str(GOLDEN / "make_ms_ssim.py"))["pairs"]
+VALUES = json.loads((GOLDEN / "ms_ssim.json").read_text())
+
+
+def stacked(size):
+    pairs = PAIRS(size)
+    a, b = (np.stack([pair[side] for pair in pairs.values()])[..., None] for side in (0, 1))
+    return list(pairs), a, b
+
+
+@pytest.mark.parametrize("metric", ["ms_ssim", "ssim"])
+def test_golden_values(metric):
+    names, a, b = stacked(256)
+    found = np.asarray(getattr(images, metric)(a, b))
+    assert found.dtype == np.float32
+    expected = [VALUES[name][metric] for name in names]
+    np.testing.assert_allclose(found, expected, atol=1e-4, err_msg=str(names))
+
+
+def test_the_golden_pairs_span_the_range():
+    values = [VALUES[name]["ms_ssim"] for name in VALUES]
+    assert min(values) == 0
+    assert max(values) == pytest.approx(1)
+    assert sum(0.1 < value < 0.9 for value in values) >= 3
+
+
+def test_jit_and_eager_agree():
+    _, a, b = stacked(64)
+    with jax.disable_jit():
+        plain = images.ms_ssim(a, b, scales=3)
+    np.testing.assert_allclose(jax.jit(images.ms_ssim, static_argnums=2)(a, b, 3), plain, atol=2e-5)
+
+
+@pytest.mark.parametrize(("size", "scales"), [(10, 0), (11, 1), (128, 4), (160, 4), (161, 5), (256, 5), (1000, 5)])
+def test_scales_that_fit(size, scales):
+    assert images.scales_that_fit(size) == scales
+
+
+def test_the_least_size_of_five_scales_works_and_one_less_is_refused():
+    assert images.ms_ssim(np.ones((1, 161, 161, 1), np.float32), np.ones((1, 161, 161, 1), np.float32))[0] == 1
+    with pytest.raises(ValueError, match=r"160x160.*5 scales.*4 fit"):
+        images.ms_ssim(np.ones((1, 160, 160, 1), np.float32), np.ones((1, 160, 160, 1), np.float32))
+
+
+def test_names_keep_other_sizes_apart():
+    assert images.ms_ssim_name(5) == "ms_ssim"
+    assert images.ms_ssim_name(4) == "ms_ssim@4"
+
+
+def test_one_scale_is_ssim():
+    _, a, b = stacked(48)
+    np.testing.assert_allclose(images.ms_ssim(a, b, scales=1), np.maximum(images.ssim(a, b), 0), atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [128, 161])
+def test_equal_images_score_one_and_order_does_not_matter(size):
+    _, a, b = stacked(size)
+    scales = images.scales_that_fit(size)
+    np.testing.assert_allclose(images.ms_ssim(a, a, scales), 1, atol=1e-5)
+    np.testing.assert_allclose(images.ms_ssim(a, b, scales), images.ms_ssim(b, a, scales), atol=1e-5)
+
+
+def test_values_and_gradients_are_finite_everywhere():
+    names, a, b = stacked(64)
+    extra = [(np.zeros_like(a[0]), np.zeros_like(a[0])), (np.ones_like(a[0]), np.ones_like(a[0])),
+             (np.zeros_like(a[0]), np.ones_like(a[0]))]  # fmt: skip
+    a = np.concatenate([a, np.stack([pair[0] for pair in extra])])
+    b = np.concatenate([b, np.stack([pair[1] for pair in extra])])
+    for metric in (lambda x, y: images.ms_ssim(x, y, 3), images.ssim, images.mse):
+        values, gradients = jax.value_and_grad(lambda x: jnp.sum(metric(x, b)), has_aux=False)(jnp.asarray(a))  # noqa: B023
+        assert np.isfinite(values)
+        assert np.isfinite(np.asarray(gradients)).all(), names
+
+
+def test_gradient_is_the_slope():
+    _, a, b = stacked(48)
+    a, b = a[2:3], b[2:3]
+    direction = np.cos(np.arange(48 * 48)).reshape(a.shape).astype(np.float32)
+    value = lambda t: float(images.ms_ssim(a + np.float32(t) * direction, b, 2)[0])  # noqa: E731
+    slope = (value(1e-2) - value(-1e-2)) / 2e-2
+    gradient = jax.grad(lambda x: images.ms_ssim(x, b, 2)[0])(jnp.asarray(a))
+    assert float(np.sum(np.asarray(gradient) * direction)) == pytest.approx(slope, rel=0.03)
+
+
+def test_matrices_are_the_window_and_the_mean():
+    x = np.sin(np.arange(35.0) ** 1.5)
+    offsets = np.arange(-5, 6)
+    window = np.exp(-(offsets**2) / (2 * 1.5**2))
+    np.testing.assert_allclose(images._blur(35) @ x, np.convolve(x, window / window.sum(), "valid"), atol=1e-12)
+    np.testing.assert_allclose(images._halving(5) @ [1, 3, 5, 7, 9], [2, 6, 9])
+
+
+def test_mse_known_answer():
+    a = np.zeros((2, 12, 12, 1), np.float32)
+    b = np.stack([np.full((12, 12, 1), 0.5), np.ones((12, 12, 1))]).astype(np.float32)
+    np.testing.assert_allclose(images.mse(a, b), [0.25, 1.0])
+
+
+@pytest.mark.parametrize("metric", [images.ms_ssim, images.ssim, images.mse])
+def test_wrong_images_are_refused(metric):
+    good = np.zeros((2, 256, 256, 1), np.float32)
+    with pytest.raises(ValueError, match="one shape"):
+        metric(good, good[:1])
+    with pytest.raises(ValueError, match="one shape"):
+        metric(good[..., 0], good[..., 0])
+    with pytest.raises(ValueError, match="uint8"):
+        metric(good, good.astype(np.uint8))
+
+
+def test_half_precision_is_scored_in_float32():
+    _, a, b = stacked(48)
+    found = images.ms_ssim(jnp.asarray(a, jnp.bfloat16), jnp.asarray(b, jnp.bfloat16), 2)
+    assert found.dtype == jnp.float32
+    np.testing.assert_allclose(found[1:4], images.ms_ssim(a, b, 2)[1:4], atol=1e-5)  # dots are exact in bfloat16

@@ -1,0 +1,22 @@
+"""The machine and the versions beside each measurement."""
+
+import json
+import platform
+
+from jaxunshear.metrics.machine import machine, versions
+
+
+def test_machine_is_plain_and_says_something():
+    found = machine()
+    assert found["cores"] >= 1
+    assert found["processor"]
+    assert found["device"].count(":") >= 1
+    assert json.loads(json.dumps(found)) == found
+
+
+def test_versions_name_python_and_jax():
+    import jax
+
+    found = versions()
+    assert found["python"] == platform.python_version()
+    assert found["jax"] == jax.__version__

@@ -1,0 +1,35 @@
+"""Pose errors on known answers."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.metrics import pose_errors, true_quantities
+
+
+def quantities(x, yaw, edge, angle):
+    values = zip(("x_mm", "yaw_deg", "edge_mm", "edge_deg"), (x, yaw, edge, angle), strict=True)
+    return {name: np.array([value], np.float32) for name, value in values}
+
+
+def test_known_errors():
+    errors = pose_errors(quantities(1, 40, -2, 10), quantities(3, -5, 0.5, 12))
+    assert {name: float(error[0]) for name, error in errors.items()} == {
+        "x_mm": 2, "yaw_deg": 45, "edge_mm": 2.5, "edge_deg": 2}  # fmt: skip
+
+
+@pytest.mark.parametrize(("a", "b", "error"), [(179, -179, 2), (-180, 180, 0), (90, -90, 180), (350, 0, 10)])
+def test_angles_go_the_short_way_round(a, b, error):
+    assert pose_errors(quantities(0, 0, 0, a), quantities(0, 0, 0, b))["edge_deg"][0] == pytest.approx(error, abs=1e-4)
+
+
+def test_true_quantities_take_the_right_columns():
+    true = true_quantities(np.array([[1.0, 2, 3, 4]]), np.array([[5.0, 6]]))
+    assert {name: value[0] for name, value in true.items()} == {"x_mm": 1, "yaw_deg": 3, "edge_mm": 5, "edge_deg": 6}
+
+
+def test_missing_quantities_and_lengths_are_refused():
+    good = quantities(0, 0, 0, 0)
+    with pytest.raises(ValueError, match="edge_mm"):
+        pose_errors({name: good[name] for name in ("x_mm", "yaw_deg", "edge_deg")}, good)
+    with pytest.raises(ValueError, match="x_mm"):
+        pose_errors(good, {**good, "x_mm": np.zeros(2)})

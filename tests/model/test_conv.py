@@ -1,0 +1,114 @@
+"""conv_valid and the blocked forms against the plain convolutions they replace."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from flax import linen as nn
+
+from jaxunshear.model import conv
+
+
+def normal(*shape: int, dtype=jnp.float32) -> jax.Array:
+    return jnp.asarray(np.random.default_rng(sum(shape)).normal(size=shape), dtype)
+
+
+def plain(x, w, stride=1, padding="VALID"):
+    return jax.lax.conv_general_dilated(x, w, (stride, stride), padding, dimension_numbers=("NHWC", "HWIO", "NHWC"))
+
+
+def close(got, expected, dtype) -> None:
+    tolerance = 1e-5 if dtype == jnp.float32 else 1e-12
+    assert got.shape == expected.shape
+    assert got.dtype == dtype
+    np.testing.assert_allclose(got, expected, atol=tolerance * float(jnp.abs(expected).max()), rtol=0)
+
+
+def same_function(ours: Callable, reference: Callable, x, w, dtype) -> None:
+    """Values and both gradients, with and without jit."""
+    for f in (ours, jax.jit(ours)):
+        expected, pull_expected = jax.vjp(reference, x, w)
+        got, pull = jax.vjp(f, x, w)
+        close(got, expected, dtype)
+        dy = normal(*expected.shape, dtype=dtype)
+        for gradient, gradient_expected in zip(pull(dy), pull_expected(dy), strict=True):
+            close(gradient, gradient_expected, dtype)
+
+
+@pytest.fixture(params=[jnp.float32, jnp.float64], ids=["f32", "f64"])
+def dtype(request):
+    with jax.enable_x64(request.param == jnp.float64):
+        yield request.param
+
+
+@pytest.mark.parametrize(("k", "c", "n"), [(1, 3, 5), (2, 3, 5), (2, 5, 3), (3, 4, 4), (3, 2, 7), (4, 6, 1)])
+def test_conv_valid_is_the_plain_convolution(k, c, n, dtype):
+    same_function(conv.conv_valid, plain, normal(3, 9, 7, c, dtype=dtype), normal(k, k, c, n, dtype=dtype), dtype)
+
+
+def test_down_is_a_convolution_of_stride_two(dtype):
+    def ours(x, w):
+        return conv.conv_valid(conv.to_blocks(conv.pad(x, 1), 2), conv.down_kernel(w))
+
+    same_function(
+        ours,
+        lambda x, w: plain(x, w, 2, ((1, 1), (1, 1))),
+        normal(2, 12, 8, 3, dtype=dtype),
+        normal(4, 4, 3, 5, dtype=dtype),
+        dtype,
+    )
+
+
+def test_first_is_a_convolution_of_stride_two_in_bordered_blocks(dtype):
+    def ours(x, w):
+        blocks = conv.conv_valid(conv.to_blocks(conv.pad(x, 4), 4), conv.first_kernel(w))
+        return conv.from_blocks(blocks, 2)[:, 1:-1, 1:-1]
+
+    same_function(
+        ours,
+        lambda x, w: plain(x, w, 2, ((1, 1), (1, 1))),
+        normal(2, 12, 8, 2, dtype=dtype),
+        normal(4, 4, 2, 3, dtype=dtype),
+        dtype,
+    )
+
+
+def transposed(x, w):
+    return jax.lax.conv_transpose(x, w, (2, 2), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC"))
+
+
+def test_up_is_a_transposed_convolution_in_bordered_blocks(dtype):
+    def ours(x, w):
+        return conv.from_blocks(conv.conv_valid(conv.pad(x, 1), conv.up_kernel(w)), 2)[:, 1:-1, 1:-1]
+
+    same_function(ours, transposed, normal(2, 6, 5, 3, dtype=dtype), normal(4, 4, 3, 4, dtype=dtype), dtype)
+
+
+def test_last_is_a_transposed_convolution_in_blocks_of_four(dtype):
+    def ours(x, w):
+        blocks = conv.to_blocks(conv.pad(x, 1), 2)
+        return conv.from_blocks(conv.conv_valid(blocks, conv.last_kernel(w)), 4)
+
+    same_function(ours, transposed, normal(2, 6, 8, 3, dtype=dtype), normal(4, 4, 3, 1, dtype=dtype), dtype)
+
+
+def test_up_equals_flax_conv_transpose():
+    x, w = normal(2, 6, 6, 3), normal(4, 4, 3, 4)
+    flax = nn.ConvTranspose(4, (4, 4), (2, 2), padding="SAME", use_bias=False).apply({"params": {"kernel": w}}, x)
+    ours = conv.from_blocks(conv.conv_valid(conv.pad(x, 1), conv.up_kernel(w)), 2)[:, 1:-1, 1:-1]
+    np.testing.assert_allclose(ours, flax, atol=1e-5)
+
+
+@pytest.mark.parametrize("side", [2, 4])
+def test_blocks_there_and_back(side):
+    x = normal(2, 8, 12, 3)
+    blocks = conv.to_blocks(x, side)
+    np.testing.assert_array_equal(conv.from_blocks(blocks, side), x)
+    np.testing.assert_array_equal(blocks[1, 1, 2].reshape(side, side, 3), x[1, side : 2 * side, 2 * side : 3 * side])
+
+
+def test_wrong_channels_are_refused():
+    with pytest.raises((TypeError, ValueError)):
+        conv.conv_valid(normal(1, 4, 4, 3), normal(2, 2, 5, 1))

@@ -1,0 +1,131 @@
+"""UnshearNet: shapes, what depends on what, and which loss reaches which module."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.model import unshearnet
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training import losses
+
+NET = UnshearNet(size=32, widths=(6, 8, 8), pose_channels=4, shear_channels=3)
+ENTANGLED = UnshearNet(size=32, widths=(6, 8, 8), disentangled=False)
+
+
+@pytest.fixture(scope="module")
+def variables():
+    return unshearnet.init(NET, jax.random.key(0))
+
+
+@pytest.fixture(scope="module")
+def images():
+    return (jax.random.uniform(jax.random.key(1), (5, 32, 32, 1)) > 0.7).astype(jnp.float32)
+
+
+@pytest.mark.parametrize("jit", [False, True])
+def test_shapes(variables, images, jit):
+    wrap = jax.jit if jit else lambda f: f
+    z_p, z_s = wrap(lambda v, x: unshearnet.encode(NET, v, x))(variables, images)
+    assert (z_p.shape, z_s.shape) == ((5, 4, 4, 4), (5, 4, 4, 3))
+    canonical = wrap(lambda v, z: unshearnet.decode_canonical(NET, v, z))(variables, z_p)
+    sheared = wrap(lambda v, *z: unshearnet.decode_sheared(NET, v, *z))(variables, z_p, z_s)
+    assert canonical.shape == sheared.shape == images.shape
+    np.testing.assert_allclose(unshearnet.unshear(NET, variables, images), jax.nn.sigmoid(canonical), atol=1e-6)
+
+
+def test_the_paper_at_256_px_has_codes_of_8_by_8():
+    net = UnshearNet(size=256, widths=(32, 64, 64, 64, 64))
+    variables = jax.eval_shape(lambda key: unshearnet.init(net, key), jax.random.key(0))
+    images = jax.ShapeDtypeStruct((2, 256, 256, 1), jnp.float32)
+    z_p, z_s = jax.eval_shape(lambda v, x: unshearnet.encode(net, v, x), variables, images)
+    assert z_p.shape == z_s.shape == (2, 8, 8, 64)
+    again = jax.eval_shape(lambda v, *z: unshearnet.decode_sheared(net, v, *z), variables, z_p, z_s)
+    assert again.shape == images.shape
+
+
+def test_entangled_has_one_code_and_one_decoder(images):
+    variables = unshearnet.init(ENTANGLED, jax.random.key(0))
+    assert set(variables["params"]) == {"E", "DC"}
+    z, nothing = unshearnet.encode(ENTANGLED, variables, images)
+    assert nothing is None
+    assert z.shape == (5, 4, 4, 8)
+    canonical, sheared, _ = unshearnet.reconstruct(ENTANGLED, variables, images)
+    assert canonical.shape == images.shape
+    assert sheared is None
+
+
+def test_unshear_needs_neither_the_shear_code_nor_its_decoder(variables, images):
+    pruned = {kind: {m: v for m, v in tree.items() if m not in ("shear", "DS")} for kind, tree in variables.items()}
+    got = unshearnet.unshear(NET, pruned, images)
+    np.testing.assert_array_equal(got, unshearnet.unshear(NET, variables, images))
+
+
+def test_canonical_image_has_exactly_no_gradient_toward_the_shear_code(variables, images):
+    def canonical(params, train):
+        z_p, z_s = unshearnet.encode(NET, variables | {"params": params}, images, train)
+        return jnp.sum(unshearnet.decode_canonical(NET, variables | {"params": params}, z_p, train) ** 2)
+
+    for train in (False, True):
+        gradient = jax.grad(canonical)(variables["params"], train)
+        for module in ("shear", "DS"):
+            assert all(np.all(leaf == 0) for leaf in jax.tree.leaves(gradient[module]))
+        for module in ("E", "pose", "DC"):
+            assert any(np.any(leaf != 0) for leaf in jax.tree.leaves(gradient[module]))
+
+
+def test_one_sum_gives_each_module_the_gradient_of_the_papers_own_loss(variables, images):
+    """E (with its codes): all three terms; DC: the last two; DS: the first. Paper section 3.3."""
+    target = jnp.roll(images, 2, 1)
+    corners = losses.random_corners(jax.random.key(2), 5, 10, 32, 8)
+
+    def loss(params, names):
+        canonical, sheared, _ = unshearnet.reconstruct(NET, variables | {"params": params}, images)
+        canonical, sheared = jax.nn.sigmoid(canonical), jax.nn.sigmoid(sheared)
+        terms = {
+            "rec": losses.reconstruction(sheared, images),
+            "sup": losses.supervised(canonical, target),
+            "patch": 0.1 * losses.patch(canonical, target, losses.coverage(corners, 32, 8)),
+        }
+        return sum(jnp.mean(terms[name]) for name in names)
+
+    gradient = jax.jit(jax.grad(loss), static_argnums=1)
+    total = gradient(variables["params"], ("rec", "sup", "patch"))
+    own = {
+        ("E", "pose"): ("rec", "sup", "patch"),
+        ("shear", "DS"): ("rec",),
+        ("DC",): ("sup", "patch"),
+    }
+    for modules, names in own.items():
+        expected = gradient(variables["params"], names)
+        for module in modules:
+            for a, b in zip(jax.tree.leaves(total[module]), jax.tree.leaves(expected[module]), strict=True):
+                np.testing.assert_allclose(a, b, atol=1e-6 * float(jnp.abs(b).max()) + 1e-12)
+
+
+def test_inference_does_not_depend_on_the_batch(variables, images):
+    whole = unshearnet.unshear(NET, variables, images)
+    for one in range(5):
+        np.testing.assert_allclose(unshearnet.unshear(NET, variables, images[one : one + 1])[0], whole[one], atol=1e-6)
+
+
+def test_initial_weights_are_normal_with_deviation_002(variables):
+    big = unshearnet.init(UnshearNet(), jax.random.key(3))
+    kernels = [x for path, x in jax.tree_util.tree_leaves_with_path(big["params"]) if path[-1].key == "kernel"]
+    values = np.concatenate([np.ravel(kernel) for kernel in kernels])
+    assert abs(values.mean()) < 1e-4
+    assert abs(values.std() - 0.02) < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("net", "field"),
+    [(UnshearNet(size=100), "size"), (UnshearNet(widths=(8,)), "widths"), (UnshearNet(widths=()), "widths")],
+)
+def test_sizes_that_do_not_fit_are_refused_by_name(net, field):
+    with pytest.raises(ValueError, match=field):
+        unshearnet.init(net, jax.random.key(0))
+
+
+def test_a_wrong_image_size_is_refused(variables):
+    with pytest.raises((TypeError, ValueError)):
+        unshearnet.unshear(NET, variables, jnp.zeros((1, 30, 30, 1)))

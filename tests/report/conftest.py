@@ -1,0 +1,125 @@
+"""A finished run made up of formulas: every file that the report reads, none of the work."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from jaxunshear.evaluation.evaluate import montage, results_of
+from jaxunshear.evaluation.gather import Gathered
+from jaxunshear.evaluation.score import CELLS, KINDS
+from jaxunshear.experiment import Experiment
+from jaxunshear.metrics import QUANTITIES
+
+SIZE, COUNT = 128, 36
+POSE = {"tap": 0.1, "sheared": 1.2, "entangled": 0.5, "disentangled": 0.35}
+SCALE = {"x_mm": 2.0, "yaw_deg": 14.0, "edge_mm": 2.0, "edge_deg": 20.0}
+LIKENESS = {"sheared": 0.31, "entangled": 0.91, "disentangled": 0.94}
+
+
+def dots(slide, soft=False, lost=0.0):
+    """331 dots in rings, pushed outwards and then along `slide` most in the middle; their centres (P, 2) in px."""
+    rings = [(0.0, 1)] + [(ring * 5.4, 6 * ring) for ring in range(1, 11)]
+    pins = [
+        (radius * np.cos(2 * np.pi * k / count), radius * np.sin(2 * np.pi * k / count))
+        for radius, count in rings
+        for k in range(count)
+    ]
+    pins = np.array(pins)
+    near = np.exp(-((pins[:, :1] - 8) ** 2 + pins[:, 1:] ** 2) / 900)
+    pins = 63.5 + pins * (1 + 0.12 * near) + near * np.asarray(slide)
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    away = np.hypot(columns[..., None] - pins[:, 0], rows[..., None] - pins[:, 1]).min(axis=-1)
+    grey = 1 / (1 + np.exp((away - 1.5) * (2 if soft else 20))) * (1 - lost * (columns > 80))
+    return np.rint(grey * 255).astype(np.uint8), pins.astype(np.float32)
+
+
+def made_up_gathered():
+    generator = np.random.default_rng(0)
+    stimulus, pose_id = np.arange(COUNT) % 3, np.arange(COUNT) // 6
+    spread = lambda mean, size: np.clip(mean + size * generator.normal(size=COUNT), 0, None).astype(np.float32)  # noqa: E731
+    scores = {f"ms_ssim/{kind}": np.minimum(spread(mean, 0.04), 1) for kind, mean in LIKENESS.items()}
+    for kind in KINDS:
+        scores |= {f"pose/{kind}/{name}": spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name]) for name in QUANTITIES}
+    for cell in CELLS:
+        scores |= {f"swap/{cell}/{metric}": spread(0.2, 0.05) for metric in ("mse", "ssim", "ms_ssim")}
+    kept = np.arange(0, COUNT, 4)
+    tap, slide = dots((0, 0)), dots((6, 4))
+    pictures = {
+        "tap": tap[0],
+        "sheared": slide[0],
+        "entangled": dots((1.2, 0), soft=True, lost=0.3)[0],
+        "disentangled": dots((0.4, 0), soft=True)[0],
+    }
+    labels = {
+        "stimulus": stimulus,
+        "pose_id": pose_id,
+        "pose": generator.uniform(1, 5, (COUNT, 4)).astype(np.float32),
+        "edge": generator.uniform(-5, 5, (COUNT, 2)).astype(np.float32),
+        "move": generator.uniform(-2.5, 2.5, (COUNT, 2)).astype(np.float32),
+        "residual_mm": generator.uniform(0, 1e-3, COUNT),
+        **{name: generator.integers(5, 90, COUNT) for name in ("iterations", "stuck", "slipping", "free")},
+    }
+    return Gathered(
+        scores,
+        labels,
+        kept,
+        {kind: np.stack([image] * len(kept)) for kind, image in pictures.items()},
+        {"canonical_pins": np.stack([tap[1]] * len(kept)), "sheared_pins": np.stack([slide[1]] * len(kept))},
+    )
+
+
+def make_run(folder):
+    """Writes the made-up run into `folder`; returns its results."""
+    gathered = made_up_gathered()
+    experiment = Experiment(
+        name="made up", claim="Nothing here was measured: <b>numbers & images</b> from formulas, to look at the report."
+    )
+    results = results_of(experiment, gathered) | {
+        "time_s": {"data": 131.2, "disentangled": 182.9},
+        "machine": {"processor": "none", "cores": 2, "memory_gib": 24, "system": "Linux x86_64", "device": "cpu: cpu"},
+        "versions": {"python": "3.11.7", "jax": "0.10.1"},
+        "command": "jaxunshear run experiments/demo.py",
+    }
+    results["counts"] |= {"train": 2160, "validation": 720, "test": 720, "contacts": 5400, "retried": 3, "dropped": 1}
+    (folder / "results.json").write_text(json.dumps(results))
+    (folder / "montage.npz").write_bytes(montage(experiment.paired.stimuli, gathered))
+    later = {"entangled": 96.4, "posenet": 54.0, "evaluate": 31.7, "report": 2.1}
+    (folder / "times.json").write_text(json.dumps(results["time_s"] | later))
+    for network, terms in (
+        ("disentangled", ("supervised", "reconstruction")),
+        ("entangled", ("supervised",)),
+        ("posenet", ("pose", "edge_mm", "edge_deg")),
+    ):
+        (folder / network).mkdir()
+        lines = []
+        for step in range(100, 900, 100):
+            fall = {name: (1 + index) * 0.15 * (100 / step) ** 0.8 for index, name in enumerate(terms)}
+            train = {name: value * 0.9 for name, value in fall.items() if not name.startswith("edge")} | {"gradient": 1}
+            counts = {"step": step, "epoch": step / 135, "images": step * 16, "train_seconds": step * 0.21}
+            lines.append(json.dumps(counts | {"train": train, "validation": fall}))
+        (folder / network / "log.jsonl").write_text("\n".join(lines) + "\n")
+        summary = {
+            "parameters": 415000,
+            "steps": 800,
+            "images_per_second": 76.2,
+            "train_seconds": 168.0,
+            "best_step": 800,
+        }
+        (folder / network / "summary.json").write_text(json.dumps(summary))
+    return results
+
+
+@pytest.fixture(scope="session")
+def template(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made_up")
+    make_run(folder)
+    return folder
+
+
+@pytest.fixture
+def made_up_run(template, tmp_path):
+    """A copy of the run for each test to spoil: its folder and its results."""
+    folder = shutil.copytree(template, tmp_path / "run")
+    return folder, json.loads((folder / "results.json").read_text())

@@ -1,0 +1,172 @@
+"""The report from a made-up run: whole, self-contained, escaped, the same bytes again, and clear about what is missing."""
+
+import base64
+import io
+import json
+import re
+import xml.etree.ElementTree as ElementTree
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.errors import UserError
+from jaxunshear.report.history import read_history
+from jaxunshear.report.pictures import MISSING, SURPLUS, difference, png_address
+from jaxunshear.report.report import write_report
+
+VOID = {"meta", "img", "br"}
+
+
+class Reader(HTMLParser):
+    """Checks that tags close in order, and collects addresses and text."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.addresses, self.text = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [value for name, value in attrs if name in ("src", "href", "srcset")]
+        assert tag not in ("script", "link", "iframe")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def read(html):
+    reader = Reader()
+    reader.feed(html)
+    assert not reader.open
+    return reader
+
+
+def test_the_page_is_whole_and_needs_nothing_else(made_up_run):
+    folder, _ = made_up_run
+    path = write_report(folder)
+    assert path == folder / "report.html"
+    html = path.read_text()
+    reader = read(html)
+    assert len(reader.addresses) >= 15 + 4
+    assert all(address.startswith("data:image/") for address in reader.addresses)
+    assert not re.search(r"url\(|@import", html)
+    assert len(html) < 3_000_000
+    for address in reader.addresses:
+        kind, data = address.split(";base64,")
+        if kind.endswith("png"):
+            Image.open(io.BytesIO(base64.b64decode(data))).verify()
+        else:
+            ElementTree.fromstring(base64.b64decode(data))
+
+
+def test_the_figures_of_the_results_are_on_it(made_up_run):
+    folder, results = made_up_run
+    text = " ".join(read(write_report(folder).read_text()).text)
+    for value in (results["ms_ssim"]["disentangled"]["overall"], results["ms_ssim"]["sheared"]["disk"]):
+        assert f"{value:.3f}" in text
+    assert f"{results['pose_mae']['disentangled']['edge_mm']:.2f} mm" in text
+    for words in (
+        "ms_ssim@4",
+        "simulated",
+        "real",
+        "passed",
+        "0.93",
+        "22.20",
+        "DS(z_p,z_s)",
+        "jaxunshear run",
+        "0.10.1",
+    ):
+        assert words in text
+    assert "missed ·" not in text
+    assert "8 min 18 s" in text  # the sum of times.json, which has grown since the evaluation
+
+
+def test_a_missed_bar_is_shown(made_up_run):
+    folder, results = made_up_run
+    results["ms_ssim"]["disentangled"]["overall"] = 0.89
+    (folder / "results.json").write_text(json.dumps(results))
+    html = write_report(folder).read_text()
+    assert html.count("<span class=bad>missed</span>") == 1
+
+
+def test_text_is_escaped(made_up_run):
+    html = write_report(made_up_run[0]).read_text()
+    assert "&lt;b&gt;numbers &amp; images&lt;/b&gt;" in html
+    assert "<b>numbers" not in html
+
+
+def test_the_same_run_gives_the_same_bytes(made_up_run):
+    folder, _ = made_up_run
+    first = write_report(folder).read_bytes()
+    assert write_report(folder).read_bytes() == first
+
+
+def test_without_logs_and_times_the_rest_is_still_shown(made_up_run):
+    folder, _ = made_up_run
+    for log in folder.glob("*/log.jsonl"):
+        log.unlink()
+    (folder / "times.json").unlink()
+    text = " ".join(read(write_report(folder).read_text()).text)
+    assert "no training logs" in text
+    assert "5 min 14 s" in text
+
+
+def test_nulls_are_shown_as_dashes(made_up_run):
+    folder, results = made_up_run
+    results["ms_ssim"]["sheared"]["disk"] = None
+    results["spread"]["ms_ssim"]["sheared"]["disk"] = None
+    results["pin_error"]["entangled"]["rms_px"] = None
+    results["swap"].pop("DC(z_s)")
+    results["pose_recovery"]["disentangled"] = dict.fromkeys(results["pose_recovery"]["disentangled"])
+    (folder / "results.json").write_text(json.dumps(results))
+    assert "&ndash;" in write_report(folder).read_text().split("Where the pins are")[0]
+
+
+@pytest.mark.parametrize("name", ["results.json", "montage.npz"])
+@pytest.mark.parametrize("damage", ["missing", "truncated", "text"])
+def test_damaged_files_are_named(made_up_run, name, damage):
+    folder, _ = made_up_run
+    path = folder / name
+    whole = path.read_bytes()
+    path.unlink()
+    if damage != "missing":
+        path.write_bytes(whole[: len(whole) // 2] if damage == "truncated" else b"not at all")
+    with pytest.raises(UserError, match=name):
+        write_report(folder)
+    assert not (folder / "report.html").exists()
+
+
+def test_results_of_another_kind_are_refused(made_up_run):
+    folder, results = made_up_run
+    del results["pin_error"]
+    (folder / "results.json").write_text(json.dumps(results))
+    with pytest.raises(UserError, match=r"pin_error.*evaluate"):
+        write_report(folder)
+
+
+def test_history_leaves_out_a_line_cut_short(made_up_run):
+    log = made_up_run[0] / "disentangled" / "log.jsonl"
+    whole = read_history(log)
+    assert len(whole.epoch) == 8
+    log.write_text(log.read_text()[:-40])
+    cut = read_history(log)
+    assert cut.validation["supervised"] == whole.validation["supervised"][:7]
+    log.write_text("")
+    assert read_history(log) is None
+
+
+def test_difference_colours():
+    tap = np.array([[255, 255, 0, 0]], np.uint8)
+    image = np.array([[255, 0, 255, 0]], np.uint8)
+    assert difference(image, tap)[0].tolist() == [[90, 90, 90], list(MISSING), list(SURPLUS), [0, 0, 0]]
+
+
+def test_png_address_keeps_the_pixels():
+    pixels = np.arange(256, dtype=np.uint8).reshape(16, 16)
+    data = base64.b64decode(png_address(pixels).split(",")[1])
+    np.testing.assert_array_equal(np.asarray(Image.open(io.BytesIO(data))), pixels)

@@ -1,0 +1,48 @@
+"""Poses, slides, labels, and the sensor's pins."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.scene.scene import draw_moves, draw_poses, edge_labels, make_scenes
+from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_tips, sensor_named
+
+
+def test_draws_stay_in_range_and_repeat():
+    first = draw_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0))
+    np.testing.assert_array_equal(first, draw_poses(np.random.default_rng(3), 500, 5.0, 45.0, (1.0, 6.0)))
+    assert np.all(np.abs(first[:, :2]) <= 5) and np.all(np.abs(first[:, 2]) <= 45)
+    assert first[:, 3].min() >= 1 and first[:, 3].max() <= 6 and first[:, 3].max() > 5.5
+    assert np.all(np.abs(draw_moves(np.random.default_rng(0), 500, 2.5)) <= 2.5)
+    with pytest.raises(UserError, match="poses = 0"):
+        draw_poses(np.random.default_rng(0), 0, 5.0, 45.0, (1.0, 6.0))
+
+
+def test_edge_labels_on_the_disk():
+    pose = np.array([[2.0, 0.0, 0.0, 1.0], [-3.0, 0.0, 30.0, 1.0], [0.0, 4.0, -45.0, 1.0]])
+    scenes = make_scenes(("disk",), np.zeros(3, int), pose, np.zeros((3, 2)))
+    labels = edge_labels(("disk",), scenes)
+    outward = np.degrees(np.arctan2(4, 50))
+    np.testing.assert_allclose(labels, [[2, 0], [-3, -30], [np.hypot(50, 4) - 50, outward + 45]], atol=1e-2)
+    assert scenes.friction[0] == pytest.approx(0.35)
+
+
+def test_pins_of_both_layouts():
+    rings, hexagon = pin_tips(TACTIP_331), pin_tips(TACTIP_127)
+    assert rings.shape == (331, 3) and hexagon.shape == (127, 3) == (TACTIP_127.pins, 3)
+    for sensor, pins in ((TACTIP_331, rings), (TACTIP_127, hexagon)):
+        centre = np.array([0, 0, sensor.dome_radius_mm])
+        np.testing.assert_allclose(np.linalg.norm(pins - centre, axis=-1), 18.0)  # skin 1 mm, pins 1 mm
+        gaps = np.linalg.norm(pins[:, None] - pins[None], axis=-1) + 99 * np.eye(len(pins))
+        assert gaps.min() > 0.7 * sensor.pin_spacing_mm * 0.9
+    neighbours = np.sort(np.linalg.norm(hexagon[1:7] - hexagon[0], axis=-1))
+    np.testing.assert_allclose(neighbours, neighbours[0])
+
+
+def test_bad_sensors_are_refused():
+    with pytest.raises(UserError, match="tactip9"):
+        sensor_named("tactip9")
+    with pytest.raises(UserError, match="layout"):
+        pin_tips(Sensor(layout="square"))
+    with pytest.raises(UserError, match="rim"):
+        pin_tips(Sensor(rings=30))

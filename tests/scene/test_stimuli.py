@@ -1,0 +1,54 @@
+"""Shapes: signs, distances, normals, targets."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, outward_normal, signed_distance, stimulus_named
+
+
+@pytest.mark.parametrize("name", STIMULI)
+def test_target_lies_on_the_edge_with_x_outward(name):
+    stimulus = STIMULI[name]
+    line = jnp.asarray([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
+    inside, edge, outside = np.asarray(signed_distance(stimulus, line))
+    assert abs(edge) < 1e-4 and inside < -0.2 and outside > 0.2
+    np.testing.assert_allclose(outward_normal(stimulus, jnp.asarray([[1e-3, 0.0]]))[0], [1, 0], atol=0.05)
+
+
+@pytest.mark.parametrize("name", STIMULI)
+def test_distances_never_change_faster_than_the_point_moves(name):
+    points = jax.random.uniform(jax.random.key(0), (2, 4000, 2), minval=-12, maxval=12)
+    first, second = (np.asarray(signed_distance(STIMULI[name], p)) for p in points)
+    apart = np.linalg.norm(np.asarray(points[0] - points[1]), axis=-1)
+    assert np.all(np.abs(first - second) <= apart * (1 + 1e-4) + 1e-4)
+    assert np.any(first < 0) and np.any(first > 0)
+
+
+@pytest.mark.parametrize("name", STIMULI)
+def test_shape_lies_within_its_extent(name):
+    angle = jnp.linspace(0, 2 * jnp.pi, 400)
+    rim = (STIMULI[name].extent_mm + 0.5) * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    assert np.all(np.asarray(STIMULI[name].distance(rim)) > 0)
+
+
+def test_disk_is_exact_and_gradients_are_finite_at_centres():
+    points = jnp.asarray([[0.0, 0.0], [3.0, 4.0], [-50.0, 0.0]])
+    np.testing.assert_allclose(signed_distance(STIMULI["disk"], points), [0, np.hypot(53, 4) - 50, -50], atol=1e-4)
+    assert np.all(np.isfinite(outward_normal(STIMULI["disk"], points)))
+
+
+def test_jit_and_vmap_agree_with_the_plain_call():
+    points = jax.random.uniform(jax.random.key(1), (7, 2), minval=-9, maxval=9)
+    for stimulus in STIMULI.values():
+        plain = signed_distance(stimulus, points)
+        np.testing.assert_allclose(jax.jit(jax.vmap(lambda p, s=stimulus: signed_distance(s, p)))(points), plain, atol=1e-4)
+
+
+def test_names():
+    assert set(TRAINING) | set(UNSEEN) == set(STIMULI) and len(UNSEEN) == 4
+    assert sum(STIMULI[name].material == "acrylic" for name in UNSEEN) == 2
+    with pytest.raises(UserError, match="pyramid"):
+        stimulus_named("pyramid")

@@ -1,0 +1,278 @@
+"""What cannot work is refused: exit code 2, one line that names the culprit, at once, and nothing lost."""
+
+import errno
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear import cli
+from jaxunshear.config import load_experiment, to_json
+
+ROOT = Path(__file__).resolve().parents[1]
+DEMO = ROOT / "experiments" / "demo.py"
+
+# (what follows `run experiments/demo.py`, what the line must hold)
+BAD_FIELDS = [
+    ("--train.epoch 5", "did you mean --train.epochs?"),
+    ("--epochs 5", "--train.epochs or --train_posenet.epochs"),
+    ("--paired 5", "it is a group"),
+    ("--train.epochs", "needs a value"),
+    ("--train.epochs five", "takes a number, not 'five'"),
+    ("--train.epochs 0", "must be above zero"),
+    ("--train.epochs -3", "must be above zero"),
+    ("--train.epochs inf", "must be a finite number"),
+    ("--train.batch 2.5", "takes a whole number"),
+    ("--train.batch 0", "must be at least 1"),
+    ("--train.batch 100000", "larger than the training set of 2160"),
+    ("--train_posenet.batch 100000", "larger than the training set of 1800"),
+    ("--train.learning_rate -0.001", "--train.learning_rate"),
+    ("--train.learning_rate nan", "finite"),
+    ("--train.learning_rate 0", "above 0"),
+    ("--train.schedule linear", "use one of cosine, steps"),
+    ("--train.drops 40:0.2", "use schedule 'steps'"),
+    ("--train.schedule steps --train.drops 80:0.1,40:0.2", "in the order"),
+    ("--train.schedule steps --train.drops 40:2", "--train.drops 40.0:2.0"),
+    ("--train.beta1 1", "--train.beta1"),
+    ("--train.averaging 1.5", "--train.averaging"),
+    ("--train.l1 -1", "--train.l1"),
+    ("--train.crop_px 129", "1 to the image's 128 px"),
+    ("--train.shift 0.7", "--train.shift"),
+    ("--train.validate_every 0", "--train.validate_every"),
+    ("--paired.poses 0", "--paired.poses 0: use at least 5"),
+    ("--pose.poses -1", "--pose.poses"),
+    ("--paired.slides 0", "nothing to unshear"),
+    ("--paired.taps 0", "--paired.taps"),
+    ("--paired.stimuli disk,box", "stimulus box is unknown"),
+    ("--paired.stimuli=", "name at least one"),
+    ("--paired.stimuli disk,disk", "each stimulus once"),
+    ("--paired.config mine", "no stored configuration"),
+    ("--paired.seed -1", "--paired.seed"),
+    ("--seed 3000000000", "2147483647"),
+    ("--paired.ranges.depth_max_mm 25", "cannot be reached"),
+    ("--pose.ranges.depth_max_mm 8", "cannot be reached"),
+    ("--paired.ranges.depth_min_mm 7", "must not exceed depth_max_mm (6)"),
+    ("--paired.ranges.depth_min_mm 0", "must be above zero"),
+    ("--paired.tap_depth_jitter_mm 2", "a tap may miss"),
+    ("--paired.ranges.lateral_mm 100", "the target is not touched"),
+    ("--paired.ranges.yaw_deg 200", "0 to 180"),
+    ("--paired.ranges.move_mm -1", "--paired.ranges.move_mm"),
+    ("--unshear.size 100", "differs from the data set's images"),
+    ("--unshear.size 64", "differs from the data set's images"),
+    ("--posenet.size 64", "differs from the data set's images"),
+    ("--paired.preprocess.size 512", "larger than the camera's frame"),
+    ("--paired.preprocess.size 0", "at least 16 px"),
+    ("--paired.preprocess.block 0", "--paired.preprocess.block"),
+    ("--paired.preprocess.size 72 --unshear.size 72 --pose.preprocess.size 72 --posenet.size 72", "not divisible by 16"),
+    ("--unshear.widths 8,0", "two positive numbers"),
+    ("--unshear.widths 8", "two positive numbers"),
+    ("--unshear.disentangled false", "train --network"),
+    ("--posenet.widths 8,8", "five convolutions"),
+    ("--sensor gelsight", "use one of tactip331, tactip127"),
+    ("--sensor.rings 40", "past the dome's rim"),
+    ("--sensor.layout square", "rings, hexagonal"),
+    ("--sensor.gel_poisson 0.5", "incompressible"),
+    ("--sensor.pin_radius_mm 1", "would overlap"),
+    ("--paired.camera.distance_mm 10", "from above the pins"),
+    ("--pose.nuisance.noise 2", "--pose.nuisance.noise"),
+    ("--name a/b", "names the folder"),
+    ("--name=", "names the folder"),
+    ("stray", "stray"),
+]
+
+
+def is_one_line(answer) -> None:
+    assert answer.code == 2
+    assert answer.err.startswith("jaxunshear: error: ")
+    assert answer.err.count("\n") == 1
+    assert "Traceback" not in answer.err
+    assert answer.out == ""
+
+
+@pytest.fixture
+def no_stage(monkeypatch):
+    """No stage may start: what is refused must be refused before any work."""
+
+    def started(*_, **__):
+        pytest.fail("a stage started")
+
+    monkeypatch.setitem(sys.modules, "jaxunshear.run", type(sys)("jaxunshear.run"))
+    monkeypatch.setattr(sys.modules["jaxunshear.run"], "run_stages", started, raising=False)
+
+
+@pytest.mark.parametrize(("words", "line"), BAD_FIELDS, ids=[words for words, _ in BAD_FIELDS])
+def test_a_bad_field_is_refused_by_name_before_any_work(command, no_stage, tmp_path, words, line):
+    answer = command("run", DEMO, "--out", tmp_path / "runs", *words.split())
+    is_one_line(answer)
+    assert line in answer.err
+    assert not (tmp_path / "runs").exists()
+
+
+def bad_commands(tmp_path: Path) -> list[tuple[list, str]]:
+    """Command lines that name what is not there, or not what it should be."""
+    image = tmp_path / "image.png"
+    Image.fromarray(np.zeros((8, 8), np.uint8)).save(image)
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "experiment.json").write_text('{"name": ')
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "experiment.json").write_text('{"name": "x"}')
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    untrained = tmp_path / "untrained"
+    untrained.mkdir()
+    (untrained / "experiment.json").write_text(json.dumps(to_json(load_experiment(DEMO))))
+    return [
+        ([], "required: COMMAND"),
+        (["dance"], "invalid choice"),
+        (["run"], "required: FILE"),
+        (["run", tmp_path / "none.py"], "does not exist"),
+        (["run", tmp_path], "is a folder"),
+        (["run", image], "not text"),
+        (["train", DEMO, "--network", "resnet"], "--network"),
+        (["train", DEMO, "--json", tmp_path / "x"], "--json"),
+        (["run", DEMO, "--out"], "--out"),
+        (["report"], "RUN_DIR"),
+        (["report", tmp_path / "none"], "no results.json"),
+        (["unshear", image, "--model", run], "--out"),
+        (["unshear", image, "--out", tmp_path / "out"], "--model"),
+        (["unshear", tmp_path / "none.png", "--model", run, "--out", tmp_path / "out"], "none.png does not exist"),
+        (["unshear", image, "--model", tmp_path / "none", "--out", tmp_path / "out"], "no experiment.json"),
+        (["unshear", image, "--model", run, "--out", tmp_path / "out"], "not valid JSON"),
+        (["unshear", image, "--model", other, "--out", tmp_path / "out"], "does not fit this version"),
+        (["unshear", image, "--model", untrained, "--out", tmp_path / "out"], "disentangled"),
+        (["pose", image, "--model", untrained], "disentangled holds no trained model"),
+        (["pose", tmp_path / "none", "--model", untrained], "does not exist"),
+        (["pose", image, "--model", image], "no experiment.json"),
+        (["sensors", "draw"], "name what to draw"),
+        (["sensors", "draw", "gelsight", "--out", tmp_path / "a.png"], "gelsight"),
+        (["sensors", "draw", "tactip331", "--out", tmp_path / "a.txt"], "ends in .png"),
+        (["stimuli", "draw", "box", "--out", tmp_path / "a.png"], "stimulus 'box' is unknown"),
+        (["stimuli", "list", "disk"], "takes nothing more"),
+        (["stimuli", "draw", "disk", "--out", image / "a.png"], "a.png"),
+        (["stimuli", "--colour"], "--colour"),
+    ]
+
+
+def test_bad_commands_and_paths(command, no_stage, tmp_path):
+    for words, line in bad_commands(tmp_path):
+        answer = command(*words)
+        is_one_line(answer)
+        assert line in answer.err, words
+    assert not (tmp_path / "out").exists()
+
+
+def run_with(monkeypatch, command, act):
+    """`run` whose stages are `act`."""
+    monkeypatch.setitem(sys.modules, "jaxunshear.run", type(sys)("jaxunshear.run"))
+    monkeypatch.setattr(sys.modules["jaxunshear.run"], "run_stages", act, raising=False)
+    return command("run", DEMO)
+
+
+def fails_with(error: BaseException):
+    def act(*_, **__):
+        raise error
+
+    return act
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "the disk is full"),
+        (ValueError("RESOURCE: write failed: No space left on device [source locations]\n  more"), "the disk is full"),
+        (PermissionError(errno.EACCES, "Permission denied", "runs/demo"), "runs/demo: Permission denied"),
+        (MemoryError(), "out of memory"),
+    ],
+)
+def test_what_the_machine_refuses_is_one_line(monkeypatch, command, error, line):
+    answer = run_with(monkeypatch, command, fails_with(error))
+    is_one_line(answer)
+    assert line in answer.err
+
+
+def test_a_full_disk_wrapped_by_a_library(monkeypatch, command):
+    def act(*_, **__):
+        try:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        except OSError as error:
+            raise RuntimeError("save failed") from error
+
+    is_one_line(run_with(monkeypatch, command, act))
+
+
+def test_an_interrupt_says_how_to_go_on(monkeypatch, command):
+    answer = run_with(monkeypatch, command, fails_with(KeyboardInterrupt()))
+    assert (answer.code, answer.err) == (130, "stopped; run the same command to continue\n")
+
+
+def test_a_bug_keeps_its_traceback(monkeypatch, command):
+    with pytest.raises(ZeroDivisionError):
+        run_with(monkeypatch, command, fails_with(ZeroDivisionError()))
+
+
+@pytest.mark.parametrize(
+    ("words", "stages"),
+    [
+        (["run"], ("data", "entangled", "disentangled", "posenet", "evaluate", "report")),
+        (["data"], ("data",)),
+        (["train"], ("entangled", "disentangled", "posenet")),
+        (["train", "--network", "posenet"], ("posenet",)),
+        (["evaluate"], ("evaluate",)),
+    ],
+)
+def test_commands_become_stages(monkeypatch, command, tmp_path, words, stages):
+    calls = []
+    monkeypatch.setitem(sys.modules, "jaxunshear.run", type(sys)("jaxunshear.run"))
+    monkeypatch.setattr(sys.modules["jaxunshear.run"], "run_stages", lambda *a, **k: calls.append((a, k)), raising=False)
+    answer = command(words[0], DEMO, *words[1:], "--out", tmp_path, "--train.epochs", "2", "--data=sets")
+    assert (answer.code, answer.err) == (0, "")
+    ((experiment, asked), named) = calls[0]
+    assert experiment.train.epochs == 2
+    assert asked == stages
+    assert named["out"] == tmp_path
+    assert named["data"] == Path("sets")
+    assert named["command"].startswith(f"jaxunshear {words[0]} ")
+
+
+def test_lists_and_drawings(command, tmp_path):
+    assert "tactip127" in command("sensors").out
+    assert "spiral_2" in command("stimuli", "list").out
+    for kind, name in (("sensors", "tactip331"), ("stimuli", "teardrop")):
+        path = tmp_path / f"{name}.png"
+        assert command(kind, "draw", name, "--out", path).code == 0
+        assert np.asarray(Image.open(path).convert("L")).std() > 10
+
+
+@pytest.mark.parametrize("words", [["--help"], ["run", "--help"], ["unshear", "--help"], ["run", "x", "--train.epoch", "5"], ["unshear"]])
+def test_help_and_refusals_take_half_a_second_and_no_jax(words):
+    probe = (
+        "import sys\n"
+        "from jaxunshear.cli import main\n"
+        "code = main(sys.argv[1:])\n"
+        "heavy = {'jax', 'flax', 'scipy', 'matplotlib', 'skimage', 'tensorflow_datasets'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else code)\n"
+    )
+    seconds = []
+    for _ in range(5):  # the machine may be busy: the best of five is what the program takes
+        start = time.perf_counter()
+        done = subprocess.run([sys.executable, "-c", probe, *words], cwd=ROOT, capture_output=True, text=True)
+        seconds.append(time.perf_counter() - start)
+        assert done.returncode == (0 if "--help" in words else 2), done.stderr
+    assert min(seconds) < 0.5
+
+
+def test_help_lists_every_field(command):
+    text = command("run", "--help").out
+    for name in ("--paired.ranges.{lateral_mm,", "--train.{epochs,", "--sensor.{name,"):
+        assert name in text
+
+
+def test_every_stage_of_a_command_is_one_of_run():
+    assert {stage for stages in cli.STAGES.values() for stage in stages} == set(cli.STAGES["run"])

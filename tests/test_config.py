@@ -1,0 +1,152 @@
+"""Experiments are read, changed by name, checked and kept without loss."""
+
+import dataclasses
+import json
+import math
+
+import pytest
+
+from jaxunshear.config import field_types, from_json, load_experiment, override, to_json, validate
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.limits import STIMULUS_NAMES
+from jaxunshear.training.settings import Training
+
+PLAIN = Experiment(name="plain", claim="none")
+
+
+def changed(*argv: str) -> Experiment:
+    return override(PLAIN, argv)
+
+
+def test_each_kind_of_value_is_overridden_by_name():
+    experiment = changed(
+        *("--seed", "7", "--train.epochs=2.5", "--train.drops", "40:0.2,80:.1", "--unshear.widths", "8, 16,32"),
+        *("--paired.stimuli", "disk", "--paired.nuisance.housing_ring", "false", "--claim", "a b", "--sensor", "tactip127"),
+    )
+    assert experiment.seed == 7
+    assert experiment.train == Training(epochs=2.5, drops=((40.0, 0.2), (80.0, 0.1)))
+    assert experiment.unshear.widths == (8, 16, 32)
+    assert experiment.paired.stimuli == ("disk",)
+    assert not experiment.paired.nuisance.housing_ring
+    assert experiment.claim == "a b"
+    assert experiment.sensor.pins == 127
+    assert experiment.train_posenet == PLAIN.train_posenet
+    assert changed("--train.drops=").train.drops == ()
+
+
+def test_the_last_of_two_wins_and_negative_numbers_are_values():
+    assert changed("--train.batch", "4", "--train.batch", "8").train.batch == 8
+    assert changed("--paired.preprocess.offset", "-1e-2").paired.preprocess.offset == -0.01
+
+
+def test_every_field_can_be_overridden_by_what_it_is_shown_as():
+    from jaxunshear.config import _show
+
+    for name, _ in field_types():
+        value = PLAIN
+        for part in name.split("."):
+            value = getattr(value, part)
+        text = value.name if name == "sensor" else _show(value).strip("'")
+        assert changed(f"--{name}={text}") == PLAIN, name
+
+
+@pytest.mark.parametrize(
+    ("argv", "line"),
+    [
+        (["--train.epoch", "5"], "there is no field --train.epoch: did you mean --train.epochs?"),
+        (["--epochs", "5"], "there is no field --epochs: did you mean --train.epochs or --train_posenet.epochs?"),
+        (["--train", "5"], "--train: it is a group"),
+        (["--train.epochs"], "--train.epochs needs a value: a number"),
+        (["--train.epochs", "--seed"], "--train.epochs needs a value"),
+        (["--train.epochs", "many"], "--train.epochs takes a number, not 'many'"),
+        (["--train.batch", "1.5"], "--train.batch takes a whole number, not '1.5'"),
+        (["--train.drops", "40"], "--train.drops takes pairs a:b separated by commas, not '40'"),
+        (["--unshear.widths", "8,,8"], "--unshear.widths takes whole numbers separated by commas"),
+        (["--unshear.disentangled", "1"], "--unshear.disentangled takes true or false, not '1'"),
+        (["--sensor", "gelsight"], "sensor 'gelsight' is unknown"),
+        (["stray"], "argument 'stray' is not understood"),
+    ],
+)
+def test_refusals_name_the_field(argv, line):
+    with pytest.raises(UserError) as refusal:
+        changed(*argv)
+    assert line in str(refusal.value)
+
+
+def test_json_keeps_everything():
+    experiment = changed("--train.drops", "40:0.2", "--sensor", "tactip127")
+    assert from_json(json.loads(json.dumps(to_json(experiment)))) == experiment
+
+
+@pytest.mark.parametrize("damage", [lambda d: d.pop("train"), lambda d: d.update(more=1), lambda d: d["train"].update(batch="x")])
+def test_json_of_another_version_is_refused(damage):
+    data = to_json(PLAIN)
+    damage(data)
+    with pytest.raises(UserError, match=r"experiment\.json"):
+        from_json(data)
+
+
+def test_the_default_experiment_is_valid():
+    validate(PLAIN)
+
+
+def test_wrong_types_and_nan_in_a_file_are_refused_by_name():
+    for value in ("many", math.nan, True):
+        with pytest.raises(UserError, match=r"--train\.epochs"):
+            validate(dataclasses.replace(PLAIN, train=Training(epochs=value)))
+    with pytest.raises(UserError, match="train is of type dict, not Training"):
+        validate(dataclasses.replace(PLAIN, train={}))
+
+
+def test_the_names_of_the_stimuli_are_those_of_the_scene():
+    from jaxunshear.scene.stimuli import STIMULI
+
+    assert tuple(STIMULI) == STIMULUS_NAMES
+
+
+def test_the_deepest_depth_is_that_of_the_contact_model():
+    from jaxunshear.contact.dome import deepest_mm
+    from jaxunshear.limits import _deepest
+
+    assert _deepest(PLAIN.sensor) == deepest_mm(PLAIN.sensor)
+
+
+def test_train_share_of_the_limits_is_that_of_the_split():
+    from jaxunshear.dataset.settings import PoseData
+    from jaxunshear.dataset.shots import draw_pose
+    from jaxunshear.limits import _train_poses
+
+    for poses in (5, 6, 7, 10, 13, 1000):
+        settings = PoseData(poses=poses, stimuli=("disk",))
+        assert (draw_pose(settings).split == 0).sum() == _train_poses(settings)
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("import jaxunshear\nexperiment = (", "syntax error in line 2"),
+        ("\n1 / 0", "fails in line 2: ZeroDivisionError"),
+        ("import sys; sys.exit(3)", "SystemExit"),
+        ("from jaxunshear.experiment import Experiment\nexperiment = Experiment(nam='x')", "unexpected keyword argument 'nam'"),
+        ("from jaxunshear.experiment import Experiment\nexperiment = Experiment(name='x')", "missing 1 required"),
+        ("setup = 1", "defines no variable `experiment`"),
+        ("experiment = {'name': 'x'}", "of type dict, not Experiment"),
+        ("\0", "is not text"),
+    ],
+)
+def test_a_bad_file_is_refused_in_one_line(tmp_path, text, line):
+    path = tmp_path / "bad.py"
+    path.write_text(text)
+    with pytest.raises(UserError) as refusal:
+        load_experiment(path)
+    assert line in str(refusal.value)
+    assert "bad.py" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_binary_file_a_folder_and_a_missing_file(tmp_path):
+    (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n\xff")
+    for path, line in ((tmp_path / "image.png", "not text"), (tmp_path, "is a folder"), (tmp_path / "no.py", "does not exist")):
+        with pytest.raises(UserError, match=line):
+            load_experiment(path)

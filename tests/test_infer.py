@@ -1,0 +1,185 @@
+"""Recordings go through the networks of a run: every readable image comes out, in its place, with its poses."""
+
+import csv
+import json
+import subprocess
+import sys
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear import infer
+from jaxunshear.config import to_json
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.storage import write_json
+from jaxunshear.training import checkpoint
+
+SIZE = 32
+NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
+POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
+SEEN = Preprocess(size=SIZE)
+EXPERIMENT = Experiment(
+    "small", "none", unshear=NET, posenet=POSENET, paired=PairedData(preprocess=SEEN), pose=PoseData(preprocess=SEEN)
+)
+
+
+def trained(folder, kind, net, variables):
+    checkpoint.write_settings(folder, json.loads(json.dumps({"kind": kind, "net": vars(net)})))
+    checkpoint.save(folder, 1, {"average": variables}, {"history": [], "best_step": 1})
+
+
+@pytest.fixture(scope="module")
+def variables():
+    """Random ones, far from the first ones, whose answers hardly depend on the image."""
+    rng = np.random.default_rng(0)
+
+    def shaken(variables):
+        params = jax.tree.map(lambda x: x + rng.normal(0, 0.1, x.shape).astype(np.float32), variables["params"])
+        return {**variables, "params": params}
+
+    return {
+        "disentangled": shaken(unshearnet.init(NET, jax.random.key(0))),
+        "posenet": shaken(posenet.init(POSENET, jax.random.key(1))),
+    }
+
+
+@pytest.fixture
+def model(tmp_path, variables):
+    """The folder of a finished run."""
+    run = tmp_path / "runs" / "small"
+    write_json(run / "experiment.json", to_json(EXPERIMENT))
+    trained(run / "disentangled", "unshear", NET, variables["disentangled"])
+    trained(run / "posenet", "posenet", POSENET, variables["posenet"])
+    return run
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """40 binary images with labels, more than a batch, two of them broken."""
+    place = tmp_path / "edge"
+    (place / "images").mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    lines = ["sensor_image," + ",".join(f"pose_{i}" for i in range(1, 7))]
+    for i in range(40):
+        image = np.where(rng.random((SIZE, SIZE)) < 0.3, 255, 0).astype(np.uint8)
+        Image.fromarray(image).save(place / "images" / f"image_{i}.png")
+        lines.append(f"image_{i}.png,{i},0,1,0,0,{-i}")
+    (place / "images" / "image_5.png").write_bytes(b"no image")
+    (place / "images" / "image_39.png").write_bytes(b"")
+    (place / "targets.csv").write_text("\n".join(lines) + "\n")
+    return place
+
+
+def rows_of(out):
+    with open(out / "poses.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, variables, tmp_path):
+    out = tmp_path / "out"
+    answer = command("unshear", folder, "--model", model, "--out", out, "--json", tmp_path / "unshear.json")
+    assert answer.code == 0, answer.err
+    assert "38 images unsheared, 2 left out" in answer.out
+    assert "simulated touches only" in answer.out
+    assert "simulated touches only" in (out / "NOTE.txt").read_text()
+    for name in ("image_5.png", "image_39.png"):
+        assert name in answer.out
+        assert not (out / "images" / name).exists()
+
+    rows = rows_of(out)
+    assert len(rows) == 38
+    for row in (rows[0], rows[5], rows[-1]):
+        number = int(row["name"].removeprefix("images/image_").removesuffix(".png"))
+        assert (float(row["recorded_pose_x_mm"]), float(row["recorded_pose_rz_deg"])) == (number, -number)
+        recordings = infer._read(folder / "images" / f"image_{number}.png", EXPERIMENT)
+        ((_, _, image),) = recordings.frames()
+        alone = image[None, :, :, None] / np.float32(255)
+        expected = unshearnet.unshear(NET, variables["disentangled"], alone)
+        written = np.asarray(Image.open(out / row["image"]))
+        np.testing.assert_allclose(written, 255 * np.asarray(expected)[0, ..., 0], atol=0.6)
+        poses = posenet.pose_from_outputs(
+            posenet.predict(POSENET, variables["posenet"], expected), EXPERIMENT.pose.ranges
+        )
+        for quantity, value in poses.items():
+            assert float(row[quantity]) == pytest.approx(float(value[0]), abs=2e-3)
+
+    measured = json.loads((tmp_path / "unshear.json").read_text())
+    assert {"rows", "machine", "versions"} == set(measured)
+    assert {row["name"]: row["value"] for row in measured["rows"]}["unshear.images"] == 38
+
+
+def test_pose_tells_both_readings_of_each_image(command, model, folder, tmp_path):
+    answer = command("pose", folder, "--model", model, "--json", tmp_path / "pose.json")
+    assert answer.code == 0, answer.err
+    assert "simulated touches only" in answer.err
+    rows = list(csv.DictReader(answer.out.splitlines()))
+    assert len(rows) == 38
+    measured = {row["name"]: row for row in json.loads((tmp_path / "pose.json").read_text())["rows"]}
+    assert len(measured) == 38 * 8
+    one = measured["images/image_7.png.unsheared.edge_deg"]
+    assert one["unit"] == "deg"
+    assert one["value"] == pytest.approx(float(rows[6]["unsheared_edge_deg"]), abs=1e-3)
+    assert rows[6]["unsheared_x_mm"] != rows[6]["as_recorded_x_mm"]
+
+
+def test_without_a_posenet_images_are_unsheared_all_the_same(command, model, folder, tmp_path):
+    (model / "posenet").rename(tmp_path / "aside")
+    answer = command("unshear", folder, "--model", model, "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    assert "no trained PoseNet" in answer.out
+    assert "x_mm" not in rows_of(tmp_path / "out")[0]
+
+
+def test_one_file_and_names_that_differ_in_their_ending_only(command, model, folder, tmp_path):
+    one = folder / "images" / "image_1.png"
+    assert command("unshear", one, "--model", model, "--out", tmp_path / "one").code == 0
+    assert (tmp_path / "one" / "image_1.png").exists()
+    Image.open(one).save(folder / "images" / "image_1.bmp")
+    assert command("unshear", folder, "--model", model, "--out", tmp_path / "all").code == 0
+    assert len({row["image"] for row in rows_of(tmp_path / "all")}) == 39
+
+
+@pytest.mark.parametrize("out", ["edge", "edge/images", "edge/new", "edge/targets.csv", "a_file"])
+def test_nothing_is_written_among_the_recordings(command, model, folder, tmp_path, out):
+    (tmp_path / "a_file").write_text("mine")
+    before = {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
+    answer = command("unshear", folder, "--model", model, "--out", tmp_path / out)
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert before == {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
+
+
+def test_a_damaged_network_is_refused_by_name(command, model, folder, tmp_path):
+    for path in (model / "disentangled" / "checkpoints" / "00000001" / "state").rglob("*"):
+        if path.is_file():
+            path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    answer = command("unshear", folder, "--model", model, "--out", tmp_path / "out")
+    assert answer.code == 2
+    assert "disentangled" in answer.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_readable_is_refused(command, model, tmp_path):
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "a.png").write_bytes(b"x")
+    for place in (tmp_path / "bad", tmp_path / "bad" / "a.png"):
+        answer = command("unshear", place, "--model", model, "--out", tmp_path / "out")
+        assert (answer.code, answer.err.count("error:")) == (2, 1)
+        assert "Traceback" not in answer.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_real_recordings_go_through(command, model, real_recordings, tmp_path):
+    unpacked = tmp_path / "real"
+    subprocess.run([sys.executable, real_recordings / "unpack.py", unpacked, "--limit", "8"], check=True)
+    answer = command("unshear", unpacked, "--model", model, "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    assert "0 left out" in answer.out
+    answer = command("unshear", real_recordings / "raw", "--model", model, "--out", tmp_path / "raw")
+    assert answer.code == 0, answer.err
+    assert len(rows_of(tmp_path / "raw")) == 3

@@ -1,0 +1,118 @@
+"""Checkpoints: whole or refused."""
+
+import json
+import shutil
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.training import checkpoint
+
+STATE = {
+    "step": jnp.asarray(5, jnp.int32),
+    "average": {
+        "params": {"E": {"kernel": jnp.arange(6000.0).reshape(60, 100)}},
+        "batch_stats": {"E": {"mean": jnp.ones(3)}},
+    },
+}
+RECORD = {"history": [], "best_step": 5, "train_seconds": 1.0, "compile_seconds": 0.0}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    checkpoint.save(tmp_path, 5, STATE, RECORD)
+    return tmp_path
+
+
+def test_there_and_back(folder):
+    assert checkpoint.latest(folder) == 5
+    state, record = checkpoint.restore(folder, 5, STATE)
+    assert record["best_step"] == 5
+    np.testing.assert_array_equal(state["average"]["params"]["E"]["kernel"], STATE["average"]["params"]["E"]["kernel"])
+    assert state["step"].dtype == jnp.int32
+    variables = checkpoint.load_best(folder)
+    assert set(variables) == {"params", "batch_stats"}
+    np.testing.assert_array_equal(variables["batch_stats"]["E"]["mean"], 1)
+
+
+def test_the_latest_and_the_best_are_kept(folder):
+    checkpoint.save(folder, 6, STATE, RECORD)
+    checkpoint.save(folder, 7, STATE | {"step": jnp.asarray(7)}, RECORD)
+    assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == ["00000005", "00000007"]
+
+
+def files(folder):
+    root = folder / "checkpoints" / "00000005"
+    return sorted(path for path in root.rglob("*") if path.is_file() and path.stat().st_size)
+
+
+def test_no_damage_goes_unseen(folder, tmp_path_factory):
+    """Each file cut, changed in its middle, or removed: either everything is still read as it was, or one line."""
+    refused = []
+    for number in range(len(files(folder))):
+        for damage in ("cut", "change", "remove"):
+            copy = tmp_path_factory.mktemp("copy") / "run"
+            shutil.copytree(folder, copy)
+            path = files(copy)[number]
+            data = bytearray(path.read_bytes())
+            data[len(data) // 2] ^= 0xFF
+            path.write_bytes(data if damage == "change" else data[: len(data) // 2])
+            if damage == "remove":
+                path.unlink()
+            try:
+                state, _ = checkpoint.restore(copy, 5, STATE)
+            except UserError as error:
+                refused.append(str(error))
+            else:
+                kernel = state["average"]["params"]["E"]["kernel"]
+                np.testing.assert_array_equal(kernel, STATE["average"]["params"]["E"]["kernel"])
+    assert len(refused) >= 6
+    assert all("run/checkpoints/00000005" in line and "delete" in line and "\n" not in line for line in refused)
+
+
+def test_damage_to_the_latest_names_the_way_back(folder):
+    checkpoint.save(folder, 6, STATE, RECORD)
+    (folder / "checkpoints" / "00000006" / "record.json").write_text("{")
+    with pytest.raises(UserError, match=r"00000006 is damaged.*delete .*00000006 to go on from the one before"):
+        checkpoint.restore(folder, 6, STATE)
+
+
+def test_another_network_is_refused(folder):
+    with pytest.raises(UserError, match="does not fit this network"):
+        checkpoint.restore(folder, 5, STATE | {"more": jnp.ones(2)})
+
+
+def test_no_model(tmp_path):
+    for read in (checkpoint.load_best, checkpoint.read_net):
+        with pytest.raises(UserError, match="holds no trained model"):
+            read(tmp_path)
+
+
+def test_a_folder_that_cannot_be_written(tmp_path):
+    (tmp_path / "checkpoints").write_text("a file")
+    with pytest.raises(UserError, match="cannot write checkpoint"):
+        checkpoint.save(tmp_path, 5, STATE, RECORD)
+
+
+@pytest.mark.parametrize(("kind", "net"), [("unshear", UnshearNet(size=64, widths=(3, 4))), ("posenet", PoseNet())])
+def test_settings_there_and_back(tmp_path, kind, net):
+    checkpoint.write_settings(tmp_path, {"kind": kind, "net": net.__dict__})
+    checkpoint.write_settings(tmp_path, {"kind": kind, "net": net.__dict__})
+    assert checkpoint.read_net(tmp_path) == net
+    with pytest.raises(UserError, match=r"net\.size"):
+        checkpoint.write_settings(tmp_path, {"kind": kind, "net": net.__dict__ | {"size": 8}})
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"kind": "other"}', '{"kind": "unshear", "net": {}}'])
+def test_broken_settings_are_refused(tmp_path, text):
+    (tmp_path / "model.json").write_text(text)
+    with pytest.raises(UserError, match=r"model\.json"):
+        checkpoint.read_net(tmp_path)
+
+
+def test_json_record_is_readable(folder):
+    record = json.loads((folder / "checkpoints" / "00000005" / "record.json").read_text())
+    assert record["step"] == 5

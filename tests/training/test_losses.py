@@ -1,0 +1,53 @@
+"""Losses against their definitions."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.training import losses
+
+
+@pytest.fixture(scope="module")
+def pair():
+    rng = np.random.default_rng(0)
+    return [jnp.asarray(rng.uniform(size=(3, 24, 24, 1)), jnp.float32) for _ in range(2)]
+
+
+def test_patch_loss_is_the_mean_over_explicit_crops(pair):
+    a, b = pair
+    corners = losses.random_corners(jax.random.key(0), 3, 40, 24, 7)
+    got = losses.patch(a, b, losses.coverage(corners, 24, 7))
+    assert got.shape == (3,)
+    for image in range(3):
+        crops = [np.abs(a - b)[image, r : r + 7, c : c + 7] for r, c in np.asarray(corners[image])]
+        assert all(crop.shape == (7, 7, 1) for crop in crops)
+        np.testing.assert_allclose(got[image], np.mean(crops), rtol=1e-5)
+
+
+def test_crops_reach_every_place_that_fits_and_no_other():
+    corners = losses.random_corners(jax.random.key(1), 2, 5000, 24, 20)
+    for axis in (0, 1):
+        assert set(np.asarray(corners[..., axis]).ravel()) == set(range(5))
+    np.testing.assert_array_equal(losses.coverage(corners, 24, 20).sum((1, 2)), 5000 * 400)
+
+
+def test_one_crop_of_the_whole_image_is_the_mean_difference(pair):
+    a, b = pair
+    counts = losses.coverage(jnp.zeros((3, 1, 2), jnp.int32), 24, 24)
+    np.testing.assert_allclose(losses.patch(a, b, counts), np.abs(a - b).mean((1, 2, 3)), rtol=1e-5)
+
+
+def test_squared_losses(pair):
+    a, b = pair
+    expected = ((np.asarray(a) - np.asarray(b)) ** 2).mean((1, 2, 3))
+    np.testing.assert_allclose(losses.supervised(a, b), expected, rtol=1e-5)
+    np.testing.assert_allclose(losses.reconstruction(a, b), expected, rtol=1e-5)
+    np.testing.assert_allclose(losses.supervised(a, a), 0)
+    np.testing.assert_allclose(losses.pose(jnp.ones((2, 5)), jnp.zeros((2, 5))), 1)
+
+
+def test_regularisation_takes_kernels_only():
+    params = {"E": {"kernel": jnp.array([1.0, -2.0]), "bias": jnp.array([9.0])}, "norm": {"scale": jnp.array([7.0])}}
+    np.testing.assert_allclose(losses.regularisation(params, 0.5, 0.0), 1.5)
+    np.testing.assert_allclose(losses.regularisation(params, 0.0, 0.1), 0.5)
