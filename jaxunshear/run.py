@@ -68,7 +68,8 @@ def _make_data(experiment: Experiment, data: Path) -> bool:
     from jaxunshear.dataset.making import make_sets
 
     there = all(
-        configs.set_folder(settings, experiment.sensor, data).exists() for settings in (experiment.paired, experiment.pose)
+        configs.set_folder(settings, experiment.sensor, data).exists()
+        for settings in (experiment.paired, experiment.pose)
     )
     for name, metadata in make_sets(experiment, data).items():
         counts = metadata["counts"]
@@ -136,5 +137,9 @@ def _tell(results: dict[str, Any]) -> None:
     from jaxunshear.evaluation.measurements import measurements
 
     for row in measurements(results)["rows"]:
-        bar = "" if row["bar"] is None else f"  (bar {row.get('sense', '')} {row['bar']}: {'met' if row['ok'] else 'MISSED'})"
+        bar = (
+            ""
+            if row["bar"] is None
+            else f"  (bar {row.get('sense', '')} {row['bar']}: {'met' if row['ok'] else 'MISSED'})"
+        )
         print(f"{row['name']:<40} {row['value']} {row['unit']}{bar}", file=sys.stdout)

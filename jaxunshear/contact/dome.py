@@ -17,7 +17,7 @@ from jaxunshear.scene.sensor import Sensor, pin_tips
 
 MESH_MM = 1.0
 RING_MM = 1.0  # lateral distance of the contact rings
-RINGS = 16  # they cover a lateral reach of 15 mm: the undeformed dome down to 6.8 mm
+RINGS = 17
 HARMONICS = 96
 
 
@@ -49,7 +49,14 @@ def compute_dome(sensor: Sensor, mesh_mm: float = MESH_MM, harmonics: int = HARM
 
 def dome(sensor: Sensor) -> Compliance:
     """`compute_dome`, from the cache where it is there and whole."""
-    settings = {**asdict(sensor), "mesh": MESH_MM, "ring": RING_MM, "rings": RINGS, "harmonics": HARMONICS, "version": 1}
+    settings = {
+        **asdict(sensor),
+        "mesh": MESH_MM,
+        "ring": RING_MM,
+        "rings": RINGS,
+        "harmonics": HARMONICS,
+        "version": 1,
+    }
     key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
     path = cache_folder() / f"dome-{sensor.name}-{key}.npz"
     try:
@@ -74,4 +81,6 @@ def _store(path: Path, made: Compliance) -> None:
         os.replace(part, path)
     except OSError as error:
         part.unlink(missing_ok=True)
-        raise UserError(f"cannot write the cache file {path}: {error.strerror}; set JAXUNSHEAR_CACHE to a folder with room") from error
+        raise UserError(
+            f"cannot write the cache file {path}: {error.strerror}; set JAXUNSHEAR_CACHE to a folder with room"
+        ) from error

@@ -117,7 +117,9 @@ def interpolation(mesh: Mesh, points: np.ndarray) -> sp.csr_matrix:
                 entries += list(shape_functions(local)[0][0])
                 break
         else:
-            raise UserError(f"pin at r = {point[0]:.2f} mm, z = {point[1]:.2f} mm lies outside the gel: check the sensor's pins")
+            raise UserError(
+                f"pin at r = {point[0]:.2f} mm, z = {point[1]:.2f} mm lies outside the gel: check the sensor's pins"
+            )
     return sp.csr_matrix((entries, (rows, columns)), shape=(len(points), len(mesh.nodes)))
 
 
@@ -160,7 +162,9 @@ def _load_coefficients(m: int, spread: np.ndarray, angle: np.ndarray) -> np.ndar
     return np.stack([x, y, np.stack([zero, zero, here], -1)], axis=1)
 
 
-def condense(mesh: Mesh, materials: np.ndarray, ring_radii: np.ndarray, pins: np.ndarray, harmonics: int, progress=None) -> Compliance:
+def condense(
+    mesh: Mesh, materials: np.ndarray, ring_radii: np.ndarray, pins: np.ndarray, harmonics: int, progress=None
+) -> Compliance:
     """Compliance of contact rings at lateral radii `ring_radii` (R + 1,) (the last only ends the last hat) and of pins (P, 3)."""
     rings = len(ring_radii) - 1
     count = np.array([1] + [6 * k for k in range(1, rings)])
@@ -192,14 +196,16 @@ def condense(mesh: Mesh, materials: np.ndarray, ring_radii: np.ndarray, pins: np
         to_pins = sp.kron(at_pins, sp.eye(3)) @ (free @ response)  # (3 places, 3R)
 
         shares = _load_coefficients(m, spread, angle)
-        node_map = np.zeros((rings, 3, n, 3), complex)  # ring unknowns per nodal force
-        node_map[ring_of, :, np.arange(n), :] = shares.transpose(0, 2, 1)
-        node_map = node_map.reshape(3 * rings, 3 * n)
+        by_ring = np.zeros((rings, 3, n, 3), complex)
+        by_ring[ring_of, :, np.arange(n), :] = shares.transpose(0, 2, 1)
+        node_map = by_ring.reshape(3 * rings, 3 * n)  # ring unknowns per nodal force
         weight = 2 * np.pi * (1 if m == 0 else 2)
         middle = between @ node_map
         w += weight * (node_map.real.T @ middle.real + node_map.imag.T @ middle.imag)
 
-        fields = (to_pins @ node_map).reshape(len(places), 3, 3 * n)[place_of] * np.exp(1j * m * pin_angle)[:, None, None]
+        fields = (to_pins @ node_map).reshape(len(places), 3, 3 * n)[place_of] * np.exp(1j * m * pin_angle)[
+            :, None, None
+        ]
         radial, around, up = fields[:, 0].real, (-1j * fields[:, 1]).real, fields[:, 2].real
         cos, sin = np.cos(pin_angle)[:, None], np.sin(pin_angle)[:, None]
         here = np.stack([cos * radial - sin * around, sin * radial + cos * around, up], axis=1)

@@ -114,7 +114,14 @@ def rest(system: System, pose: jax.Array) -> Skin:
 
 
 def follow_path(
-    system: System, obstacles: Obstacles, which: jax.Array, friction: jax.Array, path: jax.Array, skin: Skin, tolerance: float, limit: int
+    system: System,
+    obstacles: Obstacles,
+    which: jax.Array,
+    friction: jax.Array,
+    path: jax.Array,
+    skin: Skin,
+    tolerance: float,
+    limit: int,
 ) -> tuple[Skin, Quality]:
     """Move B skins along path (T, B, 4) of poses x, y (mm), yaw (rad), depth (mm) in the target frame.
 

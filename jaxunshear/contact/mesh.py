@@ -50,10 +50,12 @@ def shape_functions(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     """Hemisphere of `radius` under a skin, clamped at its base plane; z from the apex (z = 0) to the base (z = radius), mm."""
     inner = radius - skin
-    core = max(int(round(0.65 * inner / h)), 2)  # 2 x core elements along the arc
-    layers = max(int(round(0.5 * inner / h)), 2)
-    skin_layers = max(int(round(skin / h)), 1)
-    points, elements, block = _quarter_disk(0.5 * inner, core, np.linspace(0.5 * inner, inner, layers + 1)[1:], skin_layers, skin)
+    core = max(round(0.65 * inner / h), 2)  # 2 x core elements along the arc
+    layers = max(round(0.5 * inner / h), 2)
+    skin_layers = max(round(skin / h), 1)
+    points, elements, block = _quarter_disk(
+        0.5 * inner, core, np.linspace(0.5 * inner, inner, layers + 1)[1:], skin_layers, skin
+    )
     nodes = np.stack([points[:, 0], radius - points[:, 1]], -1)
     skin_elements = block >= layers
     on_arc = np.abs(np.hypot(*points.T) - radius) < 1e-6 * radius
@@ -64,7 +66,7 @@ def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
 
 def half_space_mesh(contact: float, h: float, growth: float = 1.25, reach: float = 60.0) -> Mesh:
     """A half ball of radius `reach` x `contact` in z >= 0, flat face at z = 0, fine within `contact`, clamped far away."""
-    core = max(int(round(contact / h)), 2)
+    core = max(round(contact / h), 2)
     radii, step = [contact * 1.0], h
     while radii[-1] < reach * contact:
         step *= growth
@@ -72,7 +74,9 @@ def half_space_mesh(contact: float, h: float, growth: float = 1.25, reach: float
     points, elements, _ = _quarter_disk(contact, core, np.array(radii[1:]), 0, 0.0)
     on_face = points[:, 1] < 1e-9
     clamped = np.flatnonzero(np.abs(np.hypot(*points.T) - radii[-1]) < 1e-6 * radii[-1])
-    return Mesh(points, elements, np.zeros(len(elements), bool), clamped, _surface_edges(elements, on_face, key=points[:, 0]))
+    return Mesh(
+        points, elements, np.zeros(len(elements), bool), clamped, _surface_edges(elements, on_face, key=points[:, 0])
+    )
 
 
 def _quarter_disk(core_mm: float, core: int, radii: np.ndarray, skin_layers: int, skin: float):

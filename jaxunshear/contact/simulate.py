@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.contact.dome import RING_MM, RINGS, deepest_mm, dome, reach_mm
-from jaxunshear.contact.friction import Quality, Skin, System, RHO, contact_state, follow_path, rest
+from jaxunshear.contact.friction import RHO, System, contact_state, follow_path, rest
 from jaxunshear.contact.obstacle import Obstacles, sample
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
@@ -38,7 +38,7 @@ LEVELS = {
     "default": Level(press=2, slide=8, tolerance=0.2, limit=300),
     "reference": Level(press=4, slide=16, tolerance=0.02, limit=4000),
 }
-RING_COUNTS = (8, 10, 12, 14, RINGS)  # a batch uses the first that covers its deepest scene
+RING_COUNTS = (8, 10, 12, 14, 16, RINGS)  # a batch uses the first that covers its deepest scene
 
 
 class Contacts(NamedTuple):
@@ -83,7 +83,10 @@ def check(sensor: Sensor, scenes: Scenes) -> None:
     deepest = deepest_mm(sensor)
     deep = np.flatnonzero(scenes.pose[:, 3] > deepest)
     if len(deep):
-        raise UserError(f"scene {deep[0]}: depth {scenes.pose[deep[0], 3]:.3g} mm cannot be reached; the contact model covers {deepest:.1f} mm")
+        depth = scenes.pose[deep[0], 3]
+        raise UserError(
+            f"scene {deep[0]}: depth {depth:.3g} mm cannot be reached; the contact model covers {deepest:.1f} mm"
+        )
 
 
 @lru_cache(maxsize=8)
@@ -161,8 +164,12 @@ def _solve_batch(sensor: Sensor, obstacles: Obstacles, scenes: Scenes, level: Le
     pins = np.asarray(dome(sensor).pins + np.asarray(moved), np.float32)
     residual, goal = np.asarray(quality.residual_mm), np.asarray(quality.tolerance_mm)
     converged = (residual <= goal) & np.isfinite(pins).all(axis=(1, 2))
-    fields = (pins, residual, converged, np.asarray(quality.iterations), *map(np.asarray, states), np.asarray(force) * newtons)
+    fields = (
+        pins,
+        residual,
+        converged,
+        np.asarray(quality.iterations),
+        *map(np.asarray, states),
+        np.asarray(force) * newtons,
+    )
     return Contacts(*(field[:count] for field in fields))
-
-
-__all__ = ["BATCH", "LEVELS", "Contacts", "Level", "Quality", "Skin", "check", "plan", "simulate"]

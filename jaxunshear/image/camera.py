@@ -105,7 +105,7 @@ def _pins(camera: Camera, sensor: Sensor, nuisance: Nuisance, tips: Array, shift
     short = long * jnp.clip(cosine, 0.7, 1.0)  # beyond it two dots would show as two
     steep = _steepness(nuisance, short)
     across = jnp.stack([-tips[:, 1], tips[:, 0]], -1) / (jnp.linalg.norm(tips[:, :2], axis=-1, keepdims=True) + 1e-6)
-    apart = across * jnp.sqrt((long**2 - short**2) / (2 * steep))[:, None]
+    apart = across * jnp.sqrt(jnp.maximum(long**2 - short**2, 0.0) / (2 * steep))[:, None]
     weight = 0.5 * long / short  # two share a pin; the factor keeps the height of the wider sum
     return _Dots(jnp.concatenate([centre - apart, centre + apart]), jnp.tile(short, 2), jnp.tile(weight, 2))
 

@@ -32,29 +32,35 @@ def inside(height: int, width: int) -> np.ndarray:
 def norm_relu(x: Array, scale: Array, bias: Array, bordered: bool) -> tuple[Array, Array, Array]:
     """ReLU(batch norm(x)) and the batch's mean and variance (C,) that it used.
 
-    x (B, H, W, C), or bordered blocks (B, H, W, 4 C): only pixels inside count, the others come out as zero. The
-    gradient runs through the first output; mean and variance are for the running statistics.
+    x (B, H, W, C), or bordered blocks (B, H, W, 4 C): only pixels inside count, the others come out as zero. The gradient
+    runs through the first output; mean and variance are for the running statistics.
     """
     return _norm_relu(x, scale, bias, bordered)[0]
 
 
+# Below, all large arrays are (pixels, channels): XLA then computes each of them once, not once for every shape it is used in.
+
+
 def _norm_relu(x, scale, bias, bordered):
-    mean = _sums(x, bordered) / _count(x, bordered)
-    centred = x - _wide(mean, bordered)
-    variance = _sums(centred * centred, bordered) / _count(x, bordered)
-    inverse = jax.lax.rsqrt(variance + EPSILON)
+    rows, inner, count = _rows(x, bordered)
+    mean = _masked_sum(rows, inner, x.shape, bordered) / count
+    centred = _where(inner, rows - _wide(mean, bordered))
+    variance = _fold(_column_sums(centred * centred), bordered) / count
     y = affine_relu(x, scale, bias, mean, variance, bordered)
-    return (y, mean, variance), (x, y, scale, mean, inverse)
+    return (y, mean, variance), (x, scale, bias, mean, variance)
 
 
 def _norm_relu_backward(bordered, saved, cotangents):
-    x, y, scale, mean, inverse = saved
-    dy = jnp.where(y > 0, cotangents[0], 0)  # y is zero outside, so this masks as well
-    normal = (x - _wide(mean, bordered)) * _wide(inverse, bordered)
-    n = _count(x, bordered)
-    d_bias, d_scale = _sums(dy, bordered), _sums(dy * normal, bordered)
-    dx = dy - _wide(d_bias / n, bordered) - normal * _wide(d_scale / n, bordered)
-    return _masked(dx * _wide(scale * inverse, bordered), bordered), d_scale, d_bias
+    x, scale, bias, mean, variance = saved
+    rows, inner, count = _rows(x, bordered)
+    inverse = jax.lax.rsqrt(variance + EPSILON)
+    normal = (rows - _wide(mean, bordered)) * _wide(inverse, bordered)
+    active = rows * _wide(scale * inverse, bordered) + _wide(bias - mean * scale * inverse, bordered) > 0
+    dy = jnp.where(active if inner is None else active & inner, cotangents[0].reshape(rows.shape), 0)
+    d_bias = _fold(_column_sums(dy), bordered)
+    d_scale = _fold(_column_sums(dy * normal), bordered)
+    dx = dy - _where(inner, _wide(d_bias / count, bordered) + normal * _wide(d_scale / count, bordered))
+    return (dx * _wide(scale * inverse, bordered)).reshape(x.shape), d_scale, d_bias
 
 
 norm_relu.defvjp(_norm_relu, _norm_relu_backward)
@@ -62,38 +68,44 @@ norm_relu.defvjp(_norm_relu, _norm_relu_backward)
 
 def affine_relu(x: Array, scale: Array, bias: Array, mean: Array, variance: Array, bordered: bool) -> Array:
     """ReLU(batch norm) with given statistics (C,), zero outside the image."""
+    rows, inner, _ = _rows(x, bordered)
     factor = scale * jax.lax.rsqrt(variance + EPSILON)
-    y = x * _wide(factor, bordered) + _wide(bias - mean * factor, bordered)
-    return _masked(jax.nn.relu(y), bordered)
+    y = rows * _wide(factor, bordered) + _wide(bias - mean * factor, bordered)
+    return _where(inner, jax.nn.relu(y)).reshape(x.shape)
+
+
+def _rows(x: Array, bordered: bool) -> tuple[Array, Array | None, int]:
+    """x as (pixels, channels), which of its numbers lie inside (None: all), and how many pixels do."""
+    b, h, w, c = x.shape
+    rows = x.reshape(-1, c)
+    if not bordered:
+        return rows, None, b * h * w
+    # one bit for each of a block's four pixels: a mask as wide as x would cost as much as reading x
+    bits = np.tile((inside(h, w).reshape(-1, 4) @ (1, 2, 4, 8)).astype(np.int32), b)
+    bit = np.repeat(np.array([1, 2, 4, 8], np.int32), c // 4)
+    return rows, (jnp.asarray(bits)[:, None] & jnp.asarray(bit)[None]) != 0, b * 4 * (h - 1) * (w - 1)
+
+
+def _where(inner: Array | None, rows: Array) -> Array:
+    return rows if inner is None else jnp.where(inner, rows, 0)
 
 
 def _wide(channels: Array, bordered: bool) -> Array:
-    """(C,) -> shape that multiplies (B, H, W, C) or (B, H, W, 4 C)."""
-    return (jnp.tile(channels, 4) if bordered else channels)[None, None, None]
+    """(C,) -> (1, C), or (1, 4 C) for blocks."""
+    return (jnp.tile(channels, 4) if bordered else channels)[None]
 
 
-def _masked(x: Array, bordered: bool) -> Array:
-    if not bordered:
-        return x
-    _, h, w, c = x.shape
-    mask = np.repeat(inside(h, w), c // 4, axis=-1)
-    return jnp.where(jnp.asarray(mask[None] > 0), x, 0)
+def _fold(columns: Array, bordered: bool) -> Array:
+    """Sums of the columns of blocks (4 C,) -> of channels (C,)."""
+    return jnp.sum(columns.reshape(4, -1), 0) if bordered else columns
 
 
-def _count(x: Array, bordered: bool) -> int:
-    b, h, w, _ = x.shape
-    return b * (2 * (h - 1) * 2 * (w - 1) if bordered else h * w)
+def _column_sums(rows: Array) -> Array:
+    return (jnp.ones((1, rows.shape[0]), rows.dtype) @ rows)[0]
 
 
-def _sums(x: Array, bordered: bool) -> Array:
-    """Sums over images and the pixels inside: (B, H, W, C) or bordered (B, H, W, 4 C) -> (C,)."""
-    b, h, w, c = x.shape
-    pixels = x.reshape(-1, c)
-    if not bordered:
-        return (jnp.ones((1, pixels.shape[0]), x.dtype) @ pixels)[0]
-    mask = jnp.tile(jnp.asarray(inside(h, w).reshape(-1, 4).T, x.dtype), (1, b))
-    products = (mask @ pixels).reshape(4, 4, c // 4)  # of each mask with each phase; those of equal phase count
-    return jnp.einsum("ppc->c", products)
+def _masked_sum(rows: Array, inner: Array | None, shape: tuple[int, ...], bordered: bool) -> Array:
+    return _fold(_column_sums(_where(inner, rows)), bordered)
 
 
 class NormRelu(nn.Module):

@@ -30,7 +30,9 @@ class Scenes:
         return Scenes(*(field[index] for field in (self.stimulus, self.pose, self.move, self.friction)))
 
 
-def draw_poses(generator: np.random.Generator, count: int, lateral_mm: float, yaw_deg: float, depth_mm: tuple[float, float]):
+def draw_poses(
+    generator: np.random.Generator, count: int, lateral_mm: float, yaw_deg: float, depth_mm: tuple[float, float]
+):
     """Uniform poses (count, 4) as in section 3.2 of the paper."""
     if count < 1:
         raise UserError(f"poses = {count}: draw at least one")

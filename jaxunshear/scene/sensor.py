@@ -71,7 +71,9 @@ def pin_tips(sensor: Sensor) -> np.ndarray:
     arc = np.linalg.norm(flat, axis=-1)
     reach = sensor.dome_radius_mm * np.pi / 2
     if arc.max() >= reach:
-        raise UserError(f"sensor '{sensor.name}': rings x pin_spacing_mm = {arc.max():g} mm goes past the dome's rim at {reach:.1f} mm")
+        raise UserError(
+            f"sensor '{sensor.name}': rings x pin_spacing_mm = {arc.max():g} mm goes past the dome's rim at {reach:.1f} mm"
+        )
     angle = arc / sensor.dome_radius_mm
     direction = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)
     radius = sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm

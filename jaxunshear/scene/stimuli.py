@@ -170,8 +170,12 @@ STIMULI = {
         Stimulus("teardrop", teardrop(30.0, 1.0, 45.0), (46.0, 0.0, 0.0), 46.0),
         Stimulus("flower", polygon(_polar(lambda a: 38 + 7 * np.cos(5 * a), 360)), (45.0, 0.0, 0.0), 45.0),
         Stimulus("leaf", leaf(55.0, 32.0, 1.0), (0.0, 24.0, 90.0), 46.0),
-        Stimulus("spiral_1", stroke(_SPIRAL_1, 5.0), _stroke_target(_SPIRAL_1, 120, 5.0), 54.0, ACRYLIC_FRICTION, "acrylic"),
-        Stimulus("spiral_2", stroke(_SPIRAL_2, 8.0), _stroke_target(_SPIRAL_2, 80, 8.0), 60.0, ACRYLIC_FRICTION, "acrylic"),
+        Stimulus(
+            "spiral_1", stroke(_SPIRAL_1, 5.0), _stroke_target(_SPIRAL_1, 120, 5.0), 54.0, ACRYLIC_FRICTION, "acrylic"
+        ),
+        Stimulus(
+            "spiral_2", stroke(_SPIRAL_2, 8.0), _stroke_target(_SPIRAL_2, 80, 8.0), 60.0, ACRYLIC_FRICTION, "acrylic"
+        ),
     )
 }
 TRAINING = ("disk", "clover", "teardrop")

@@ -16,7 +16,9 @@ def follow(system, path, friction, tolerance=1e-3):
     path = jnp.asarray(path, jnp.float32)
     count = path.shape[1]
     friction = jnp.full(count, friction, jnp.float32)
-    skin, quality = follow_path(system, FLAT, jnp.zeros(count, jnp.int32), friction, path[1:], rest(system, path[0]), tolerance, 4000)
+    skin, quality = follow_path(
+        system, FLAT, jnp.zeros(count, jnp.int32), friction, path[1:], rest(system, path[0]), tolerance, 4000
+    )
     assert np.all(quality.residual_mm <= quality.tolerance_mm)
     return skin, quality
 
@@ -73,7 +75,9 @@ def test_a_cycle_dissipates(half_space):
     system = half_space.system(SPHERE_MM)
     reach = 0.8 * slip_distance(half_space)
     forward = np.linspace(0, 1, 7)[1:]
-    along = reach * np.concatenate([[0.0], forward, 1 - 2 * forward, -1 + forward, forward, 1 - 2 * forward, -1 + 2 * forward])
+    along = reach * np.concatenate(
+        [[0.0], forward, 1 - 2 * forward, -1 + forward, forward, 1 - 2 * forward, -1 + 2 * forward]
+    )
     work = {}
     for friction in (0.0, FRICTION):
         position = np.zeros((1, 4))
@@ -92,7 +96,12 @@ def test_a_cycle_dissipates(half_space):
     load = float(skin.force[0, :, 2].sum())
     x = float(pulls[-1] / (FRICTION * load))  # Mindlin and Deresiewicz 1953
     stiffness = half_space.shear_modulus / (2 - half_space.poisson) * half_space.scale
-    expected = 9 * (FRICTION * load) ** 2 / (10 * RADIUS_MM * stiffness) * (1 - (1 - x) ** (5 / 3) - 5 * x / 6 * (1 + (1 - x) ** (2 / 3)))
+    expected = (
+        9
+        * (FRICTION * load) ** 2
+        / (10 * RADIUS_MM * stiffness)
+        * (1 - (1 - x) ** (5 / 3) - 5 * x / 6 * (1 + (1 - x) ** (2 / 3)))
+    )
     assert work[FRICTION] == pytest.approx(expected, rel=0.06)  # 4 % here: trapezia over steps of a sixth of the stroke
 
 

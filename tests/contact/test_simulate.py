@@ -109,7 +109,12 @@ def test_leaving_out_of_reach_nodes_changes_nothing(monkeypatch):
 
 @pytest.mark.parametrize(
     ("field", "value", "message"),
-    [("pose", np.nan, "pose"), ("move", np.inf, "move"), ("friction", -0.1, "friction"), ("depth", 99.0, "cannot be reached")],
+    [
+        ("pose", np.nan, "pose"),
+        ("move", np.inf, "move"),
+        ("friction", -0.1, "friction"),
+        ("depth", 99.0, "cannot be reached"),
+    ],
 )
 def test_bad_scenes_are_refused_by_name(field, value, message):
     bad = one(2.0)

@@ -44,7 +44,9 @@ def test_jit_and_vmap_agree_with_the_plain_call():
     points = jax.random.uniform(jax.random.key(1), (7, 2), minval=-9, maxval=9)
     for stimulus in STIMULI.values():
         plain = signed_distance(stimulus, points)
-        np.testing.assert_allclose(jax.jit(jax.vmap(lambda p, s=stimulus: signed_distance(s, p)))(points), plain, atol=1e-4)
+        np.testing.assert_allclose(
+            jax.jit(jax.vmap(lambda p, s=stimulus: signed_distance(s, p)))(points), plain, atol=1e-4
+        )
 
 
 def test_names():
