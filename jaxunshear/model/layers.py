@@ -1,7 +1,7 @@
 """The layers of both networks: convolution + batch normalisation + ReLU, over plain or blocked arrays (see conv.py).
 
-Batch normalisation is written out, with its own gradient: sums over pixels as matrix products with the mask of pixels
-(column sums are slow in XLA's CPU backend), the variance as the mean squared deviation (never negative), in float32 or
+Batch normalisation is written out, with its own gradient: sums over pixels as matrix products with ones (column
+sums are slow in XLA's CPU backend), the variance as the mean squared deviation (never negative), in float32 or
 wider, and scale, shift, ReLU and mask in one pass.
 """
 
@@ -38,12 +38,13 @@ def norm_relu(x: Array, scale: Array, bias: Array, bordered: bool) -> tuple[Arra
     return _norm_relu(x, scale, bias, bordered)[0]
 
 
-# Below, all large arrays are (pixels, channels): XLA then computes each of them once, not once for every shape it is used in.
+# Below, all large arrays are (pixels, channels), the shape of the matrix products, and ReLU's mask is computed again from x
+# instead of being kept: passes over memory are what this layer costs.
 
 
 def _norm_relu(x, scale, bias, bordered):
     rows, inner, count = _rows(x, bordered)
-    mean = _masked_sum(rows, inner, x.shape, bordered) / count
+    mean = _fold(_column_sums(_where(inner, rows)), bordered) / count
     centred = _where(inner, rows - _wide(mean, bordered))
     variance = _fold(_column_sums(centred * centred), bordered) / count
     y = affine_relu(x, scale, bias, mean, variance, bordered)
@@ -101,11 +102,8 @@ def _fold(columns: Array, bordered: bool) -> Array:
 
 
 def _column_sums(rows: Array) -> Array:
-    return (jnp.ones((1, rows.shape[0]), rows.dtype) @ rows)[0]
-
-
-def _masked_sum(rows: Array, inner: Array | None, shape: tuple[int, ...], bordered: bool) -> Array:
-    return _fold(_column_sums(_where(inner, rows)), bordered)
+    """In full precision also where products are rounded by default (GPU)."""
+    return jnp.matmul(jnp.ones((1, rows.shape[0]), rows.dtype), rows, precision="highest")[0]
 
 
 class NormRelu(nn.Module):

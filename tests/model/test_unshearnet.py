@@ -15,7 +15,7 @@ ENTANGLED = UnshearNet(size=32, widths=(6, 8, 8), disentangled=False)
 
 @pytest.fixture(scope="module")
 def variables():
-    return unshearnet.init(NET, jax.random.key(0))
+    return jax.jit(lambda key: unshearnet.init(NET, key))(jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +67,7 @@ def test_canonical_image_has_exactly_no_gradient_toward_the_shear_code(variables
         return jnp.sum(unshearnet.decode_canonical(NET, variables | {"params": params}, z_p, train) ** 2)
 
     for train in (False, True):
-        gradient = jax.grad(canonical)(variables["params"], train)
+        gradient = jax.jit(jax.grad(canonical), static_argnums=1)(variables["params"], train)
         for module in ("shear", "DS"):
             assert all(np.all(leaf == 0) for leaf in jax.tree.leaves(gradient[module]))
         for module in ("E", "pose", "DC"):
