@@ -9,10 +9,15 @@ much on the unsheared images as on the sheared ones.
 
 from jaxunshear.dataset.configs import PAIRED, POSE
 from jaxunshear.experiment import Experiment
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training.settings import Training
 
 experiment = Experiment(
     name="demo",
     claim="Minutes of training on simulated pairs take most of the slide out of a tactile image.",
     paired=PAIRED["demo"],
     pose=POSE["demo"],
+    unshear=UnshearNet(widths=(16, 32, 64, 128, 256)),
+    train=Training(epochs=6, batch=8, learning_rate=3e-3, validate_every=200),
+    train_posenet=Training(epochs=20, batch=16, learning_rate=1e-3, validate_every=300),
 )

@@ -15,6 +15,6 @@ experiment = Experiment(
     claim="An evening's training brings the unsheared image closer to the tap than the demo's minutes do.",
     paired=PAIRED["standard"],
     pose=POSE["standard"],
-    train=Training(epochs=20, validate_every=500),
+    train=Training(epochs=20, batch=8, learning_rate=2e-3, validate_every=1000),
     train_posenet=Training(epochs=20, batch=64, validate_every=200),
 )

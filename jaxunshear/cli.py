@@ -77,7 +77,6 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         raise UserError(f"{message}; see `{self.prog} --help`")
 
-
     def format_help(self) -> str:
         if not self.takes_fields:
             return super().format_help()
@@ -167,8 +166,10 @@ def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> N
     stages = STAGES[arguments.command]
     if getattr(arguments, "network", None):
         stages = (arguments.network,)
+    from jaxunshear.memory import keep_freed_memory
     from jaxunshear.run import run_stages
 
+    keep_freed_memory()
     results = run_stages(experiment, stages, out=arguments.out, data=arguments.data, command=command)
     if getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import measurements
@@ -195,7 +196,9 @@ def _report(run: Path) -> None:
 
 def _infer(arguments: argparse.Namespace) -> None:
     from jaxunshear import infer
+    from jaxunshear.memory import keep_freed_memory
 
+    keep_freed_memory()
     if arguments.command == "unshear":
         measured = infer.unshear_recordings(arguments.path, arguments.model, arguments.out)
     else:

@@ -108,7 +108,9 @@ def load_settings(model: Path) -> Experiment:
     """The experiment that the folder of a run was made with. Raises `UserError`."""
     file = model / "experiment.json"
     if not file.is_file():
-        raise UserError(f"--model {model} holds no experiment.json: name the folder of a finished run, such as runs/demo")
+        raise UserError(
+            f"--model {model} holds no experiment.json: name the folder of a finished run, such as runs/demo"
+        )
     return from_json(read_json(file), str(file))
 
 
@@ -240,7 +242,15 @@ def _tell(notes: list[str], log: Log) -> None:
 
 
 def _row(name: str, value: float, unit: str) -> dict[str, Any]:
-    return {"name": name, "value": value, "unit": unit, "bar": None, "sense": None, "ok": None, "metric": name.split(".")[-1]}
+    return {
+        "name": name,
+        "value": value,
+        "unit": unit,
+        "bar": None,
+        "sense": None,
+        "ok": None,
+        "metric": name.split(".")[-1],
+    }
 
 
 def _measured(rows: list[dict[str, Any]]) -> dict[str, Any]:

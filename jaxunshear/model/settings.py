@@ -8,13 +8,15 @@ class UnshearNet:
     """Entangled or Disentangled UnshearNet (paper section 3.3, appendix A).
 
     The paper's figures with kernels and widths are missing from its text: 4x4 kernels and these widths are our choice.
-    Each width is one stride-2 convolution, so size / 2**len(widths) is the side of the codes (8 in the paper).
+    Each width is one stride-2 convolution, so size / 2**len(widths) is the side of the codes: 8 at the paper's 256 px. At
+    128 px five layers (codes of side 4) learn twice as fast as four: what a slide did must be judged from afar, as pins
+    move by more than their spacing (docs/model.md).
     """
 
     size: int = 128
-    widths: tuple[int, ...] = (32, 64, 64, 64)
-    pose_channels: int = 64  # of z_p
-    shear_channels: int = 64  # of z_s; 0 builds no shear code and no DS
+    widths: tuple[int, ...] = (32, 64, 64, 128, 256)
+    pose_channels: int = 128  # of z_p
+    shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
     disentangled: bool = True
 
 

@@ -28,7 +28,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, settings, unshearnet
 from jaxunshear.progress import Progress
 from jaxunshear.training import checkpoint, losses
-from jaxunshear.training.memory import keep_freed_memory
+from jaxunshear.memory import keep_freed_memory
 from jaxunshear.training.settings import Training
 
 Batch = dict[str, Any]
