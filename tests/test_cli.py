@@ -68,7 +68,10 @@ BAD_FIELDS = [
     ("--paired.preprocess.size 512", "larger than the camera's frame"),
     ("--paired.preprocess.size 0", "at least 16 px"),
     ("--paired.preprocess.block 0", "--paired.preprocess.block"),
-    ("--paired.preprocess.size 72 --unshear.size 72 --pose.preprocess.size 72 --posenet.size 72", "not divisible by 16"),
+    (
+        "--paired.preprocess.size 72 --unshear.size 72 --pose.preprocess.size 72 --posenet.size 72",
+        "not divisible by 16",
+    ),
     ("--unshear.widths 8,0", "two positive numbers"),
     ("--unshear.widths 8", "two positive numbers"),
     ("--unshear.disentangled false", "train --network"),
@@ -230,7 +233,9 @@ def test_a_bug_keeps_its_traceback(monkeypatch, command):
 def test_commands_become_stages(monkeypatch, command, tmp_path, words, stages):
     calls = []
     monkeypatch.setitem(sys.modules, "jaxunshear.run", type(sys)("jaxunshear.run"))
-    monkeypatch.setattr(sys.modules["jaxunshear.run"], "run_stages", lambda *a, **k: calls.append((a, k)), raising=False)
+    monkeypatch.setattr(
+        sys.modules["jaxunshear.run"], "run_stages", lambda *a, **k: calls.append((a, k)), raising=False
+    )
     answer = command(words[0], DEMO, *words[1:], "--out", tmp_path, "--train.epochs", "2", "--data=sets")
     assert (answer.code, answer.err) == (0, "")
     ((experiment, asked), named) = calls[0]
@@ -250,7 +255,9 @@ def test_lists_and_drawings(command, tmp_path):
         assert np.asarray(Image.open(path).convert("L")).std() > 10
 
 
-@pytest.mark.parametrize("words", [["--help"], ["run", "--help"], ["unshear", "--help"], ["run", "x", "--train.epoch", "5"], ["unshear"]])
+@pytest.mark.parametrize(
+    "words", [["--help"], ["run", "--help"], ["unshear", "--help"], ["run", "x", "--train.epoch", "5"], ["unshear"]]
+)
 def test_help_and_refusals_take_half_a_second_and_no_jax(words):
     probe = (
         "import sys\n"

@@ -22,7 +22,16 @@ def changed(*argv: str) -> Experiment:
 def test_each_kind_of_value_is_overridden_by_name():
     experiment = changed(
         *("--seed", "7", "--train.epochs=2.5", "--train.drops", "40:0.2,80:.1", "--unshear.widths", "8, 16,32"),
-        *("--paired.stimuli", "disk", "--paired.nuisance.housing_ring", "false", "--claim", "a b", "--sensor", "tactip127"),
+        *(
+            "--paired.stimuli",
+            "disk",
+            "--paired.nuisance.housing_ring",
+            "false",
+            "--claim",
+            "a b",
+            "--sensor",
+            "tactip127",
+        ),
     )
     assert experiment.seed == 7
     assert experiment.train == Training(epochs=2.5, drops=((40.0, 0.2), (80.0, 0.1)))
@@ -79,7 +88,9 @@ def test_json_keeps_everything():
     assert from_json(json.loads(json.dumps(to_json(experiment)))) == experiment
 
 
-@pytest.mark.parametrize("damage", [lambda d: d.pop("train"), lambda d: d.update(more=1), lambda d: d["train"].update(batch="x")])
+@pytest.mark.parametrize(
+    "damage", [lambda d: d.pop("train"), lambda d: d.update(more=1), lambda d: d["train"].update(batch="x")]
+)
 def test_json_of_another_version_is_refused(damage):
     data = to_json(PLAIN)
     damage(data)
@@ -128,7 +139,10 @@ def test_train_share_of_the_limits_is_that_of_the_split():
         ("import jaxunshear\nexperiment = (", "syntax error in line 2"),
         ("\n1 / 0", "fails in line 2: ZeroDivisionError"),
         ("import sys; sys.exit(3)", "SystemExit"),
-        ("from jaxunshear.experiment import Experiment\nexperiment = Experiment(nam='x')", "unexpected keyword argument 'nam'"),
+        (
+            "from jaxunshear.experiment import Experiment\nexperiment = Experiment(nam='x')",
+            "unexpected keyword argument 'nam'",
+        ),
         ("from jaxunshear.experiment import Experiment\nexperiment = Experiment(name='x')", "missing 1 required"),
         ("setup = 1", "defines no variable `experiment`"),
         ("experiment = {'name': 'x'}", "of type dict, not Experiment"),
@@ -147,6 +161,10 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path, text, line):
 
 def test_a_binary_file_a_folder_and_a_missing_file(tmp_path):
     (tmp_path / "image.png").write_bytes(b"\x89PNG\r\n\xff")
-    for path, line in ((tmp_path / "image.png", "not text"), (tmp_path, "is a folder"), (tmp_path / "no.py", "does not exist")):
+    for path, line in (
+        (tmp_path / "image.png", "not text"),
+        (tmp_path, "is a folder"),
+        (tmp_path / "no.py", "does not exist"),
+    ):
         with pytest.raises(UserError, match=line):
             load_experiment(path)

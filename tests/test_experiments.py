@@ -34,7 +34,12 @@ def test_paper_is_appendix_b():
         assert (training.l1, training.l2, training.averaging) == (1e-3, 1e-3, 0.0)
         assert 0.01 <= training.shift <= 0.02
     assert (paper.train.patch_weight, paper.train.crops, paper.train.crop_px) == (0.1, 100, 20)
-    assert (paper.paired.poses, paper.paired.taps, paper.paired.slides, paper.paired.tap_depth_jitter_mm) == (200, 50, 150, 1.0)
+    assert (paper.paired.poses, paper.paired.taps, paper.paired.slides, paper.paired.tap_depth_jitter_mm) == (
+        200,
+        50,
+        150,
+        1.0,
+    )
     assert paper.pose.poses * len(paper.pose.stimuli) == 30_000
     assert paper.paired.preprocess.size == paper.pose.preprocess.size == paper.unshear.size == paper.posenet.size == 256
     assert len(paper.unshear.widths) == 5

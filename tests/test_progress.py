@@ -56,6 +56,8 @@ def test_an_interrupted_line_is_ended():
     assert stream.getvalue().endswith("\n")
 
 
-@pytest.mark.parametrize(("seconds", "text"), [(0.4, "0 s"), (59.6, "1 min 00 s"), (125, "2 min 05 s"), (11430, "3 h 10 min")])
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.4, "0 s"), (59.6, "1 min 00 s"), (125, "2 min 05 s"), (11430, "3 h 10 min")]
+)
 def test_duration(seconds, text):
     assert duration(seconds) == text

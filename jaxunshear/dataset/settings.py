@@ -39,7 +39,7 @@ class PoseData:
 
     config: str = "demo"
     stimuli: tuple[str, ...] = ("disk", "clover", "teardrop")
-    poses: int = 1600  # per stimulus
+    poses: int = 3000  # per stimulus
     seed: int = 1
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)

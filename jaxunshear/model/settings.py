@@ -25,5 +25,5 @@ class PoseNet:
     """Five convolutions, max pooling after the 2nd and 4th, two dense layers, sigmoid output (paper appendix A)."""
 
     size: int = 128
-    widths: tuple[int, ...] = (16, 32, 32, 64, 64)
+    widths: tuple[int, ...] = (16, 32, 64, 96, 128)
     hidden: int = 128

@@ -25,10 +25,10 @@ from jax import Array
 from jaxunshear import storage
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
+from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, settings, unshearnet
 from jaxunshear.progress import Progress
 from jaxunshear.training import checkpoint, losses
-from jaxunshear.memory import keep_freed_memory
 from jaxunshear.training.settings import Training
 
 Batch = dict[str, Any]
