@@ -22,7 +22,7 @@ class PairedData:
 
     config: str = "demo"  # name of the stored configuration; changed fields get a name of their own
     stimuli: tuple[str, ...] = ("disk", "clover", "teardrop")
-    poses: int = 800  # per stimulus
+    poses: int = 600  # per stimulus
     taps: int = 1
     slides: int = 2
     tap_depth_jitter_mm: float = 0.0  # the paper: 1.0
@@ -39,7 +39,7 @@ class PoseData:
 
     config: str = "demo"
     stimuli: tuple[str, ...] = ("disk", "clover", "teardrop")
-    poses: int = 3000  # per stimulus
+    poses: int = 2400  # per stimulus
     seed: int = 1
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
