@@ -19,6 +19,13 @@ from jaxunshear.model import conv, settings
 from jaxunshear.model.layers import INIT, Down, First, Same
 
 OUTPUTS = ("x", "yaw", "edge", "cos", "sin")
+WEIGHTS = (
+    1.0,
+    1.0,
+    4.0,
+    1.0,
+    1.0,
+)  # in the loss: edge distance has the widest scale, and would drown in the ambiguous yaw
 
 Variables = dict[str, Any]
 

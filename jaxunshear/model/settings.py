@@ -9,8 +9,8 @@ class UnshearNet:
 
     The paper's figures with kernels and widths are missing from its text: 4x4 kernels and these widths are our choice.
     Each width is one stride-2 convolution, so size / 2**len(widths) is the side of the codes: 8 at the paper's 256 px. At
-    128 px five layers (codes of side 4) learn twice as fast as four: what a slide did must be judged from afar, as pins
-    move by more than their spacing (docs/model.md).
+    128 px five layers (codes of side 4) learn faster than four: what a slide did must be judged from afar, as pins move by
+    more than their spacing.
     """
 
     size: int = 128

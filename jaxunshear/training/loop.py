@@ -141,7 +141,8 @@ def train_posenet(
 
     def terms(variables, batch, key):
         outputs, batch_stats = posenet.predict_training(net, variables, _unit(batch["image"]))
-        return {"pose": losses.pose(outputs, posenet.pose_targets(batch["pose"], batch["edge"], ranges))}, batch_stats
+        targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
+        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)}, batch_stats
 
     def validate(variables, batch):
         outputs = posenet.predict(net, variables, _unit(batch["image"]))
@@ -149,7 +150,7 @@ def train_posenet(
         got, true = posenet.pose_from_outputs(outputs, ranges), posenet.pose_from_outputs(targets, ranges)
         turn = {"edge_deg": 360.0}
         errors = {name: jnp.abs(_wrapped(got[name] - true[name], turn.get(name))) for name in got}
-        return {"pose": losses.pose(outputs, targets)} | errors
+        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)} | errors
 
     _checked(posenet.check, net)
     task = _Task("posenet", lambda key: posenet.init(net, key), terms, {"pose": 1.0}, validate, "pose")

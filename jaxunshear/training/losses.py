@@ -45,9 +45,9 @@ def random_corners(key: Array, images: int, crops: int, size: int, side: int) ->
     return jax.random.randint(key, (images, crops, 2), 0, size - side + 1)
 
 
-def pose(outputs: Array, targets: Array) -> Array:
-    """PoseNet's L2 loss: mean squared difference of outputs (B, 5) and targets -> (B,)."""
-    return jnp.mean((outputs - targets) ** 2, -1)
+def pose(outputs: Array, targets: Array, weights: tuple[float, ...]) -> Array:
+    """PoseNet's L2 loss: weighted mean squared difference of outputs (B, 5) and targets -> (B,)."""
+    return jnp.mean(jnp.asarray(weights, outputs.dtype) * (outputs - targets) ** 2, -1)
 
 
 def regularisation(params: Any, l1: float, l2: float) -> Array:

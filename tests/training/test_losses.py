@@ -44,7 +44,7 @@ def test_squared_losses(pair):
     np.testing.assert_allclose(losses.supervised(a, b), expected, rtol=1e-5)
     np.testing.assert_allclose(losses.reconstruction(a, b), expected, rtol=1e-5)
     np.testing.assert_allclose(losses.supervised(a, a), 0)
-    np.testing.assert_allclose(losses.pose(jnp.ones((2, 5)), jnp.zeros((2, 5))), 1)
+    np.testing.assert_allclose(losses.pose(jnp.ones((2, 5)), jnp.zeros((2, 5)), (1.0, 1.0, 4.0, 1.0, 1.0)), 1.6)
 
 
 def test_regularisation_takes_kernels_only():
