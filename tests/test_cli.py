@@ -70,7 +70,7 @@ BAD_FIELDS = [
     ("--paired.preprocess.block 0", "--paired.preprocess.block"),
     (
         "--paired.preprocess.size 72 --unshear.size 72 --pose.preprocess.size 72 --posenet.size 72",
-        "not divisible by 16",
+        "not divisible by 32",
     ),
     ("--unshear.widths 8,0", "two positive numbers"),
     ("--unshear.widths 8", "two positive numbers"),

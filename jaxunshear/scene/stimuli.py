@@ -24,8 +24,8 @@ Distance = Callable[[jax.Array], jax.Array]
 # Rubber on hard plastic lies between about 0.5 and 0.9. The evidence is divided (docs/simulator.md): with 0.35 a PoseNet
 # trained on taps hardly minds the slide, where the paper's is no better than chance (its Table 2), but recordings of another
 # sensor, whose pins stay behind by no more than 0.8-1 mm, suggest 0.2 to 0.4.
-ABS_FRICTION = 0.5
-ACRYLIC_FRICTION = 0.35
+ABS_FRICTION = 0.7
+ACRYLIC_FRICTION = 0.45
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ def test_edge_labels_on_the_disk():
     labels = edge_labels(("disk",), scenes)
     outward = np.degrees(np.arctan2(4, 50))
     np.testing.assert_allclose(labels, [[2, 0], [-3, -30], [np.hypot(50, 4) - 50, outward + 45]], atol=1e-2)
-    assert scenes.friction[0] == pytest.approx(0.5)
+    assert scenes.friction[0] == pytest.approx(0.7)
 
 
 def test_pins_of_both_layouts():
