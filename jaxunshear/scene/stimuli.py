@@ -74,8 +74,8 @@ def clover(radius: float, offset: float, fillet: float) -> Distance:
         across = jnp.abs(p)
         first = _length(across - jnp.asarray([offset, 0.0], p.dtype)) - radius
         second = _length(across - jnp.asarray([0.0, offset], p.dtype)) - radius
-        blend = jnp.maximum(fillet - jnp.abs(first - second), 0) / fillet
-        return jnp.minimum(first, second) - blend**2 * fillet / 4
+        share = jnp.clip(0.5 + (second - first) / (2 * fillet), 0, 1)
+        return second + (first - second) * share - fillet * share * (1 - share)
 
     return distance
 
