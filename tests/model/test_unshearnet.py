@@ -35,7 +35,7 @@ def test_shapes(variables, images, jit):
 
 
 def test_the_paper_at_256_px_has_codes_of_8_by_8():
-    net = UnshearNet(size=256, widths=(32, 64, 64, 64, 64))
+    net = UnshearNet(size=256, widths=(32, 64, 64, 64, 64), pose_channels=64, shear_channels=64)
     variables = jax.eval_shape(lambda key: unshearnet.init(net, key), jax.random.key(0))
     images = jax.ShapeDtypeStruct((2, 256, 256, 1), jnp.float32)
     z_p, z_s = jax.eval_shape(lambda v, x: unshearnet.encode(net, v, x), variables, images)
