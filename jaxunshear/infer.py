@@ -117,7 +117,8 @@ def load_settings(model: Path) -> Experiment:
 def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[np.ndarray], Answers]:
     """A function of images (B, S, S) uint8 of {0, 255}; `ranges` are those that PoseNet was trained on.
 
-    Without a trained PoseNet the answers hold no poses; where `pose_needed` that is a `UserError`, as are damaged files.
+    Without a trained PoseNet the answers hold no poses; where `pose_needed` that is a `UserError`, as are damaged files. The
+    poses of images as they were recorded are read only where `pose_needed`.
     """
     import jax
 
@@ -134,11 +135,11 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
     def run(variables: dict[str, Any], images: jax.Array) -> tuple[jax.Array, dict[str, Any], dict[str, Any]]:
         recorded = images[..., None].astype(np.float32) / 255
         after = unshearnet.unshear(nets["disentangled"], variables["disentangled"], recorded)
-        poses: list[dict[str, Any]] = [{}, {}]
-        if "posenet" in nets:
-            outputs = [posenet.predict(nets["posenet"], variables["posenet"], x) for x in (recorded, after)]
-            poses = [posenet.pose_from_outputs(output, ranges) for output in outputs]
-        return after[..., 0], poses[0], poses[1]
+
+        def pose(image: jax.Array) -> dict[str, Any]:
+            return posenet.pose_from_outputs(posenet.predict(nets["posenet"], variables["posenet"], image), ranges)
+
+        return after[..., 0], pose(recorded) if pose_needed else {}, pose(after) if "posenet" in nets else {}
 
     return lambda images: Answers(*jax.device_get(run(variables, images)))
 

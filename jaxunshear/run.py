@@ -5,7 +5,6 @@ knows all stages; none of them knows another.
 """
 
 import dataclasses
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -37,8 +36,7 @@ def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data:
         elif stage == "evaluate":
             from jaxunshear.evaluation.evaluate import evaluate
 
-            results, worked = evaluate(experiment, folder, data), True
-            results["command"] = command
+            results, worked = evaluate(experiment, folder, data, command), True
             _tell(results)
         else:
             from jaxunshear.report.report import write_report
@@ -142,4 +140,4 @@ def _tell(results: dict[str, Any]) -> None:
             if row["bar"] is None
             else f"  (bar {row.get('sense', '')} {row['bar']}: {'met' if row['ok'] else 'MISSED'})"
         )
-        print(f"{row['name']:<40} {row['value']} {row['unit']}{bar}", file=sys.stdout)
+        print(f"{row['name']:<40} {row['value']} {row['unit']}{bar}")

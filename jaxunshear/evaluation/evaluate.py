@@ -5,8 +5,6 @@ The way through: `networks.load` (what the networks say) -> `gather` (one number
 
 import dataclasses
 import io
-import shlex
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -30,8 +28,10 @@ KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the 
 BOOTSTRAP_SEED = 0
 
 
-def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path) -> dict[str, Any]:
+def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> dict[str, Any]:
     """Scores the three networks of `run_dir` on the test split of the paired set; writes and returns the results.
+
+    `command` is what a person typed, to stand beside the figures.
 
     Raises `UserError` where a network or the data set is missing, damaged or empty.
     """
@@ -53,7 +53,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path) -> dict[str,
         "time_s": (read_json(times) if times.exists() else {}) | {"evaluate": time.perf_counter() - started},
         "machine": machine(),
         "versions": versions(),
-        "command": shlex.join(["jaxunshear", *sys.argv[1:]]),
+        "command": command,
     }
     results = _rounded(results)
     write_bytes(run_dir / "montage.npz", montage(experiment.paired.stimuli, gathered))

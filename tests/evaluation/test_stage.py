@@ -61,7 +61,7 @@ def experiment():
 
 def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment, tmp_path):
     (run_dir / "times.json").write_text(json.dumps({"data": 12.5}))
-    results = evaluate(experiment, run_dir, tmp_path / "data")
+    results = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert json.loads((run_dir / "results.json").read_text()) == results
     assert results["metric"]["ms_ssim"] == "ms_ssim@2"
     assert results["time_s"]["data"] == 12.5
@@ -83,7 +83,7 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
     ):
         assert results[name], name
     montage = (run_dir / "montage.npz").read_bytes()
-    again = evaluate(experiment, run_dir, tmp_path / "data")
+    again = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert reproducible(again) == reproducible(results)
     assert (run_dir / "montage.npz").read_bytes() == montage
 
@@ -91,5 +91,5 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
 def test_an_empty_test_split_is_refused(run_dir, experiment, tmp_path, monkeypatch):
     monkeypatch.setattr(reading, "open_set", lambda *_: Reader(0))
     with pytest.raises(UserError, match="empty"):
-        evaluate(experiment, run_dir, tmp_path / "data")
+        evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert not (run_dir / "results.json").exists()
