@@ -48,7 +48,10 @@ class SimulatedSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # 
     """Simulates, or goes on simulating, when it is prepared. `file_format` need not be given: it is array_record."""
 
     VERSION = tfds.core.Version(configs.VERSION)
-    RELEASE_NOTES: ClassVar[dict[str, str]] = {"1.0.0": "First release."}
+    RELEASE_NOTES: ClassVar[dict[str, str]] = {
+        "2.0.0": "Pins as levers; contact to 60 deg from the apex.",
+        "1.0.0": "First release.",
+    }
     engine: Engine | None = None  # tests put a fast stand-in for the simulator here
 
     def _set_info(self, features: dict, keys: tuple[str, str] | None) -> tfds.core.DatasetInfo:

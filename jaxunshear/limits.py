@@ -3,15 +3,15 @@
 A rule is (holds, dotted field name, what is wrong and what to do instead). Later rules may rely on earlier ones.
 """
 
-import math
 import re
 from collections.abc import Iterator
 
+from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.scene.sensor import Sensor, sensor_rules
 from jaxunshear.training.settings import Training
 
 Rule = tuple[bool, str, str]
@@ -19,8 +19,6 @@ Rule = tuple[bool, str, str]
 # The keys of `scene.stimuli.STIMULI`, which imports JAX; a test holds the two together.
 STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2")
 SCHEDULES = ("cosine", "steps")
-LAYOUTS = ("rings", "hexagonal")
-CONTACT_REACH_MM = 16.0  # of the contact rings of `contact.dome`, which imports SciPy; a test holds the two together
 SMALLEST_PX = 16
 LARGEST_PX = 4096
 FEWEST_POSES = 5  # the smallest number that 60:20:20 splits into three non-empty parts
@@ -55,36 +53,8 @@ def _seed(seed: int) -> bool:
 
 
 def _sensor(sensor: Sensor) -> Iterator[Rule]:
-    yield sensor.layout in LAYOUTS, "sensor.layout", f"use one of {', '.join(LAYOUTS)}"
-    yield 1 <= sensor.rings <= 50, "sensor.rings", "use 1 to 50"
-    for field in (
-        "pin_spacing_mm",
-        "pin_radius_mm",
-        "pin_length_mm",
-        "dome_radius_mm",
-        "skin_mm",
-        "skin_modulus_mpa",
-        "gel_modulus_mpa",
-    ):
-        yield getattr(sensor, field) > 0, f"sensor.{field}", "must be above zero"
-    for field in ("skin_poisson", "gel_poisson"):
-        yield 0 <= getattr(sensor, field) < 0.5, f"sensor.{field}", "use 0 up to, but not, 0.5 (exactly incompressible)"
-    yield (
-        2 * sensor.pin_radius_mm < sensor.pin_spacing_mm,
-        "sensor.pin_radius_mm",
-        f"pins {sensor.pin_spacing_mm:g} mm apart would overlap: use less than half of that",
-    )
-    yield (
-        sensor.skin_mm + sensor.pin_length_mm < sensor.dome_radius_mm,
-        "sensor.dome_radius_mm",
-        "must exceed skin_mm + pin_length_mm",
-    )
-    rim = sensor.dome_radius_mm * math.pi / 2
-    yield (
-        sensor.rings * sensor.pin_spacing_mm < rim,
-        "sensor.rings",
-        f"{sensor.pin_spacing_mm:g} mm apart, they go past the dome's rim at {rim:.1f} mm: use fewer or closer rings",
-    )
+    for holds, field, remedy in sensor_rules(sensor):
+        yield holds, f"sensor.{field}", remedy
 
 
 def _data(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[Rule]:
@@ -120,7 +90,7 @@ def _paired(data: PairedData, sensor: Sensor) -> Iterator[Rule]:
         "paired.tap_depth_jitter_mm",
         f"use 0 to ranges.depth_min_mm ({ranges.depth_min_mm:g}), or a tap may miss the stimulus",
     )
-    deepest = _deepest(sensor)
+    deepest = deepest_mm(sensor)
     yield (
         ranges.depth_max_mm + jitter <= deepest,
         "paired.tap_depth_jitter_mm",
@@ -132,14 +102,8 @@ def _pose(data: PoseData, sensor: Sensor) -> Iterator[Rule]:
     yield from _data(data, "pose", sensor)
 
 
-def _deepest(sensor: Sensor) -> float:
-    """As `contact.dome.deepest_mm`: where the undeformed dome is wider than the contact rings."""
-    radius = sensor.dome_radius_mm
-    return radius - math.sqrt(radius**2 - CONTACT_REACH_MM**2) if radius > CONTACT_REACH_MM else radius / 2
-
-
 def _ranges(ranges: Ranges, group: str, sensor: Sensor) -> Iterator[Rule]:
-    dome, deepest = sensor.dome_radius_mm, _deepest(sensor)
+    dome, deepest = sensor.dome_radius_mm, deepest_mm(sensor)
     yield (
         0 <= ranges.lateral_mm <= dome,
         f"{group}.lateral_mm",

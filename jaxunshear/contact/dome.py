@@ -1,24 +1,36 @@
-"""The condensed dome of a sensor, computed once (about 15 s) and kept in a cache folder."""
+"""The condensed dome of a sensor: computed once (about 10 s), then kept in a cache folder.
 
+A cache file is a checksum and what it is the checksum of: the harmonics of the answer (7 MB), and the settings they belong to.
+Whatever is not as it should be is told and made again; two processes at the same work each put a whole file in place.
+"""
+
+import contextlib
 import hashlib
+import io
 import json
 import os
+import re
+import sys
+import uuid
 import zipfile
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.contact.elasticity import Compliance, condense, isotropic
+from jaxunshear.contact.elasticity import Compliance, Response, isotropic, put_together, respond
 from jaxunshear.contact.mesh import dome_mesh
+from jaxunshear.contact.rings import RING_MM, ring_arcs, ring_spacing
+from jaxunshear.contact.rings import contact_angle as contact_angle
+from jaxunshear.contact.rings import deepest_mm as deepest_mm
+from jaxunshear.contact.rings import reach_mm as reach_mm
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.sensor import Sensor, check_sensor, pin_levers, pin_tips
 
-MESH_MM = 1.0
-RING_MM = 1.0  # lateral distance of the contact rings
-RINGS = 17
-HARMONICS = 96
+VERSION = 3  # of what a cache file means: to be raised with every change of the model
+MESH_MM = 1.0  # of elements, where rings are RING_MM apart
+_BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 def cache_folder() -> Path:
@@ -27,60 +39,108 @@ def cache_folder() -> Path:
     return Path(os.environ.get("JAXUNSHEAR_CACHE") or Path(home) / "jaxunshear")
 
 
-def reach_mm(sensor: Sensor, depth_mm: float) -> float:
-    """Lateral reach of the undeformed dome below `depth_mm`."""
-    return float(np.sqrt(max(2 * sensor.dome_radius_mm * depth_mm - depth_mm**2, 0.0)))
+def dome(sensor: Sensor) -> Compliance:
+    """The compliance of a sensor's contact nodes and pins, from the cache where it is there and whole."""
+    return put_together(_cached(sensor, varied=False))
 
 
-def deepest_mm(sensor: Sensor) -> float:
-    """The depth beyond which the contact rings no longer cover the contact."""
-    covered = (RINGS - 1) * RING_MM
-    return sensor.dome_radius_mm - float(np.sqrt(sensor.dome_radius_mm**2 - covered**2))
+def sensitivity(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of w (3N, 3N) and g (3P, 3N) by log(skin_modulus_mpa), from the cache like the dome itself.
+
+    By log(gel_modulus_mpa) they are -w and -g less these: both moduli together only scale.
+    """
+    slopes = put_together(_cached(sensor, varied=True))
+    return slopes.w, slopes.g
 
 
-def compute_dome(sensor: Sensor, mesh_mm: float = MESH_MM, harmonics: int = HARMONICS, progress=None) -> Compliance:
-    """Compliance of the dome's contact nodes and pins; see `elasticity`."""
+def compute_dome(sensor: Sensor, mesh_mm: float | None = None, progress=None) -> Compliance:
+    """`dome` without the cache, on elements of `mesh_mm`. Raises `UserError` for a sensor that cannot be."""
+    return put_together(_compute(sensor, False, mesh_mm or _mesh_mm(sensor), progress))
+
+
+def _mesh_mm(sensor: Sensor) -> float:
+    return MESH_MM * ring_spacing(sensor) / RING_MM
+
+
+def _compute(sensor: Sensor, varied: bool, mesh_mm: float, progress) -> Response:
+    check_sensor(sensor)
     mesh = dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, mesh_mm)
     gel = isotropic(sensor.gel_modulus_mpa, sensor.gel_poisson)
     skin = isotropic(sensor.skin_modulus_mpa, sensor.skin_poisson)
     materials = np.where(mesh.skin[:, None, None], skin, gel)
-    return condense(mesh, materials, np.arange(RINGS + 1) * RING_MM, pin_tips(sensor), harmonics, progress)
+    arcs = ring_arcs(sensor)
+    hats = np.append(arcs, arcs[-1] + ring_spacing(sensor))
+    levers, part = pin_levers(sensor), mesh.skin if varied else None
+    return respond(mesh, materials, hats, pin_tips(sensor), _harmonics(sensor), progress, levers, part)
 
 
-def dome(sensor: Sensor) -> Compliance:
-    """`compute_dome`, from the cache where it is there and whole."""
+def _harmonics(sensor: Sensor) -> int:
+    """As many as nodes in the outer ring: a hat there has no part in that one, so that the next would add little."""
+    return 6 * (len(ring_arcs(sensor)) - 1)
+
+
+def _cached(sensor: Sensor, varied: bool) -> Response:
+    check_sensor(sensor)
     settings = {
         **asdict(sensor),
-        "mesh": MESH_MM,
-        "ring": RING_MM,
-        "rings": RINGS,
-        "harmonics": HARMONICS,
-        "version": 1,
+        "version": VERSION,
+        "mesh": _mesh_mm(sensor),
+        "rings": ring_arcs(sensor).tolist(),
+        "harmonics": _harmonics(sensor),
+        "varied": varied,
     }
-    key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
-    path = cache_folder() / f"dome-{sensor.name}-{key}.npz"
+    text = json.dumps(settings, sort_keys=True)
+    name = re.sub(r"[^A-Za-z0-9._-]", "_", sensor.name)[:40]
+    path = cache_folder() / f"dome-{name}-{hashlib.sha256(text.encode()).hexdigest()[:16]}.bin"
     try:
-        with np.load(path) as stored:
-            return Compliance(stored["nodes"], stored["pins"], stored["w"], stored["g"])
-    except FileNotFoundError:
+        return _read(path, text, sensor)
+    except (FileNotFoundError, NotADirectoryError):
         pass
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
-        path.unlink(missing_ok=True)  # a damaged cache file is only a lost shortcut
-    with Progress(f"dome of {sensor.name}", HARMONICS + 1, unit="harmonics") as progress:
-        made = compute_dome(sensor, progress=progress)
-    _store(path, made)
-    return made
-
-
-def _store(path: Path, made: Compliance) -> None:
-    part = path.with_suffix(f".{os.getpid()}.part")
+    except _BROKEN as error:
+        print(f"the cache file {path} is of no use ({error}): it is made again", file=sys.stderr)
+    part = path.with_name(f"{path.name}.{uuid.uuid4().hex}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with open(part, "wb") as stream:
-            np.savez(stream, nodes=made.nodes, pins=made.pins, w=made.w, g=made.g)
+        part.touch()  # before the work: a folder that cannot be written to is told at once
+        with Progress(f"dome of {sensor.name}", _harmonics(sensor) + 1, unit="harmonics") as progress:
+            made = _compute(sensor, varied, _mesh_mm(sensor), progress)
+        part.write_bytes(_packed(made, text))
         os.replace(part, path)
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise UserError(
             f"cannot write the cache file {path}: {error.strerror}; set JAXUNSHEAR_CACHE to a folder with room"
         ) from error
+    finally:
+        with contextlib.suppress(OSError):  # the first error is the one worth telling
+            part.unlink(missing_ok=True)
+    return made
+
+
+def _packed(made: Response, settings: str) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, settings=np.array(settings), **{field.name: getattr(made, field.name) for field in fields(made)})
+    return hashlib.sha256(stream.getvalue()).digest() + stream.getvalue()
+
+
+def _read(path: Path, settings: str, sensor: Sensor) -> Response:
+    """Raises one of _BROKEN, with what is wrong, where the file does not hold just what belongs to these settings."""
+    data = path.read_bytes()
+    if hashlib.sha256(data[32:]).digest() != data[:32]:
+        raise ValueError("damaged: its checksum does not agree")
+    with np.load(io.BytesIO(data[32:])) as stored:
+        made = Response(**{field.name: stored[field.name] for field in fields(Response)})
+        if str(stored["settings"]) != settings:
+            raise ValueError("made with other settings")
+    rings, harmonics, places = len(ring_arcs(sensor)), _harmonics(sensor) + 1, int(made.place.max(initial=0)) + 1
+    shapes = {
+        "nodes": (1 + 3 * rings * (rings - 1), 3),
+        "pins": (sensor.pins, 3),
+        "place": (sensor.pins,),
+        "rings": (harmonics, 3 * rings, 3 * rings),
+        "fields": (harmonics, 3 * places, 3 * rings),
+    }
+    for name, shape in shapes.items():
+        values = getattr(made, name)
+        if values.shape != shape or not np.isfinite(values).all():
+            raise ValueError(f"its {name} are not {shape} finite numbers")
+    return made

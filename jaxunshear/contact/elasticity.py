@@ -7,19 +7,26 @@ a Poisson ratio of 0.4999.
 
 Contact nodes stand in rings 1 + 6 + 12 + ... A unit force at a node is spread with a hat function along the ring's
 meridian and another around the axis, and a node's displacement is the mean with the same weights, so that the condensed
-compliance W is symmetric positive definite by construction.
+compliance W is symmetric positive definite by construction, if there are at least as many harmonics as nodes in a ring.
+
+Read `condense` first: `respond` solves the harmonics, `harmonics` puts them together.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
+from threadpoolctl import threadpool_limits
 
+from jaxunshear.contact.cholesky import factorise
+from jaxunshear.contact.harmonics import lattice, node_to_node, node_to_point
+from jaxunshear.contact.harmonics import sixfold as sixfold
 from jaxunshear.contact.mesh import Mesh, shape_functions
 from jaxunshear.errors import UserError
 
 _GAUSS = np.array([[x, y] for y in (-1, 1) for x in (-1, 1)]) / np.sqrt(3)
+_SAMPLES = 40  # of a surface edge
+_ON_AXIS_MM = 1e-9
 
 
 @dataclass(frozen=True)
@@ -33,6 +40,21 @@ class Compliance:
     pins: np.ndarray
     w: np.ndarray
     g: np.ndarray
+
+
+@dataclass(frozen=True)
+class Response:
+    """A `Compliance` before its harmonics are summed, a tenth of its size.
+
+    `rings` (M, 3R, 3R): mean displacement (U, V, W) of each ring per unit load on each; `fields` (M, 3Q, 3R): of the pins that
+    stand at Q places of the half-plane; pin p belongs to place[p].
+    """
+
+    nodes: np.ndarray
+    pins: np.ndarray
+    place: np.ndarray
+    rings: np.ndarray
+    fields: np.ndarray
 
 
 def isotropic(modulus: float, poisson: float) -> np.ndarray:
@@ -82,45 +104,59 @@ def stiffness(mesh: Mesh, materials: np.ndarray) -> tuple[sp.csc_matrix, sp.csc_
     return assemble(fixed, fixed), (mixed + mixed.T).tocsc(), assemble(growing, growing)
 
 
-def ring_loads(mesh: Mesh, radii: np.ndarray) -> np.ndarray:
-    """(V, R): how one unit of force on a ring spreads over the mesh nodes; radii (R + 1,) rise from 0, the last one is open."""
-    samples = (np.arange(40) + 0.5) / 40 * 2 - 1
+def _along_surface(mesh: Mesh, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the surface edges at `samples` (Q,) in [-1, 1]: shape functions (Q, 3), points (S, Q, 2), speeds (S, Q)."""
     line = np.stack([samples * (samples - 1) / 2, 1 - samples**2, samples * (samples + 1) / 2], -1)
-    line_slope = np.stack([samples - 0.5, -2 * samples, samples + 0.5], -1)
+    slope = np.stack([samples - 0.5, -2 * samples, samples + 0.5], -1)
     ends = mesh.nodes[mesh.surface]
-    points = np.einsum("qn,snx->sqx", line, ends)
-    lengths = np.linalg.norm(np.einsum("qn,snx->sqx", line_slope, ends), axis=-1) / 20  # 40 midpoints over 2 units
-    r = points[..., 0]
-    hats = np.stack([np.interp(r, radii, row, right=0.0) for row in np.eye(len(radii))[:-1]], -1)
-    weight = hats * (r * lengths)[..., None]
+    speeds = np.linalg.norm(np.einsum("qn,snx->sqx", slope, ends), axis=-1)
+    return line, np.einsum("qn,snx->sqx", line, ends), speeds
+
+
+def ring_loads(mesh: Mesh, arcs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How one unit of force on a ring spreads over the mesh nodes, (V, R), and where the rings stand, (R, 2) r and z.
+
+    `arcs` (R + 1,): lengths along the surface from the axis, rising from 0; the last one only ends the last hat.
+    """
+    line, points, speeds = _along_surface(mesh, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
+    lengths = 2 * speeds / _SAMPLES
+    ends = np.cumsum(lengths.ravel()).reshape(lengths.shape)
+    hats = np.stack([np.interp(ends - lengths / 2, arcs, row, right=0.0) for row in np.eye(len(arcs))[:-1]], -1)
+    weight = hats * (points[..., 0] * lengths)[..., None]
     weight /= weight.sum(axis=(0, 1))
-    loads = np.zeros((len(mesh.nodes), len(radii) - 1))
+    loads = np.zeros((len(mesh.nodes), len(arcs) - 1))
     np.add.at(loads, mesh.surface, np.einsum("qn,sqk->snk", line, weight))
-    return loads
+
+    _, outline, _ = _along_surface(mesh, np.arange(1, _SAMPLES + 1) / _SAMPLES * 2 - 1)
+    outline = np.concatenate([mesh.nodes[mesh.surface[:1, 0]], outline.reshape(-1, 2)])
+    reached = np.concatenate([[0.0], ends.ravel()])
+    return loads, np.stack([np.interp(arcs[:-1], reached, axis) for axis in outline.T], -1)
 
 
-def interpolation(mesh: Mesh, points: np.ndarray) -> sp.csr_matrix:
-    """(P, V) values of the shape functions at points (P, 2) of the half-plane, by Newton's method in each near element."""
-    corners = mesh.nodes[mesh.elements]
-    centres = corners[:, :4].mean(1)
-    rows, columns, entries = [], [], []
+def interpolation(mesh: Mesh, points: np.ndarray) -> np.ndarray:
+    """(3, P, V): values of the shape functions at points (P, 2) of the half-plane, and their slopes in r and in z.
+
+    Newton's method in each near element; where elements meet, their mean (slopes along the line where they meet agree).
+    """
+    centres = mesh.nodes[mesh.elements[:, :4]].mean(1)
+    at = np.zeros((3, len(points), len(mesh.nodes)))
     for p, point in enumerate(points):
-        for e in np.argsort(np.sum((centres - point) ** 2, -1))[:12]:
-            local = np.zeros((1, 2))
-            for _ in range(20):
-                value, slope = shape_functions(local)
-                step = np.linalg.solve(np.einsum("nl,nx->xl", slope[0], corners[e]), point - value[0] @ corners[e])
-                local = np.clip(local + step, -1.5, 1.5)
-            if np.abs(local).max() < 1 + 1e-6:
-                rows += [p] * 8
-                columns += list(mesh.elements[e])
-                entries += list(shape_functions(local)[0][0])
-                break
-        else:
+        near = mesh.elements[np.argsort(np.sum((centres - point) ** 2, -1))[:32]]
+        local = np.zeros((len(near), 2))
+        for _ in range(20):
+            values, gradients = shape_functions(local)
+            jacobian = np.einsum("enl,enx->exl", gradients, mesh.nodes[near])
+            miss = point - np.einsum("en,enx->ex", values, mesh.nodes[near])
+            local = np.clip(local + np.linalg.solve(jacobian, miss[..., None])[..., 0], -1.5, 1.5)
+        inside = np.abs(local).max(axis=1) < 1 + 1e-6
+        if not inside.any():
             raise UserError(
                 f"pin at r = {point[0]:.2f} mm, z = {point[1]:.2f} mm lies outside the gel: check the sensor's pins"
             )
-    return sp.csr_matrix((entries, (rows, columns)), shape=(len(points), len(mesh.nodes)))
+        slopes = np.einsum("enl,elx->xen", gradients, np.linalg.inv(jacobian))
+        for entries, matrix in zip((values, *slopes), at, strict=True):
+            np.add.at(matrix[p], near[inside], entries[inside] / inside.sum())
+    return at
 
 
 def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
@@ -143,73 +179,109 @@ def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
     return select.tocsc()
 
 
-def _load_coefficients(m: int, spread: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Harmonic m of unit forces in x, y, z at nodes: (N, 3 directions, 3 unknowns (U, V, W)).
+@dataclass(frozen=True)
+class Pins:
+    """Rigid pins at Q places (r, z) of a face, along its normal by `levers` (Q, 2); `at` as `interpolation` gives it."""
 
-    `spread` (N,) is the half-width of each node's angular hat (0: no dependence on the angle).
+    places: np.ndarray
+    levers: np.ndarray
+    at: np.ndarray
+
+    def motion(self, field: np.ndarray, m: int) -> np.ndarray:
+        """Harmonic m of the tips' displacement (3Q, K), of displacements `field` (3V, K).
+
+        With length L, normal n and linearised rotation a tip moves by u - L [(n . du/ds) t + (n . du/ds_theta) theta], t being
+        the tangent in the half-plane. On the axis the face turns with harmonic 1 alone, and 1/r becomes a slope.
+        """
+        value, in_r, in_z = np.einsum("xqv,vuk->xuqk", self.at, field.reshape(-1, 3, field.shape[1]), optimize=True)
+        r, length = self.places[:, :1], np.linalg.norm(self.levers, axis=1)[:, None]
+        n_r, n_z = np.divide(self.levers, length, out=np.zeros_like(self.levers), where=length > 0).T[..., None]
+        on_axis = r < _ON_AXIS_MM
+        over_r = np.where(on_axis, in_r, value / np.where(on_axis, 1.0, r))
+        turned = length * (~on_axis | (m == 1))
+        along = turned * (n_r * (n_z * in_r[0] - n_r * in_z[0]) + n_z * (n_z * in_r[2] - n_r * in_z[2]))
+        around = turned * (n_r * (m * over_r[0] + over_r[1]) + n_z * m * over_r[2])
+        tips = value + np.stack([-along * n_z, around, along * n_r])
+        return tips.swapaxes(0, 1).reshape(-1, field.shape[1])
+
+
+def respond(
+    mesh: Mesh,
+    materials: np.ndarray,
+    ring_arcs: np.ndarray,
+    pins: np.ndarray,
+    harmonics: int,
+    progress=None,
+    levers: np.ndarray | None = None,
+    varied: np.ndarray | None = None,
+) -> Response:
+    """As `condense`, before the harmonics are summed.
+
+    With `varied` (E,) bool: instead its derivative by the logarithm of a factor on the moduli of these elements.
     """
+    loads, outline = ring_loads(mesh, ring_arcs)
+    ring, angle = lattice(len(loads.T))
+    around = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], -1)
+    nodes = outline[ring][:, [0, 0, 1]] * around
+    levers = np.zeros_like(pins) if levers is None else levers
+    stands = pins - levers
+    flat = [np.stack([np.hypot(*both.T[:2]), both[:, 2]], -1) for both in (stands, pins)]
+    places, place = np.unique(np.round(np.concatenate(flat, -1), 9), axis=0, return_inverse=True)
+    held = Pins(places[:, :2], places[:, 2:] - places[:, :2], interpolation(mesh, places[:, :2]))
 
-    def hat(order: int) -> np.ndarray:
-        around = np.where(spread > 0, np.sinc(order * spread / (2 * np.pi)) ** 2, float(order == 0))
-        return around * np.exp(-1j * order * angle) / (2 * np.pi)
+    spatial = sp.kron(sp.csr_matrix(loads), sp.eye(3)).tocsc()  # (3V, 3R)
+    parts = stiffness(mesh, materials)
+    slopes = None if varied is None else stiffness(mesh, np.where(varied[:, None, None], materials, 0.0))
+    rings, fields = [], []
+    with _one_thread():
+        for m in range(harmonics + 1):
+            free = _axis_constraints(mesh, m)
+            try:
+                solve = factorise(free.T @ _harmonic(parts, m) @ free)
+            except np.linalg.LinAlgError:
+                raise UserError(
+                    "the dome's stiffness is singular to rounding: bring the moduli of skin and gel closer together, "
+                    "or Poisson's ratios away from 0.5"
+                ) from None
+            field = free @ solve((free.T @ spatial).toarray())
+            if slopes is not None:
+                field = free @ solve(-free.T @ (_harmonic(slopes, m) @ field))
+            rings.append(spatial.T @ field)
+            fields.append(held.motion(field, m))
+            if progress is not None:
+                progress.advance(1)
+    return Response(nodes, pins, place.ravel(), np.stack(rings), np.stack(fields))
 
-    below, above, here = hat(m - 1), hat(m + 1), hat(m)
-    along = (below + above) / 2  # harmonic m of cos(theta) times the hat
-    across = (below - above) / 2j  # and of sin(theta)
-    zero = np.zeros_like(here)
-    x = np.stack([along, -1j * across, zero], -1)
-    y = np.stack([across, 1j * along, zero], -1)
-    return np.stack([x, y, np.stack([zero, zero, here], -1)], axis=1)
+
+def _one_thread():
+    """For thousands of small products: threads that wait for each other made them ten times slower on busy cores."""
+    return threadpool_limits(1, user_api="blas")
+
+
+def _harmonic(parts: tuple[sp.csc_matrix, ...], m: int) -> sp.csc_matrix:
+    return parts[0] + m * parts[1] + m * m * parts[2]
+
+
+def put_together(response: Response) -> Compliance:
+    """Sum the harmonics."""
+    angle = np.arctan2(response.pins[:, 1], response.pins[:, 0])
+    with _one_thread():
+        g = node_to_point(response.fields, response.place, angle)
+        return Compliance(response.nodes, response.pins, node_to_node(response.rings), g)
 
 
 def condense(
-    mesh: Mesh, materials: np.ndarray, ring_radii: np.ndarray, pins: np.ndarray, harmonics: int, progress=None
+    mesh: Mesh,
+    materials: np.ndarray,
+    ring_arcs: np.ndarray,
+    pins: np.ndarray,
+    harmonics: int,
+    progress=None,
+    levers: np.ndarray | None = None,
 ) -> Compliance:
-    """Compliance of contact rings at lateral radii `ring_radii` (R + 1,) (the last only ends the last hat) and of pins (P, 3)."""
-    rings = len(ring_radii) - 1
-    count = np.array([1] + [6 * k for k in range(1, rings)])
-    ring_of = np.repeat(np.arange(rings), count)
-    angle = np.concatenate([np.arange(n) * 2 * np.pi / n for n in count])
-    spread = np.where(ring_of > 0, 2 * np.pi / count[ring_of], 0.0)
-    face = mesh.nodes[mesh.surface]
-    outline = np.concatenate([face[:, :2].reshape(-1, 2), face[-1:, 2]])
-    height = np.interp(ring_radii[:-1], outline[:, 0], outline[:, 1])
-    lateral = ring_radii[ring_of][:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    nodes = np.concatenate([lateral, height[ring_of][:, None]], -1)
+    """Compliance of contact rings and of pins with tips at `pins` (P, 3), for materials (E, 6, 6) as of `isotropic`.
 
-    pin_r = np.hypot(pins[:, 0], pins[:, 1])
-    places, place_of = np.unique(np.round(np.stack([pin_r, pins[:, 2]], -1), 9), axis=0, return_inverse=True)
-    place_of = place_of.ravel()
-    pin_angle = np.arctan2(pins[:, 1], pins[:, 0])
-    at_pins = interpolation(mesh, places)
-
-    spatial = sp.kron(sp.csr_matrix(ring_loads(mesh, ring_radii)), sp.eye(3)).tocsc()  # (3V, 3R)
-    k0, k1, k2 = stiffness(mesh, materials)
-    n, p = len(nodes), len(pins)
-    w, g = np.zeros((3 * n, 3 * n)), np.zeros((3 * p, 3 * n))
-    for m in range(harmonics + 1):
-        free = _axis_constraints(mesh, m)
-        matrix = (free.T @ (k0 + m * k1 + m * m * k2) @ free).tocsc()
-        loads = (free.T @ spatial).toarray()
-        response = splu(matrix, permc_spec="COLAMD").solve(loads)
-        between = loads.T @ response  # (3R, 3R)
-        to_pins = sp.kron(at_pins, sp.eye(3)) @ (free @ response)  # (3 places, 3R)
-
-        shares = _load_coefficients(m, spread, angle)
-        by_ring = np.zeros((rings, 3, n, 3), complex)
-        by_ring[ring_of, :, np.arange(n), :] = shares.transpose(0, 2, 1)
-        node_map = by_ring.reshape(3 * rings, 3 * n)  # ring unknowns per nodal force
-        weight = 2 * np.pi * (1 if m == 0 else 2)
-        middle = between @ node_map
-        w += weight * (node_map.real.T @ middle.real + node_map.imag.T @ middle.imag)
-
-        fields = (to_pins @ node_map).reshape(len(places), 3, 3 * n)[place_of] * np.exp(1j * m * pin_angle)[
-            :, None, None
-        ]
-        radial, around, up = fields[:, 0].real, (-1j * fields[:, 1]).real, fields[:, 2].real
-        cos, sin = np.cos(pin_angle)[:, None], np.sin(pin_angle)[:, None]
-        here = np.stack([cos * radial - sin * around, sin * radial + cos * around, up], axis=1)
-        g += (1 if m == 0 else 2) * here.reshape(3 * p, 3 * n)
-        if progress is not None:
-            progress.advance(1)
-    return Compliance(nodes, pins, (w + w.T) / 2, g)
+    `ring_arcs` (R + 1,): as for `ring_loads`. `levers` (P, 3): from the face on which a pin stands to its tip, along the
+    face's normal: rigid, so that the tip moves with the face's rotation too; None: tips move with the gel around them.
+    """
+    return put_together(respond(mesh, materials, ring_arcs, pins, harmonics, progress, levers))

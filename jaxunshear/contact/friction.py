@@ -4,13 +4,15 @@ At every increment the nodal forces f = (t, p) answer: no penetration, no pull, 
 increment. With u = W f and a gap g that is linear in u this is a fixed point f = P(f - (W f + b)), where P cuts p at zero
 and then t to the disk of radius mu p (Alart & Curnier 1991). It is found by ADMM with one precomputed inverse,
 (W + rho I)^-1, over-relaxed: each iteration is one matrix product for the whole batch. W is scaled to a unit mean diagonal.
+Without friction the unknowns are p alone.
 
 We stop on a length: ADMM's two residuals, W (x - z), by which the elastic forces x and the admissible ones z move the skin
 differently, and rho (z - z_before), both in mm, against the length of the increment. A residual relative to the forces would
 let small warm-started steps stop without moving; one in the forces themselves would pass over a small pull on every node,
 which moves the skin as a whole by a hundred times more than the same pull on one.
 
-Forces are in the sensor frame. You can skip `_solve_increment` and read `follow_path`.
+The level frame is the sensor frame with its tilt undone: there the stimulus' top is the plane z = 0, and P is as above.
+Read `follow_path` first; `solve_increment` is the solver.
 """
 
 from typing import NamedTuple
@@ -19,27 +21,37 @@ import jax
 import jax.numpy as jnp
 
 from jaxunshear.contact.obstacle import Obstacles, drop
+from jaxunshear.scene.paths import DEPTH, TILT_X, YAW
 
 OVER_RELAXATION = 1.8
-RHO = 8.0
+RHO = 12.0
 BETWEEN_CHECKS = 5
+PASSES = 2
+FAR_MM = 5.0  # gaps count no further: a hundred millimetres on a free node would drown the others in rounding
+LEAST_MM, MOST_MM = 0.05, 0.5  # an increment's length for its tolerance: pauses and long presses are judged sensibly
 
 
 class System(NamedTuple):
-    """What a batch shares: `w` and `inverse` (3N, 3N) scaled to a unit mean diagonal of w, `nodes` (N, 3) mm."""
+    """What a batch shares, for d = 3 unknowns of a node, or d = 1 (pressure only) where no scene has friction.
+
+    `w` and `inverse` = (w + RHO)^-1 (dN, dN) are scaled to a unit mean diagonal of w; `spread` (dN, 3N) moves the nodes in all
+    directions (w itself where d = 3); `nodes` (N, 3) mm; `centre_mm`: height of the dome's centre above its apex.
+    """
 
     w: jax.Array
     inverse: jax.Array
+    spread: jax.Array
     nodes: jax.Array
+    centre_mm: jax.Array
 
 
 class Skin(NamedTuple):
-    """State of B skins after a motion: all that a later motion needs to continue."""
+    """State of B skins after a motion, in the sensor frame: all that a later motion needs to continue."""
 
-    force: jax.Array  # (B, N, 3) scaled, mm
-    dual: jax.Array  # (B, N, 3) of the solver, a warm start only
+    force: jax.Array  # (B, N, d) scaled, mm
+    dual: jax.Array  # (B, N, d) of the solver, a warm start only
     displacement: jax.Array  # (B, N, 3) mm
-    pose: jax.Array  # (B, 4) mm, mm, rad, mm
+    pose: jax.Array  # (B, 6) x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad)
 
 
 class Quality(NamedTuple):
@@ -51,56 +63,98 @@ class Quality(NamedTuple):
 
 
 def project(force: jax.Array, friction: jax.Array) -> jax.Array:
-    """Cut (B, N, 3) to p >= 0 and |t| <= friction * p; friction (B,)."""
-    normal = jnp.maximum(force[..., 2], 0)
+    """Cut (B, N, d) to p >= 0 and |t| <= friction * p; friction (B,), infinite for pure stick."""
+    normal = jnp.maximum(force[..., -1:], 0)
+    if force.shape[-1] == 1:
+        return normal
     tangential = force[..., :2]
-    squared = jnp.sum(tangential**2, axis=-1)
-    limit = friction[:, None] * normal
-    shrink = jnp.where(squared > limit**2, limit * jax.lax.rsqrt(jnp.maximum(squared, 1e-30)), 1.0)
-    return jnp.concatenate([tangential * shrink[..., None], normal[..., None]], axis=-1)
+    squared = jnp.sum(tangential**2, axis=-1, keepdims=True)
+    sticks = jnp.isinf(friction)[:, None, None]
+    limit = jnp.where(sticks, 0, friction[:, None, None]) * normal
+    cut = limit * jax.lax.rsqrt(jnp.maximum(squared, 1e-30))
+    shrink = jnp.where(sticks, jnp.where(normal > 0, 1.0, 0.0), jnp.where(squared > limit**2, cut, 1.0))
+    return jnp.concatenate([tangential * shrink.astype(force.dtype), normal], axis=-1)
 
 
-def _times(matrix: jax.Array, force: jax.Array) -> jax.Array:
-    return (force.reshape(force.shape[0], -1) @ matrix).reshape(force.shape)  # the matrix is symmetric
+def level_frame(pose: jax.Array) -> jax.Array:
+    """Rotations (B, 3, 3) from the sensor frame to the level frame of poses (B, 6): Rodrigues' formula."""
+    tilt = pose[:, TILT_X:]
+    squared = jnp.sum(tilt**2, axis=-1)[:, None, None]
+    angle = jnp.sqrt(jnp.maximum(squared, 1e-30))
+    zero = jnp.zeros_like(tilt[:, 0])
+    x, y = tilt[:, 0], tilt[:, 1]
+    rows = [jnp.stack(row, -1) for row in ((zero, zero, y), (zero, zero, -x), (-y, x, zero))]
+    cross = jnp.stack(rows, 1)
+    return (
+        jnp.eye(3, dtype=pose.dtype) + jnp.sin(angle) / angle * cross + (1 - jnp.cos(angle)) / angle**2 * cross @ cross
+    )
 
 
-def natural_residual(w: jax.Array, force: jax.Array, offset: jax.Array, friction: jax.Array) -> jax.Array:
+def _rotate(frame: jax.Array, vectors: jax.Array) -> jax.Array:
+    return jnp.einsum("bij,bnj->bni", frame, vectors)
+
+
+def _times(matrix: jax.Array, force: jax.Array, frame: jax.Array | None) -> jax.Array:
+    """matrix . force with both in the level frame (the matrix, symmetric, in the sensor frame)."""
+    inside = force if frame is None else jnp.einsum("bji,bnj->bni", frame, force)
+    product = (inside.reshape(force.shape[0], -1) @ matrix).reshape(force.shape)
+    return product if frame is None else _rotate(frame, product)
+
+
+def natural_residual(
+    system: System, frame: jax.Array | None, force: jax.Array, offset: jax.Array, friction: jax.Array
+) -> jax.Array:
     """(B,) largest |f - P(f - (W f + b))| of any node, scaled: zero for an answer and for nothing else."""
-    miss = force - project(force - _times(w, force) - offset, friction)
+    miss = force - project(force - _times(system.w, force, frame) - offset, friction)
     return jnp.max(jnp.linalg.norm(miss, axis=-1), axis=-1)
 
 
-def _solve_increment(system: System, force, dual, offset, friction, tolerance, limit: int):
-    """ADMM from a warm start until every scene is below its tolerance, or `limit` iterations."""
+def solve_increment(
+    system: System,
+    frame: jax.Array | None,
+    offset: jax.Array,
+    friction: jax.Array,
+    start: tuple[jax.Array, jax.Array],
+    tolerance: jax.Array,
+    limit: int,
+) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    """Forces (B, N, d) of f = P(f - (W f + b)) with offset b (B, N, d), from a warm start (force, dual).
+
+    Iterates until every scene is below its tolerance (B,) in mm, or `limit` iterations. Returns force, dual, residual (B,) in
+    mm and iterations (B,). Scenes with an infinite tolerance are not waited for.
+    """
 
     def iterate(_, state):
         z, y, _, _ = state
-        x = _times(system.inverse, RHO * (z - y) - offset)
+        x = _times(system.inverse, RHO * (z - y) - offset, frame)
         relaxed = OVER_RELAXATION * x + (1 - OVER_RELAXATION) * z
         after = project(relaxed + y, friction)
         return after, y + relaxed - after, x, z
 
     def error(state):
         z, _, x, before = state
-        apart = _times(system.w, x - z)
+        apart = _times(system.w, x - z, frame)
         change = RHO * (z - before)
-        touching = jnp.sum(z[..., 2] > 0, axis=-1)
+        touching = jnp.sum(z[..., -1] > 0, axis=-1)
         return jnp.sqrt(jnp.sum(apart**2 + change**2, axis=(1, 2)) / jnp.maximum(touching, 1))
 
     def unfinished(state):
-        _, error, count = state
+        _, error, _, count = state
         return jnp.any(error > tolerance) & (count < limit)
 
     def step(state):
-        inner, _, count = state
+        inner, before, spent, count = state
         inner = jax.lax.fori_loop(0, BETWEEN_CHECKS, iterate, inner)
-        return inner, error(inner), count + BETWEEN_CHECKS
+        return inner, error(inner), spent + BETWEEN_CHECKS * (before > tolerance), count + BETWEEN_CHECKS
 
     # what holds already, as where nothing touches, needs no iteration
-    missing = jnp.where(natural_residual(system.w, force, offset, friction) > 0, jnp.inf, 0.0)
-    start = ((force, dual, force, force), missing, jnp.zeros((), jnp.int32))
-    (z, y, _, _), missing, count = jax.lax.while_loop(unfinished, step, start)
-    return z, y, missing, count
+    force, dual = start
+    missing = jnp.where(natural_residual(system, frame, force, offset, friction) > 0, jnp.inf, 0.0)
+    missing = jnp.where(jnp.isinf(tolerance), 0.0, missing).astype(force.dtype)
+    zero = jnp.zeros((), jnp.int32)
+    state = ((force, dual, force, force), missing, jnp.zeros(missing.shape, jnp.int32), zero)
+    (z, y, _, _), missing, spent, _ = jax.lax.while_loop(unfinished, step, state)
+    return z, y, missing, spent
 
 
 def _turn(angle: jax.Array, xy: jax.Array) -> jax.Array:
@@ -109,10 +163,106 @@ def _turn(angle: jax.Array, xy: jax.Array) -> jax.Array:
     return jnp.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)
 
 
+def _levelled(system: System, frame: jax.Array | None, points: jax.Array) -> jax.Array:
+    """Points (B, N, 3) of the sensor frame in the level frame, whose lowest point of the dome lies at z = 0."""
+    if frame is None:
+        return points
+    centre = jnp.stack([jnp.zeros_like(system.centre_mm), jnp.zeros_like(system.centre_mm), system.centre_mm])
+    return _rotate(frame, points - centre) + centre
+
+
+def increment_offset(
+    system: System,
+    obstacles: Obstacles,
+    which: jax.Array,
+    skin: Skin,
+    pose: jax.Array,
+    tilted: bool,
+    displacement: jax.Array | None = None,
+) -> tuple[jax.Array, jax.Array | None]:
+    """Offset b (B, N, d) in mm of the increment from `skin` to pose (B, 6), and the level frame there (None if not tilted).
+
+    How far each node slips if the skin keeps its shape, and its gap, taken where `displacement` (B, N, 3) puts the node: that
+    of `skin` (None) to begin with, then that of a first answer. At a shape's edge a node that slides by a step changes its gap
+    by half of that.
+    """
+    frame = level_frame(pose) if tilted else None
+
+    def in_target_frame(displaced: jax.Array) -> jax.Array:
+        return _turn(pose[:, YAW], _levelled(system, frame, displaced)[..., :2]) + pose[:, None, :2]
+
+    place = system.nodes + skin.displacement
+    rest_height = _levelled(system, frame, jnp.broadcast_to(system.nodes, place.shape))[..., 2]
+    found = place if displacement is None else system.nodes + displacement
+    fall = drop(obstacles, which, in_target_frame(found))
+    height = jnp.minimum(rest_height - pose[:, DEPTH, None] + fall, FAR_MM)
+    if skin.force.shape[-1] == 1:
+        return height[..., None], frame
+    level_before = _levelled(system, level_frame(skin.pose) if tilted else None, place)
+    before = _turn(skin.pose[:, YAW], level_before[..., :2]) + skin.pose[:, None, :2]
+    slip = _turn(-pose[:, YAW], in_target_frame(place) - before)
+    moved = skin.displacement if frame is None else _rotate(frame, skin.displacement)
+    return jnp.concatenate([slip - moved[..., :2], height[..., None]], axis=-1), frame
+
+
 def rest(system: System, pose: jax.Array) -> Skin:
-    """B undeformed skins at pose (B, 4)."""
-    zeros = jnp.zeros((pose.shape[0], *system.nodes.shape), pose.dtype)
-    return Skin(zeros, zeros, zeros, pose)
+    """B undeformed skins at pose (B, 6)."""
+    count, nodes = pose.shape[0], system.nodes.shape[0]
+    force = jnp.zeros((count, nodes, len(system.w) // nodes), pose.dtype)
+    return Skin(force, force, jnp.zeros((count, nodes, 3), pose.dtype), pose)
+
+
+def increment_length(before: jax.Array, after: jax.Array, radius_mm: jax.Array) -> jax.Array:
+    """(B,) mm by which the dome's tip region moves from pose (B, 6) to pose (B, 6); turns count at `radius_mm`."""
+    change = after - before
+    turns = radius_mm * jnp.linalg.norm(change[:, jnp.array([YAW, TILT_X, TILT_X + 1])], axis=-1)
+    return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns
+
+
+def advance(
+    system: System,
+    obstacles: Obstacles,
+    which: jax.Array,
+    friction: jax.Array,
+    pose: jax.Array,
+    skin: Skin,
+    tolerance: float,
+    limit: int,
+    tilted: bool,
+) -> tuple[Skin, Quality]:
+    """Move B skins by one increment, to pose (B, 6); a skin that does not move is left as it is.
+
+    Solved PASSES times, the first time with gaps where the nodes were, then with gaps where they came to lie.
+    """
+    moved = increment_length(skin.pose, pose, system.centre_mm / 4)
+    moving = jnp.any(pose != skin.pose, axis=-1)
+    goal = (tolerance * jnp.clip(moved, LEAST_MM, MOST_MM)).astype(skin.force.dtype)
+    wanted = jnp.where(moving, goal, jnp.inf)
+    frame = level_frame(pose) if tilted else None
+    force, dual, displacement = skin.force, skin.dual, skin.displacement
+    if frame is not None:
+        force, dual = _rotate(frame, force), _rotate(frame, dual)
+    count = jnp.zeros(len(which), jnp.int32)
+    for _ in range(PASSES):
+        offset, _ = increment_offset(system, obstacles, which, skin, pose, tilted, displacement)
+        # a free node's dual follows from the gap; carried over, it is what takes most iterations to forget
+        opening = -(_times(system.w, force, frame) + offset) / RHO
+        start = (force, jnp.where(force[..., -1:] > 0, dual, opening))
+        force, dual, error, spent = solve_increment(system, frame, offset, friction, start, wanted, limit)
+        inside = force if frame is None else jnp.einsum("bji,bnj->bni", frame, force)
+        displacement = (inside.reshape(force.shape[0], -1) @ system.spread).reshape(skin.displacement.shape)
+        count = count + spent
+    if frame is not None:
+        back = jnp.swapaxes(frame, 1, 2)
+        force, dual = _rotate(back, force), _rotate(back, dual)
+    keep = moving[:, None, None]
+    after = Skin(
+        jnp.where(keep, force, skin.force),
+        jnp.where(keep, dual, skin.dual),
+        jnp.where(keep, displacement, skin.displacement),
+        pose,
+    )
+    return after, Quality(jnp.where(moving, error, 0), goal, count)
 
 
 def follow_path(
@@ -124,37 +274,39 @@ def follow_path(
     skin: Skin,
     tolerance: float,
     limit: int,
+    tilted: bool = False,
+    steps: jax.Array | None = None,
 ) -> tuple[Skin, Quality]:
-    """Move B skins along path (T, B, 4) of poses x, y (mm), yaw (rad), depth (mm) in the target frame.
+    """Move B skins along path (T, B, 6) of poses x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad) in the target frame.
 
-    which (B,) indexes the obstacles; an increment stops below `tolerance` times its own length (but that of at least
-    0.05 mm, and at most 0.5 mm, so that pauses and long presses are judged sensibly).
+    which (B,) indexes the obstacles; an increment stops below `tolerance` times its own length; `tilted` False leaves the
+    rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew.
     """
-    ground = system.nodes[:, :2]
 
-    def increment(skin: Skin, pose: jax.Array):
-        # where the nodes would be in the target frame if the skin kept its shape, and how far each then slips
-        place = ground + skin.displacement[..., :2]
-        here = _turn(pose[:, 2], place) + pose[:, None, :2]
-        before = _turn(skin.pose[:, 2], place) + skin.pose[:, None, :2]
-        slip = _turn(-pose[:, 2], here - before)
-        height = system.nodes[:, 2] - pose[:, 3:4] + drop(obstacles, which, here)
-        offset = jnp.concatenate([slip - skin.displacement[..., :2], height[..., None]], axis=-1)
-        moved = jnp.linalg.norm(pose[:, [0, 1, 3]] - skin.pose[:, [0, 1, 3]], axis=-1)
-        goal = tolerance * jnp.clip(moved, 0.05, 0.5)
-        force, dual, error, count = _solve_increment(system, skin.force, skin.dual, offset, friction, goal, limit)
-        after = Skin(force, dual, _times(system.w, force), pose)
-        return after, (error, goal, jnp.broadcast_to(count, error.shape))
+    def step(state):
+        number, skin, worst = state
+        skin, now = advance(system, obstacles, which, friction, path[number], skin, tolerance, limit, tilted)
+        # written so that a NaN wins
+        worse = ~(now.residual_mm * worst.tolerance_mm <= worst.residual_mm * now.tolerance_mm)
+        pick = lambda new, old: jnp.where(worse, new, old)  # noqa: E731
+        residual, goal = pick(now.residual_mm, worst.residual_mm), pick(now.tolerance_mm, worst.tolerance_mm)
+        return number + 1, skin, Quality(residual, goal, worst.iterations + now.iterations)
 
-    skin, (errors, goals, counts) = jax.lax.scan(increment, skin, path)
-    worst = jnp.argmax(errors / goals, axis=0)
-    pick = lambda values: jnp.take_along_axis(values, worst[None], axis=0)[0]  # noqa: E731
-    return skin, Quality(pick(errors), pick(goals), jnp.sum(counts, axis=0))
+    last = jnp.asarray(len(path) if steps is None else steps, jnp.int32)
+    none = jnp.zeros(path.shape[1], path.dtype)
+    start = Quality(none, none + tolerance * LEAST_MM, jnp.zeros(path.shape[1], jnp.int32))
+    _, skin, worst = jax.lax.while_loop(lambda state: state[0] < last, step, (jnp.zeros((), jnp.int32), skin, start))
+    return skin, worst
 
 
-def contact_state(skin: Skin, friction: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def contact_state(skin: Skin, friction: jax.Array, tilted: bool = False) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Numbers of stuck, slipping and free nodes, each (B,)."""
-    touching = skin.force[..., 2] > 0
-    pull = jnp.linalg.norm(skin.force[..., :2], axis=-1)
-    slipping = touching & (pull >= friction[:, None] * skin.force[..., 2] * (1 - 1e-4))
+    force = _rotate(level_frame(skin.pose), skin.force) if tilted else skin.force
+    touching = force[..., -1] > 0
+    if force.shape[-1] == 1:
+        slipping = touching
+    else:
+        pull = jnp.linalg.norm(force[..., :2], axis=-1)
+        limit = jnp.where(jnp.isinf(friction), 0, friction)[:, None] * force[..., 2]
+        slipping = touching & ~jnp.isinf(friction)[:, None] & (pull >= limit * (1 - 1e-4))
     return jnp.sum(touching & ~slipping, -1), jnp.sum(slipping, -1), jnp.sum(~touching, -1)

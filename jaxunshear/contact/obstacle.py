@@ -4,43 +4,58 @@ Signed distances are sampled once on a grid about the target, so that one compil
 may mix shapes; between grid points they are interpolated bilinearly (below 0.01 mm of error away from corners).
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.scene.stimuli import signed_distance, stimulus_named
+from jaxunshear.errors import UserError
+from jaxunshear.scene.stimuli import Stimulus, signed_distance
 
 EDGE_RADIUS_MM = 0.5  # of the rounding: also keeps the contact at an edge from flipping node by node
-REACH_MM = 30.0
+REACH_MM = 125.0  # beyond every shape, seen from its target
 SPACING_MM = 0.25
 
 
 class Obstacles(NamedTuple):
-    """Signed distances (S, H, H) in mm on a square grid of half-width REACH_MM about each target point."""
+    """Signed distances (S, H, H) in mm on a square grid of spacing SPACING_MM about each target point."""
 
     distance: jax.Array
 
 
-def sample(names: tuple[str, ...]) -> Obstacles:
-    """The named stimuli as obstacles, (S, H, H)."""
-    line = np.arange(-REACH_MM, REACH_MM + SPACING_MM / 2, SPACING_MM)
-    grid = jnp.asarray(np.stack(np.meshgrid(line, line, indexing="xy"), -1), jnp.float32)
-    return Obstacles(jnp.stack([jax.jit(lambda p, s=stimulus_named(n): signed_distance(s, p))(grid) for n in names]))
+def sample(stimuli: tuple[Stimulus, ...]) -> Obstacles:
+    """The stimuli as obstacles, (S, H, H). Raises UserError where a distance is not finite."""
+    line = jnp.asarray(np.arange(-REACH_MM, REACH_MM + SPACING_MM / 2, SPACING_MM), jnp.float32)
+
+    def grid(stimulus: Stimulus) -> jax.Array:
+        row = lambda y: signed_distance(stimulus, jnp.stack([line, jnp.full_like(line, y)], -1))  # noqa: E731
+        return jax.jit(partial(jax.lax.map, row))(line)  # row by row: a shape of many segments needs memory
+
+    grids = [grid(stimulus) for stimulus in stimuli]
+    for stimulus, values in zip(stimuli, grids, strict=True):
+        if not bool(jnp.isfinite(values).all()):
+            raise UserError(f"stimulus '{stimulus.name}': its signed distance is not a finite number everywhere")
+    return Obstacles(jnp.stack(grids))
 
 
 def distance_at(obstacles: Obstacles, which: jax.Array, xy: jax.Array) -> jax.Array:
-    """Signed distance (B, N) in mm at points xy (B, N, 2) of the target frame of obstacle which (B,)."""
+    """Signed distance (B, N) in mm at points xy (B, N, 2) of the target frame of obstacle which (B,).
+
+    Beyond the grid the way to the grid is added: far outside, as every shape lies within.
+    """
     size = obstacles.distance.shape[-1]
-    place = jnp.clip((xy + REACH_MM) / SPACING_MM, 0, size - 1.001)
+    half = SPACING_MM * (size - 1) / 2
+    inside = jnp.clip(xy, -half, half)
+    place = jnp.minimum((inside + half) / SPACING_MM, size - 1.001)
     cell = place.astype(jnp.int32)
     share = place - cell
     flat = obstacles.distance.reshape(-1)
     base = which[:, None] * size * size + cell[..., 1] * size + cell[..., 0]
     lower = flat[base] * (1 - share[..., 0]) + flat[base + 1] * share[..., 0]
     upper = flat[base + size] * (1 - share[..., 0]) + flat[base + size + 1] * share[..., 0]
-    return lower * (1 - share[..., 1]) + upper * share[..., 1]
+    return lower * (1 - share[..., 1]) + upper * share[..., 1] + jnp.max(jnp.abs(xy - inside), axis=-1)
 
 
 def drop(obstacles: Obstacles, which: jax.Array, xy: jax.Array) -> jax.Array:

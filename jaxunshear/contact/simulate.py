@@ -1,44 +1,49 @@
-"""Scenes in, pin positions out: grouped by what they need, solved in batches, each contact with its quality.
+"""Scenes in, pin positions out: planned, solved in batches, each contact with its quality.
 
     contacts = simulate(TACTIP_331, ("disk",), scenes)
     contacts.pins  # (B, 331, 3) mm in the sensor frame
 
-A scene pays only for the contact rings that its depth can reach, and a tap for no slide.
+`follow` takes any path (press, slide, twist, tilt) and goes on from where an earlier one ended. Side effects: the dome's cache.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import get_lapack_funcs
 
-from jaxunshear.contact.dome import RING_MM, RINGS, deepest_mm, dome, reach_mm
-from jaxunshear.contact.friction import RHO, System, contact_state, follow_path, rest
+from jaxunshear.contact import dome as domes
+from jaxunshear.contact.elasticity import Compliance, sixfold
+from jaxunshear.contact.friction import RHO, Skin, System, contact_state, follow_path, rest
 from jaxunshear.contact.obstacle import Obstacles, sample
+from jaxunshear.contact.plan import (
+    BATCHES,
+    LEVELS,
+    NODE_COUNTS,
+    PATH_LENGTHS,
+    REACHED,
+    STRONGER,
+    Batch,
+    Level,
+    gaps,
+    increments,
+    make_plan,
+    padded,
+)
+from jaxunshear.contact.rings import deepest_mm, ring_arcs, ring_spacing
 from jaxunshear.errors import UserError
+from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths, path_of
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.sensor import Sensor
+from jaxunshear.scene.stimuli import Stimulus, stimulus_named
 
 BATCH = 64
+PENETRATION_MM = 0.03  # a node that was left out and ends deeper than this in the stimulus was needed
+NEIGHBOURS = 1.6  # ring spacings: a contact grows from node to neighbouring node
 
-
-@dataclass(frozen=True)
-class Level:
-    """Increments of a press and of a slide, and when an increment is solved (a share of its length)."""
-
-    press: int
-    slide: int
-    tolerance: float
-    limit: int  # iterations of an increment
-
-
-LEVELS = {
-    "default": Level(press=2, slide=8, tolerance=0.2, limit=300),
-    "reference": Level(press=4, slide=16, tolerance=0.02, limit=4000),
-}
-RING_COUNTS = (8, 10, 12, 14, 16, RINGS)  # a batch uses the first that covers its deepest scene
+Stimuli = tuple[str | Stimulus, ...]
 
 
 class Contacts(NamedTuple):
@@ -46,130 +51,350 @@ class Contacts(NamedTuple):
 
     pins: np.ndarray  # (B, P, 3) mm, displaced pin tips in the sensor frame
     residual_mm: np.ndarray  # (B,) of the worst increment
-    converged: np.ndarray  # (B,) bool: every increment below its tolerance, every pin finite
+    converged: np.ndarray  # (B,) bool: every increment below its tolerance, every pin finite, no needed node left out
     iterations: np.ndarray  # (B,)
     stuck: np.ndarray  # (B,) contact nodes at the end
     slipping: np.ndarray
     free: np.ndarray
     force_n: np.ndarray  # (B, 3) on the sensor, in the sensor frame
+    nodes: np.ndarray  # (B,) contact nodes that were solved for
+    retried: np.ndarray  # (B,) bool: did not converge at the level that was asked for, so solved at a stronger one
 
 
-def rings_needed(sensor: Sensor, depth_mm: np.ndarray) -> np.ndarray:
-    """Index into RING_COUNTS for each depth (B,)."""
-    reach = np.array([reach_mm(sensor, depth) for depth in np.ravel(depth_mm)])
-    return np.searchsorted([(count - 1) * RING_MM for count in RING_COUNTS], reach)
+class Skins(NamedTuple):
+    """State of B skins, from which a later motion continues (numpy, sensor frame)."""
+
+    force_n: np.ndarray  # (B, N, 3) on the contact nodes of the sensor's dome
+    point: np.ndarray  # (B, 6) where they are, as the points of `Paths`
+
+    def take(self, index: np.ndarray) -> "Skins":
+        return Skins(self.force_n[index], self.point[index])
 
 
-def plan(sensor: Sensor, scenes: Scenes) -> list[np.ndarray]:
-    """Batches of scene indices of equal need: same rings, taps apart from slides, at most BATCH each."""
-    check(sensor, scenes)
-    slides = np.any(scenes.move != 0, axis=-1)
-    need = 2 * rings_needed(sensor, scenes.pose[:, 3]) + slides
-    batches = []
-    for kind in np.unique(need):
-        index = np.flatnonzero(need == kind)
-        batches += [index[start : start + BATCH] for start in range(0, len(index), BATCH)]
-    return batches
+def simulate(
+    sensor: Sensor,
+    names: Stimuli,
+    scenes: Scenes,
+    level: str | Level = "auto",
+    batch: int = BATCH,
+    retry: bool = True,
+    progress=None,
+) -> Contacts:
+    """Contacts of B scenes, in the order given; `scenes.stimulus` indexes `names`. Raises `UserError` by name of the field."""
+    _check_scenes(scenes)
+    return follow(sensor, names, path_of(scenes), level, batch=batch, retry=retry, progress=progress)[0]
 
 
-def check(sensor: Sensor, scenes: Scenes) -> None:
-    """Refuse by name what cannot be simulated."""
-    for field, values in zip(("pose", "move", "friction"), (scenes.pose, scenes.move, scenes.friction), strict=True):
+def follow(
+    sensor: Sensor,
+    names: Stimuli,
+    paths: Paths,
+    level: str | Level = "auto",
+    start: Skins | None = None,
+    batch: int = BATCH,
+    retry: bool = True,
+    progress=None,
+) -> tuple[Contacts, Skins]:
+    """Contacts at the ends of B paths, and the skins there; with `start`, each path goes on from its first point with that skin.
+
+    What does not converge is solved again at the next stronger level, unless `retry` is False. What then still has not is
+    returned as not converged: it is for the caller to drop and to count.
+    """
+    chosen = level_named(level)
+    check(sensor, names, paths)
+    if start is not None:
+        _check_start(paths, start)
+    obstacles = _obstacles(_stimuli(names))
+    contacts, skins, incomplete = _follow(sensor, obstacles, paths, chosen, start, batch, progress, wide=False)
+
+    def replace(rows: np.ndarray, new: Contacts, new_skins: Skins) -> None:
+        for field, value in zip((*contacts, *skins), (*new, *new_skins), strict=True):
+            field[rows] = value
+
+    if incomplete.any():
+        rows = np.flatnonzero(incomplete)
+        before = None if start is None else start.take(rows)
+        new, new_skins, still = _follow(sensor, obstacles, paths.take(rows), chosen, before, batch, None, wide=True)
+        replace(rows, new._replace(converged=new.converged & ~still), new_skins)
+    stronger = STRONGER.get(level, "reference") if isinstance(level, str) else "reference"
+    if retry and not contacts.converged.all() and level != stronger:
+        rows = np.flatnonzero(~contacts.converged)
+        before = None if start is None else start.take(rows)
+        new, new_skins = follow(sensor, names, paths.take(rows), stronger, before, batch)
+        replace(rows, new._replace(retried=np.ones(len(rows), bool)), new_skins)
+    return contacts, skins
+
+
+def plan(
+    sensor: Sensor, names: Stimuli, scenes: Scenes, level: str | Level = "auto", batch: int = BATCH
+) -> list[np.ndarray]:
+    """The scenes' rows, batch by batch, as `simulate` groups them."""
+    _check_scenes(scenes)
+    paths = path_of(scenes)
+    check(sensor, names, paths)
+    return [part.index for part in plan_paths(sensor, _obstacles(_stimuli(names)), paths, level_named(level), batch)]
+
+
+def plan_paths(
+    sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level, batch: int, wide: bool = False
+) -> list[Batch]:
+    nodes = dome(sensor).nodes
+    return make_plan(obstacles, nodes, sixfold(len(nodes)), sensor.dome_radius_mm, paths, level, batch, wide)
+
+
+def level_named(level: str | Level) -> Level:
+    if isinstance(level, Level):
+        return level
+    if level not in LEVELS:
+        raise UserError(f"level '{level}' is unknown: use one of {', '.join(LEVELS)}")
+    return LEVELS[level]
+
+
+def _check_scenes(scenes: Scenes) -> None:
+    """Before they become paths, so that a complaint names the scene's own field."""
+    for field, values in zip(("pose", "move"), (scenes.pose, scenes.move), strict=True):
         bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=-1))
         if len(bad):
             raise UserError(f"scene {bad[0]}: {field} = {values[bad[0]].tolist()} is not finite")
-    if np.any(scenes.friction < 0):
-        raise UserError(f"scene {np.flatnonzero(scenes.friction < 0)[0]}: friction is negative")
-    deepest = deepest_mm(sensor)
-    deep = np.flatnonzero(scenes.pose[:, 3] > deepest)
+
+
+def check(sensor: Sensor, names: Stimuli, paths: Paths) -> None:
+    """Refuse by name what cannot be simulated."""
+    if paths.points.ndim != 3 or paths.points.shape[1] < 2 or paths.points.shape[2] != 6:
+        raise UserError(f"points have shape {paths.points.shape}: give (B, K, 6) with K at least 2")
+    bad = np.flatnonzero(~np.isfinite(paths.points).all(axis=(1, 2)))
+    if len(bad):
+        raise UserError(f"scene {bad[0]}: points = {paths.points[bad[0]].tolist()} are not finite")
+    bad = np.flatnonzero(~(paths.friction >= 0))
+    if len(bad):
+        value = paths.friction[bad[0]]
+        raise UserError(f"scene {bad[0]}: friction {value:g} is not a number from 0 (none) to infinity (stick)")
+    bad = np.flatnonzero((paths.stimulus < 0) | (paths.stimulus >= len(names)))
+    if len(bad):
+        raise UserError(f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {len(names)} named")
+    tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
+    deepest = np.vectorize(lambda t: deepest_mm(sensor, t) / REACHED, otypes=[float])(tilt)
+    deep = np.argwhere(paths.points[..., DEPTH] > deepest)
     if len(deep):
-        depth = scenes.pose[deep[0], 3]
+        row, point = deep[0]
+        depth, most = paths.points[row, point, DEPTH], max(deepest[row, point], 0)
+        leaning = f" at a tilt of {tilt[row, point]:.3g} deg" if tilt[row, point] else ""
         raise UserError(
-            f"scene {deep[0]}: depth {depth:.3g} mm cannot be reached; the contact model covers {deepest:.1f} mm"
+            f"scene {row}: depth {depth:.3g} mm cannot be reached{leaning}; the contact model covers {most:.1f} mm there"
         )
 
 
+def _check_start(paths: Paths, start: Skins) -> None:
+    if start.force_n.shape[0] != len(paths) or not np.isfinite(start.force_n).all():
+        raise UserError(f"the skins to start from: give {len(paths)} of them, with finite forces")
+    apart = np.flatnonzero(np.abs(paths.points[:, 0] - start.point).max(axis=-1) > 1e-6)
+    if len(apart):
+        raise UserError(
+            f"scene {apart[0]}: its path starts elsewhere than its skin: begin at {start.point[apart[0]].tolist()}"
+        )
+
+
+def _stimuli(names: Stimuli) -> tuple[Stimulus, ...]:
+    return tuple(stimulus_named(name) if isinstance(name, str) else name for name in names)
+
+
+@lru_cache(maxsize=4)
+def dome(sensor: Sensor) -> Compliance:
+    """The sensor's dome, kept in memory."""
+    return domes.dome(sensor)
+
+
 @lru_cache(maxsize=8)
-def _system(sensor: Sensor, rings: int) -> tuple[System, jax.Array, float]:
-    """The first rings of the dome, scaled; the pin map (3P, 3N) for scaled forces; newtons per scaled force."""
+def _obstacles(stimuli: tuple[Stimulus, ...]) -> Obstacles:
+    return sample(stimuli)
+
+
+@lru_cache(maxsize=16)
+def _system(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tuple[System, float]:
+    """The contact nodes `chosen` (int64 bytes), padded by nodes far from any stimulus; newtons per scaled force."""
     whole = dome(sensor)
-    count = 3 * (1 + 3 * rings * (rings - 1))
-    w = whole.w[:count, :count]
-    scale = np.trace(w) / count
-    inverse = np.linalg.inv(w / scale + RHO * np.eye(count))
-    as_float = partial(jnp.asarray, dtype=jnp.float32)
-    system = System(as_float(w / scale), as_float((inverse + inverse.T) / 2), as_float(whole.nodes[: count // 3]))
-    return system, as_float(whole.g[:, :count] / scale), 1 / scale
-
-
-def paths(scenes: Scenes, level: Level, slides: bool) -> np.ndarray:
-    """(T + 1, B, 4) way points, from touch to pose: down at pose - move, then along move; yaw in rad."""
-    end = scenes.pose.copy()
-    end[:, 2] = np.radians(end[:, 2])
-    pressed = end.copy()
-    pressed[:, :2] -= scenes.move
-    down = np.linspace(0, 1, level.press + 1)[:, None]
-    points = np.repeat(pressed[None], level.press + 1, axis=0)
-    points[..., 3] *= down
-    if slides:
-        along = np.linspace(0, 1, level.slide + 1)[1:, None, None]
-        points = np.concatenate([points, pressed + along * (end - pressed)])
-    return points.astype(np.float32)
-
-
-@partial(jax.jit, static_argnames=("tolerance", "limit"))
-def _follow(system, to_pins, obstacles, which, friction, path, tolerance, limit):
-    skin, quality = follow_path(system, obstacles, which, friction, path[1:], rest(system, path[0]), tolerance, limit)
-    displaced = skin.force.reshape(len(which), -1) @ to_pins.T
-    return displaced.reshape(len(which), -1, 3), quality, contact_state(skin, friction), jnp.sum(skin.force, axis=1)
-
-
-def simulate(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: str = "default", progress=None) -> Contacts:
-    """Contacts of B scenes, in the order given; `scenes.stimulus` indexes `names`."""
-    if level not in LEVELS:
-        raise UserError(f"level '{level}' is unknown: use one of {', '.join(LEVELS)}")
-    obstacles = _obstacles(names)
-    parts, order = [], []
-    for index in plan(sensor, scenes):
-        parts.append(_solve_batch(sensor, obstacles, scenes.take(index), LEVELS[level]))
-        order.append(index)
-        if progress is not None:
-            progress.advance(len(index))
-    back = np.argsort(np.concatenate(order), kind="stable")
-    return Contacts(*(np.concatenate(field)[back] for field in zip(*parts, strict=True)))
-
-
-@lru_cache(maxsize=8)
-def _obstacles(names: tuple[str, ...]) -> Obstacles:
-    return sample(names)
-
-
-def _solve_batch(sensor: Sensor, obstacles: Obstacles, scenes: Scenes, level: Level) -> Contacts:
-    """One batch of equal need, padded to BATCH by repeating its last scene so that it compiles once."""
-    count = len(scenes)
-    padded = scenes.take(np.minimum(np.arange(BATCH), count - 1))
-    rings = RING_COUNTS[int(rings_needed(sensor, padded.pose[:, 3]).max())]
-    system, to_pins, newtons = _system(sensor, rings)
-    path = paths(padded, level, bool(np.any(padded.move != 0)))
-    moved, quality, states, force = _follow(
-        system,
-        to_pins,
-        obstacles,
-        jnp.asarray(padded.stimulus, jnp.int32),
-        jnp.asarray(padded.friction, jnp.float32),
-        jnp.asarray(path),
-        level.tolerance,
-        level.limit,
+    index = np.frombuffer(chosen, np.int64)
+    size = padded(len(index), NODE_COUNTS)
+    parts = np.arange(3) if friction else np.array([2])
+    rows, all_rows = (3 * index[:, None] + parts).ravel(), (3 * index[:, None] + np.arange(3)).ravel()
+    found, count = len(rows), len(parts) * size
+    scale = np.trace(whole.w) / len(whole.w)
+    w, spread = np.eye(count), np.zeros((count, 3 * size))
+    w[:found, :found] = whole.w[np.ix_(rows, rows)] / scale
+    spread[:found, : len(all_rows)] = whole.w[np.ix_(rows, all_rows)] / scale
+    inverse = _inverse(w + RHO * np.eye(count), precision)
+    nodes = np.full((size, 3), 1e3)
+    nodes[: len(index)] = whole.nodes[index]
+    as_array = partial(jnp.asarray, dtype=precision)
+    shared = as_array(w)
+    system = System(
+        shared,
+        as_array(inverse),
+        shared if friction else as_array(spread),
+        as_array(nodes),
+        as_array(sensor.dome_radius_mm),
     )
-    pins = np.asarray(dome(sensor).pins + np.asarray(moved), np.float32)
-    residual, goal = np.asarray(quality.residual_mm), np.asarray(quality.tolerance_mm)
+    return system, 1 / scale
+
+
+def _inverse(matrix: np.ndarray, precision: str) -> np.ndarray:
+    """Of a symmetric positive definite matrix, symmetric; its condition is that of W over RHO, so float32 is enough."""
+    factorise, invert = get_lapack_funcs(("potrf", "potri"), dtype=np.dtype(precision))
+    lower, _ = invert(factorise(matrix.astype(precision), lower=True)[0], lower=True)
+    return np.tril(lower) + np.tril(lower, -1).T
+
+
+@partial(jax.jit, static_argnames=("tolerance", "limit", "tilted"))
+def _run(system, obstacles, which, friction, path, steps, force, tolerance, limit, tilted):
+    count = len(which)
+    skin = rest(system, path[0])
+    displacement = (force.reshape(count, -1) @ system.spread).reshape(count, -1, 3)
+    skin = skin._replace(force=force, displacement=displacement)
+    skin, quality = follow_path(system, obstacles, which, friction, path[1:], skin, tolerance, limit, tilted, steps)
+    return skin, quality, contact_state(skin, friction, tilted)
+
+
+def _follow(
+    sensor: Sensor,
+    obstacles: Obstacles,
+    paths: Paths,
+    level: Level,
+    start: Skins | None,
+    batch: int,
+    progress,
+    wide: bool,
+) -> tuple[Contacts, Skins, np.ndarray]:
+    """As `follow`, and which contacts (B,) turn out to need nodes that were left out."""
+    parts, order = [], []
+    batches = plan_paths(sensor, obstacles, paths, level, batch, wide)
+    if start is not None:
+        batches = [_with_loaded(part, start, sixfold(start.force_n.shape[1])) for part in batches]
+    for part in batches:
+        before = None if start is None else start.take(part.index)
+        if len(part.nodes):
+            parts.append(_solve(sensor, obstacles, paths.take(part.index), part, level, batch, before))
+        else:
+            parts.append(_untouched(sensor, paths.take(part.index), level))
+        order.append(part.index)
+        if progress is not None:
+            progress.advance(len(part.index))
+    back = np.argsort(np.concatenate(order), kind="stable")
+    fields = [np.concatenate(field)[back] for field in zip(*((*c, *s, i) for c, s, i in parts), strict=True)]
+    return Contacts(*fields[:-3]), Skins(*fields[-3:-1]), fields[-1]
+
+
+def _with_loaded(part: Batch, start: Skins, turned: np.ndarray) -> Batch:
+    """A batch that also solves for the nodes that carry a force at the start, with what those need."""
+    force = start.force_n[part.index]
+    loaded = [np.flatnonzero(np.any(f[turned[k]] != 0, axis=-1)) for k, f in zip(part.turn, force, strict=True)]
+    friction = part.friction or bool(np.any(force[..., :2]))
+    return part._replace(nodes=np.union1d(part.nodes, np.concatenate(loaded)).astype(int), friction=friction)
+
+
+def _untouched(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins, np.ndarray]:
+    count, whole = len(paths), dome(sensor)
+    none, nothing = np.zeros(count), np.zeros(count, np.int64)
+    pins = np.repeat(whole.pins[None].astype(level.precision), count, axis=0)
+    free = np.full(count, len(whole.nodes))
+    good = np.ones(count, bool)
+    contacts = Contacts(pins, none, good, nothing, nothing, nothing, free, np.zeros((count, 3)), nothing, ~good)
+    return contacts, Skins(np.zeros((count, len(whole.nodes), 3)), paths.points[:, -1]), ~good
+
+
+def _turned_back(turn: np.ndarray) -> np.ndarray:
+    """(B, 3, 3): from the turned lattice to the sensor frame."""
+    angle = np.radians(60.0 * turn)
+    cos, sin, zero, one = np.cos(angle), np.sin(angle), np.zeros(len(turn)), np.ones(len(turn))
+    return np.stack([np.stack(row, -1) for row in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))], 1)
+
+
+def _solve(
+    sensor: Sensor, obstacles: Obstacles, paths: Paths, part: Batch, level: Level, batch: int, start: Skins | None
+) -> tuple[Contacts, Skins, np.ndarray]:
+    """One batch, padded by repeating its last scene."""
+    count, whole = len(paths), dome(sensor)
+    rotation, place = _turned_back(part.turn), sixfold(len(whole.nodes))[part.turn][:, part.nodes]  # (b, n)
+    poses, _ = increments(paths, level, sensor.dome_radius_mm)
+    poses[..., YAW] += np.radians(60.0 * part.turn)[:, None]
+    poses[..., TILT_X:] = np.einsum("bji,btj->bti", rotation[:, :2, :2], poses[..., TILT_X:])
+    rows = np.minimum(np.arange(min(padded(count, BATCHES), max(batch, count))), count - 1)
+    length = padded(part.steps, PATH_LENGTHS)
+    filled = np.minimum(np.arange(length + 1), poses.shape[1] - 1)
+    with jax.enable_x64(level.precision == "float64"):
+        system, newtons = _system(sensor, part.nodes.astype(np.int64).tobytes(), part.friction, level.precision)
+        size, unknowns = len(system.nodes), len(system.w) // len(system.nodes)
+        force = np.zeros((len(rows), size, unknowns))
+        if start is not None:
+            loaded = (
+                np.einsum("bji,bnj->bni", rotation, np.take_along_axis(start.force_n, place[..., None], 1)) / newtons
+            )
+            force[:, : len(part.nodes)] = loaded[rows][..., 3 - unknowns :]
+        skin, quality, states = jax.device_get(
+            _run(
+                system,
+                obstacles,
+                jnp.asarray(paths.stimulus[rows], jnp.int32),
+                jnp.asarray(paths.friction[rows], level.precision),
+                jnp.asarray(np.swapaxes(poses[rows][:, filled], 0, 1), level.precision),
+                part.steps,
+                jnp.asarray(force, level.precision),
+                level.tolerance,
+                level.limit,
+                part.tilted,
+            )
+        )
+    solved = Skin(*(field[:count] for field in skin))
+    turned = np.zeros((count, len(part.nodes), 3))
+    turned[..., 3 - unknowns :] = solved.force[:, : len(part.nodes)] * newtons
+    on_nodes = np.zeros((count, len(whole.nodes), 3))
+    np.put_along_axis(on_nodes, place[..., None], np.einsum("bij,bnj->bni", rotation, turned), 1)
+    pins = _pins(sensor, on_nodes, level.precision)
+    residual, goal = quality.residual_mm[:count], quality.tolerance_mm[:count]
     converged = (residual <= goal) & np.isfinite(pins).all(axis=(1, 2))
-    fields = (
+    stuck, slipping, _ = (state[:count] for state in states)
+    contacts = Contacts(
         pins,
         residual,
         converged,
-        np.asarray(quality.iterations),
-        *map(np.asarray, states),
-        np.asarray(force) * newtons,
+        quality.iterations[:count],
+        stuck,
+        slipping,
+        len(whole.nodes) - stuck - slipping,
+        on_nodes.sum(axis=1),
+        np.full(count, len(part.nodes)),
+        np.zeros(count, bool),
     )
-    return Contacts(*(field[:count] for field in fields))
+    incomplete = _needs_more(sensor, obstacles, paths, part, poses[:, -1], turned)
+    return contacts, Skins(on_nodes, paths.points[:, -1]), incomplete
+
+
+def _pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
+    """Displaced pin tips (B, P, 3) under forces (B, N, 3) on the contact nodes."""
+    whole = dome(sensor)
+    used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
+    columns = (3 * used[:, None] + np.arange(3)).ravel()
+    matrix = whole.g[:, columns].astype(precision)
+    moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.T
+    return (whole.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
+
+
+def _needs_more(
+    sensor: Sensor, obstacles: Obstacles, paths: Paths, part: Batch, pose: np.ndarray, force_n: np.ndarray
+) -> np.ndarray:
+    """(B,) whether the contact reaches the last ring, or a node beside it that was left out ends inside the stimulus."""
+    whole = dome(sensor)
+    last_ring = part.nodes >= len(whole.nodes) - 6 * (len(ring_arcs(sensor)) - 1)
+    beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2))
+    rest_of = np.setdiff1d(np.arange(len(whole.nodes)), part.nodes)
+    if not len(rest_of):
+        return beyond
+    loaded = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
+    apart = np.linalg.norm(whole.nodes[rest_of, None] - whole.nodes[part.nodes[loaded]][None], axis=-1)
+    beside = rest_of[np.any(apart < NEIGHBOURS * ring_spacing(sensor), axis=1)] if len(loaded) else rest_of[:0]
+    if not len(beside):
+        return beyond
+    columns = (3 * part.nodes[loaded][:, None] + np.arange(3)).ravel()
+    matrix = whole.w[np.ix_((3 * beside[:, None] + np.arange(3)).ravel(), columns)]
+    moved = (force_n[:, loaded].reshape(len(paths), -1) @ matrix.T).reshape(len(paths), -1, 3)
+    gap = gaps(obstacles, whole.nodes[beside], sensor.dome_radius_mm, paths.stimulus, pose, moved)
+    return beyond | (np.min(gap, axis=1) < -PENETRATION_MM)

@@ -27,8 +27,8 @@ RENDER = 16  # images rendered at once: one shape to compile, little memory
 class Engine(NamedTuple):
     """What makes contacts and images; the tests put fast stand-ins here."""
 
-    plan: Callable[..., list[np.ndarray]]  # (sensor, scenes) -> index batches
-    simulate: Callable[..., Any]  # (sensor, names, scenes[, level]) -> Contacts
+    plan: Callable[..., list[np.ndarray]]  # (sensor, names, scenes) -> index batches
+    simulate: Callable[..., Any]  # (sensor, names, scenes) -> Contacts
     look: Callable[..., tuple[np.ndarray, np.ndarray]]  # (settings, sensor, tips, number, age) -> images, pins in px
 
 
@@ -49,11 +49,11 @@ def simulate_chunks(
 ) -> list[Path]:
     """Simulates all shots into one file per batch of `engine.plan`; files that are there already are kept.
 
-    A contact that does not converge is tried once more at the simulator's `reference` level; if that fails too, or if its
-    image is black, it is stored as not usable. A chunk holds `number`, `usable`, `retried` (n,), `images` (n, bytes) at
+    A contact that did not converge, not even where the simulator tried it again, or whose image is black, is stored as not
+    usable. A chunk holds `number`, `usable`, `retried` (n,), `images` (n, bytes) at
     one bit a pixel, `pins` (n, P, 2) px, and what the solver says of each contact.
     """
-    batches = engine.plan(sensor, shots.scenes)
+    batches = engine.plan(sensor, settings.stimuli, shots.scenes)
     paths = [folder / f"{index:05d}.npz" for index in range(len(batches))]
     done = [_holds(path, batch) for path, batch in zip(paths, batches, strict=True)]
     label = f"simulate {set_name(settings)}/{config_name(settings, sensor)}"
@@ -81,14 +81,7 @@ def _chunk(settings, sensor: Sensor, shots: Shots, batch: np.ndarray, engine: En
     contacts = engine.simulate(sensor, names, scenes)
     kept = ("pins", "residual_mm", "iterations", "stuck", "slipping", "free")
     fields = {name: np.array(getattr(contacts, name)) for name in kept}
-    usable = _usable(contacts)
-    retried = ~usable
-    if retried.any():
-        again = np.flatnonzero(retried)
-        contacts = engine.simulate(sensor, names, scenes.take(again), level="reference")
-        for name in kept:
-            fields[name][again] = getattr(contacts, name)
-        usable[again] = _usable(contacts)
+    usable, retried = _usable(contacts), np.asarray(contacts.retried)
     size = settings.preprocess.size
     tips = fields.pop("pins")
     images = np.zeros((len(batch), -(-size * size // 8)), np.uint8)

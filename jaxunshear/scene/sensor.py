@@ -3,6 +3,8 @@
 Sensor frame: origin at the apex of the undeformed dome, z from the apex towards the camera, x and y lateral; mm.
 """
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +40,7 @@ class Sensor:
 
 TACTIP_331 = Sensor()
 TACTIP_127 = Sensor(name="tactip127", layout="hexagonal", rings=6, pin_spacing_mm=2.4, pin_radius_mm=0.6)
+LAYOUTS = ("rings", "hexagonal")
 SENSORS = {sensor.name: sensor for sensor in (TACTIP_331, TACTIP_127)}
 
 
@@ -45,6 +48,47 @@ def sensor_named(name: str) -> Sensor:
     if name not in SENSORS:
         raise UserError(f"sensor '{name}' is unknown: use one of {', '.join(SENSORS)}")
     return SENSORS[name]
+
+
+def sensor_rules(sensor: Sensor) -> Iterator[tuple[bool, str, str]]:
+    """(holds, field, what is wrong and what to do instead); later rules may rely on earlier ones."""
+    yield sensor.layout in LAYOUTS, "layout", f"use one of {', '.join(LAYOUTS)}"
+    yield 1 <= sensor.rings <= 50, "rings", "use 1 to 50"
+    for field in (
+        "pin_spacing_mm",
+        "pin_radius_mm",
+        "dome_radius_mm",
+        "skin_mm",
+        "skin_modulus_mpa",
+        "gel_modulus_mpa",
+    ):
+        yield 0 < getattr(sensor, field) < math.inf, field, "must be above zero, and finite"
+    yield 0 <= sensor.pin_length_mm < math.inf, "pin_length_mm", "must not be below zero, and finite"
+    for field in ("skin_poisson", "gel_poisson"):
+        yield 0 <= getattr(sensor, field) < 0.5, field, "use 0 up to, but not, 0.5 (exactly incompressible)"
+    yield (
+        2 * sensor.pin_radius_mm < sensor.pin_spacing_mm,
+        "pin_radius_mm",
+        f"pins {sensor.pin_spacing_mm:g} mm apart would overlap: use less than half of that",
+    )
+    yield (
+        sensor.skin_mm + sensor.pin_length_mm < sensor.dome_radius_mm,
+        "dome_radius_mm",
+        "must exceed skin_mm + pin_length_mm",
+    )
+    rim = sensor.dome_radius_mm * math.pi / 2
+    yield (
+        sensor.rings * sensor.pin_spacing_mm < rim,
+        "rings",
+        f"{sensor.pin_spacing_mm:g} mm apart, they go past the dome's rim at {rim:.1f} mm: use fewer or closer rings",
+    )
+
+
+def check_sensor(sensor: Sensor) -> None:
+    """Raises `UserError` that names the first field that cannot be."""
+    for holds, field, remedy in sensor_rules(sensor):
+        if not holds:
+            raise UserError(f"sensor '{sensor.name}': {field} = {getattr(sensor, field)}: {remedy}")
 
 
 def pin_lattice(sensor: Sensor) -> np.ndarray:
@@ -55,27 +99,34 @@ def pin_lattice(sensor: Sensor) -> np.ndarray:
         if sensor.layout == "rings":
             angle = 2 * np.pi * turn
             points.append(ring * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
-        elif sensor.layout == "hexagonal":
+        else:
             corners = np.stack([np.cos(np.arange(7) * np.pi / 3), np.sin(np.arange(7) * np.pi / 3)], axis=-1)
             side, along = np.divmod(6 * turn, 1.0)
             side = side.astype(int)
             points.append(ring * (corners[side] * (1 - along)[:, None] + corners[side + 1] * along[:, None]))
-        else:
-            raise UserError(f"sensor.layout '{sensor.layout}' is unknown: use 'rings' or 'hexagonal'")
     return sensor.pin_spacing_mm * np.concatenate(points)
 
 
 def pin_tips(sensor: Sensor) -> np.ndarray:
-    """Undeformed pin tips, (P, 3) in mm in the sensor frame: they stand on the skin's inner face, along the normal."""
+    """Undeformed pin tips, (P, 3) in mm in the sensor frame: they stand on the skin's inner face, along the normal.
+
+    Raises `UserError` for a sensor that cannot be.
+    """
+    check_sensor(sensor)
+    return sensor.dome_radius_mm * np.array([0, 0, 1.0]) + _outwards(sensor) * (
+        sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm
+    )
+
+
+def pin_levers(sensor: Sensor) -> np.ndarray:
+    """(P, 3) mm from where each pin stands on the skin's inner face to its tip: along the normal, inwards."""
+    return -sensor.pin_length_mm * _outwards(sensor)
+
+
+def _outwards(sensor: Sensor) -> np.ndarray:
+    """Outward unit normals of the dome above the pins, (P, 3)."""
     flat = pin_lattice(sensor)
     arc = np.linalg.norm(flat, axis=-1)
-    reach = sensor.dome_radius_mm * np.pi / 2
-    if arc.max() >= reach:
-        raise UserError(
-            f"sensor '{sensor.name}': rings x pin_spacing_mm = {arc.max():g} mm goes past the dome's rim at {reach:.1f} mm"
-        )
     angle = arc / sensor.dome_radius_mm
     direction = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)
-    radius = sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm
-    lateral = radius * np.sin(angle)[:, None] * direction
-    return np.concatenate([lateral, (sensor.dome_radius_mm - radius * np.cos(angle))[:, None]], axis=-1)
+    return np.concatenate([np.sin(angle)[:, None] * direction, -np.cos(angle)[:, None]], axis=-1)

@@ -29,7 +29,7 @@ class HalfSpace:
         nodes = self.compliance.nodes.copy()
         nodes[:, 2] = np.sum(nodes[:, :2] ** 2, -1) / (2 * sphere_mm)
         inverse = np.linalg.inv(w + RHO * np.eye(count))
-        return System(*(jnp.asarray(field, jnp.float32) for field in (w, inverse, nodes)))
+        return System(*(jnp.asarray(field, jnp.float32) for field in (w, inverse, w, nodes, 0.0)))
 
     @property
     def normal_modulus(self) -> float:

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.contact.friction import contact_state, follow_path, natural_residual, project, rest
+from jaxunshear.contact.friction import contact_state, follow_path, project, rest
 from tests.contact.conftest import FLAT
 
 SPHERE_MM, DEPTH_MM, FRICTION = 8.0, 0.06, 0.5
@@ -24,7 +24,7 @@ def follow(system, path, friction, tolerance=1e-3):
 
 
 def press(slide=(0.0, 0.0), steps=8):
-    path = np.zeros((2 + steps, 1, 4))
+    path = np.zeros((2 + steps, 1, 6))
     path[1:, 0, 3] = DEPTH_MM
     path[2:, 0, :2] = np.linspace(0, 1, steps + 1)[1:, None] * np.asarray(slide)
     return path
@@ -80,12 +80,12 @@ def test_a_cycle_dissipates(half_space):
     )
     work = {}
     for friction in (0.0, FRICTION):
-        position = np.zeros((1, 4))
+        position = np.zeros((1, 6))
         position[0, 3] = DEPTH_MM
-        skin, _ = follow(system, np.stack([np.zeros((1, 4)), position]), friction)
+        skin, _ = follow(system, np.stack([np.zeros((1, 6)), position]), friction)
         pulls = [0.0]
         for place in along[1:]:
-            position = np.array([[place, 0.0, 0.0, DEPTH_MM]])
+            position = np.array([[place, 0.0, 0.0, DEPTH_MM, 0.0, 0.0]])
             arguments = (FLAT, jnp.zeros(1, jnp.int32), jnp.asarray([friction], jnp.float32))
             skin, _ = follow_path(system, *arguments, jnp.asarray(position, jnp.float32)[None], skin, 1e-3, 4000)
             pulls.append(-float(skin.force[0, :, 0].sum()))
@@ -106,7 +106,7 @@ def test_a_cycle_dissipates(half_space):
 
 
 def test_no_contact_is_exactly_zero(half_space):
-    path = np.zeros((3, 2, 4))
+    path = np.zeros((3, 2, 6))
     path[:, :, 3] = -0.01
     path[:, :, 0] = np.linspace(0, 5, 3)[:, None]
     skin, quality = follow(half_space.system(SPHERE_MM), path, FRICTION)
@@ -133,7 +133,7 @@ def test_turning_the_slide_turns_the_answer(half_space):
 
 def test_twisting_pulls_around_the_axis(half_space):
     """A full-slip twist holds M = 3 pi / 16 mu P a."""
-    path = np.zeros((8, 1, 4))
+    path = np.zeros((8, 1, 6))
     path[1:, 0, 3] = DEPTH_MM
     path[2:, 0, 2] = np.radians(np.linspace(0, 60, 7)[1:])
     skin, _ = follow(half_space.system(SPHERE_MM), path, FRICTION)
@@ -149,4 +149,3 @@ def test_projection_and_jit():
     np.testing.assert_allclose(project(once, friction), once, rtol=1e-6)
     np.testing.assert_allclose(jax.jit(project)(force, friction), once, rtol=1e-6)
     assert np.all(np.linalg.norm(once[..., :2], axis=-1) <= friction[:, None] * once[..., 2] * (1 + 1e-6))
-    assert natural_residual(jnp.eye(150), jnp.zeros((3, 50, 3)), jnp.zeros((3, 50, 3)), friction).shape == (3,)

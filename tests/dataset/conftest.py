@@ -21,12 +21,12 @@ PAIRED = PairedData(
 POSE = PoseData(config="tiny", stimuli=("disk", "spiral_1"), poses=10, preprocess=Preprocess(size=SIZE))
 
 
-def plan(sensor, scenes):
+def plan(sensor, names, scenes):
     order = np.argsort(scenes.pose[:, 3], kind="stable")
     return [order[start : start + 16] for start in range(0, len(order), 16)]
 
 
-def simulate(sensor, names, scenes, level="default"):
+def simulate(sensor, names, scenes):
     time.sleep(float(os.environ.get("FAKE_SECONDS", "0")))
     count = len(scenes)
     pins = np.repeat(scenes.pose[:, None, :3], sensor.pins, axis=1).astype(np.float32)
@@ -35,6 +35,7 @@ def simulate(sensor, names, scenes, level="default"):
         pins=pins,
         residual_mm=np.full(count, 1e-3, np.float32),
         converged=np.ones(count, bool),
+        retried=np.zeros(count, bool),
         iterations=number,
         stuck=number + 1,
         slipping=number + 2,

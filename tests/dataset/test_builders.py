@@ -136,7 +136,7 @@ def test_a_folder_that_is_a_file_is_refused(pose, sensor, engine, tmp_path):
 
 
 def test_nothing_that_converges_is_refused(pose, sensor, engine, tmp_path):
-    def never(sensor, names, scenes, level="default"):
+    def never(sensor, names, scenes):
         contacts = engine.simulate(sensor, names, scenes)
         contacts.converged[:] = False
         return contacts
@@ -176,7 +176,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(paire
         process.kill()
         process.communicate()
     kept = {path.name: path.stat().st_mtime_ns for path in chunks.glob("*.npz")}
-    assert 3 <= len(kept) < len(engine.plan(sensor, draw(paired).scenes))
+    assert 3 <= len(kept) < len(engine.plan(sensor, paired.stimuli, draw(paired).scenes))
     assert not set_folder(paired, sensor, tmp_path / "killed").exists()
     half = chunks.with_name("seen")
     half.mkdir()
@@ -192,11 +192,11 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(paire
 
 
 def test_what_a_run_killed_while_writing_shards_left_is_cleared(pose, sensor, engine, tmp_path):
-    left = set_folder(pose, sensor, tmp_path).parent / "incomplete.ABC123_1.0.0"
+    left = set_folder(pose, sensor, tmp_path).parent / "incomplete.ABC123_2.0.0"
     left.mkdir(parents=True)
     (left / "tactip_pose-train.array_record-00000-of-00001").write_bytes(b"half")
     make_set(pose, sensor, tmp_path, engine)
-    assert [path.name for path in left.parent.iterdir()] == ["1.0.0"]
+    assert [path.name for path in left.parent.iterdir()] == ["2.0.0"]
 
 
 def test_chunks_left_by_a_run_killed_at_its_very_end_are_cleared(pose, sensor, engine, tmp_path):

@@ -1,0 +1,38 @@
+"""How far apart two answers for the same pins lie: in mm, and in px of the default camera's 256-px frame."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.image.camera import project
+from jaxunshear.image.settings import Camera
+from jaxunshear.scene.sensor import Sensor
+
+
+class PinError(NamedTuple):
+    """Over all pins of all contacts."""
+
+    rms_px: float
+    p95_px: float
+    max_px: float
+    rms_mm: float
+    p95_mm: float
+
+
+def px_apart(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Distances (..., P) in px between pins (..., P, 3) mm and `others`."""
+    seen, theirs = (np.asarray(project(Camera(), np.asarray(tips, np.float64), sensor)) for tips in (pins, others))
+    return np.linalg.norm(seen - theirs, axis=-1)
+
+
+def pin_error(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> PinError:
+    """Of pins (..., P, 3) mm against `others`; NaN where any pin is not finite."""
+    px = px_apart(sensor, pins, others)
+    mm = np.linalg.norm(np.asarray(pins, np.float64) - others, axis=-1)
+    if not px.size:
+        return PinError(*(0.0,) * 5)
+    if not np.isfinite(px).all():
+        return PinError(*(np.nan,) * 5)
+    p95 = [float(np.percentile(error, 95)) for error in (px, mm)]
+    rms = [float(np.sqrt(np.mean(error**2))) for error in (px, mm)]
+    return PinError(rms[0], p95[0], float(px.max()), rms[1], p95[1])

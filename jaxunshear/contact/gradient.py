@@ -1,0 +1,232 @@
+"""How the pins answer to each way point of a motion, to friction and to the ratio of the moduli.
+
+    found = pin_gradient(TACTIP_331, ("disk",), paths)
+    found.d_points  # (B, P, 3, K, 6) mm of pin motion per mm or degree of each way point
+    found.at_switch  # (B,) there a derivative is one-sided
+
+and, to put pins into a loss of one's own:
+
+    with jax.enable_x64(True):
+        model = pin_model(TACTIP_331, ("disk",), paths)
+        loss = lambda friction: jnp.sum((pins(model, paths.points, friction).pins - seen) ** 2)
+        jax.jit(jax.value_and_grad(loss))(paths.friction)
+
+All derivatives are those of the converged contact (see `implicit`), along a path whose increments are cut as for the model's
+paths. They do not see the kinks of a sampled obstacle's distance, at whose grid lines it bends by about 1 %.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.contact import dome as domes
+from jaxunshear.contact.friction import RHO, Skin, System
+from jaxunshear.contact.implicit import GOAL_MM, pin_state
+from jaxunshear.contact.obstacle import Obstacles
+from jaxunshear.contact.plan import NODE_COUNTS, Level, increments, padded, reachable
+from jaxunshear.contact.simulate import Skins, Stimuli, _check_start, _obstacles, _stimuli, check, level_named
+from jaxunshear.errors import UserError
+from jaxunshear.scene.paths import TILT_X, YAW, Paths
+from jaxunshear.scene.sensor import Sensor
+
+SWITCH_MM = 1e-6  # nearer to a switch than this, rounding decides on which side a node is found
+TOUCHED = 0.85  # of the nodes within reach: about as many as ever touch at once
+
+
+@partial(jax.tree_util.register_dataclass)
+@dataclass(frozen=True)
+class PinModel:
+    """A sensor on the paths it was made for, as arrays: goes through jit, grad and vmap.
+
+    The compliance is known, with its slope, at M ratios of the moduli (`knots`), mm/N for the sensor's gel.
+    """
+
+    log_ratio: jax.Array  # () the sensor's own log(skin modulus : gel modulus)
+    knots: jax.Array  # (M,) of it
+    w: jax.Array  # (M, 3N, 3N), and its slope
+    w_slope: jax.Array
+    g: jax.Array  # (M, 3P, 3N)
+    g_slope: jax.Array
+    nodes: jax.Array  # (N, 3)
+    centre_mm: jax.Array
+    tips: jax.Array  # (P, 3) pin tips at rest
+    obstacles: Obstacles
+    which: jax.Array  # (B,)
+    shares: jax.Array  # (B, T + 1, K) of the way points in each pose of the path
+    force_n: jax.Array  # (B, N, 3) at the first point
+    most: int = field(metadata={"static": True})  # nodes of a scene that touch at once, probably
+
+
+class Pins(NamedTuple):
+    pins: jax.Array  # (B, P, 3) mm in the sensor frame
+    margin_mm: jax.Array  # (B,) to the nearest switch
+    residual_mm: jax.Array  # (B,) of the worst increment
+
+
+class PinGradient(NamedTuple):
+    """Derivatives of B scenes' pins (numpy, mm in the sensor frame).
+
+    They are exact for changes that move no node past a switch: between touching and parting, or stick and slip. `margin_mm` is
+    how far the nearest one was in any increment: in mm of a node's gap or slip, or of the displacement that the missing force
+    would give to its node. A finite difference agrees as long as its step moves the skin by less. `at_switch`: below SWITCH_MM;
+    the derivative is then the one of the side on which the node was found, and a step to the other side sees another.
+    Two cases are one-sided by nature: friction 0 answers to more friction only, and infinite friction to no change at all.
+    """
+
+    pins: np.ndarray  # (B, P, 3)
+    d_points: np.ndarray  # (B, P, 3, K, 6) per mm and per degree of the way points
+    d_friction: np.ndarray  # (B, P, 3)
+    d_log_ratio: np.ndarray  # (B, P, 3) by log(skin modulus : gel modulus)
+    margin_mm: np.ndarray  # (B,)
+    at_switch: np.ndarray  # (B,) bool
+    converged: np.ndarray  # (B,) bool; where it is not, the derivatives say nothing
+
+
+def pin_model(
+    sensor: Sensor,
+    names: Stimuli,
+    paths: Paths,
+    level: str | Level = "auto",
+    ratios: tuple[float, ...] = (),
+    start: Skins | None = None,
+) -> PinModel:
+    """The sensor on these paths, cut into increments as at `level`. Call under `jax.enable_x64(True)`.
+
+    Skin and gel are known at the sensor's own ratio, and nearby to first order; or at rising `ratios` and, by cubic Hermite
+    interpolation in the logarithm, in between. With `start`, each path goes on from its first point with that skin.
+    """
+    level = level_named(level)
+    check(sensor, names, paths)
+    if list(ratios) != sorted(set(ratios)) or any(not 0 < ratio < np.inf for ratio in ratios):
+        raise UserError(f"ratios {ratios}: give rising numbers above zero")
+    own = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
+    obstacles = _obstacles(_stimuli(names))
+    nodes = domes.dome(sensor).nodes
+    within = lambda wide: reachable(obstacles, nodes, sensor.dome_radius_mm, paths, wide)  # noqa: E731
+    touched = within(True)
+    if start is not None:
+        _check_start(paths, start)
+        touched |= np.any(start.force_n != 0, axis=-1)
+    index = np.flatnonzero(touched.any(axis=0))
+    index = index if len(index) else np.arange(1)
+    rows = (3 * index[:, None] + np.arange(3)).ravel()
+    parts = []
+    for ratio in ratios or (own,):
+        other = replace(sensor, skin_modulus_mpa=ratio * sensor.gel_modulus_mpa)
+        whole, (dw, dg) = domes.dome(other), domes.sensitivity(other)
+        parts.append((whole.w[np.ix_(rows, rows)], dw[np.ix_(rows, rows)], whole.g[:, rows], dg[:, rows]))
+    force = np.zeros((len(paths), len(index), 3)) if start is None else start.force_n[:, index]
+    return PinModel(
+        *(jnp.asarray(np.log(value)) for value in (own, ratios or (own,))),
+        *(jnp.asarray(np.stack(part)) for part in zip(*parts, strict=True)),
+        jnp.asarray(nodes[index]),
+        jnp.asarray(sensor.dome_radius_mm),
+        jnp.asarray(domes.dome(sensor).pins),
+        obstacles,
+        jnp.asarray(paths.stimulus, jnp.int32),
+        jnp.asarray(path_shares(paths, level, sensor.dome_radius_mm)),
+        jnp.asarray(force),
+        padded(int(TOUCHED * within(False).sum(axis=1).max(initial=0)) + 1, NODE_COUNTS),
+    )
+
+
+def path_shares(paths: Paths, level: Level, radius_mm: float) -> np.ndarray:
+    """(B, T + 1, K): poses as `plan.increments` cuts them, as means of the way points.
+
+    A leg without length has no increments: its end carries no derivative, as what would come of it depends on where to.
+    """
+    legs = range(paths.points.shape[1] - 1)
+    counts = [increments(Paths(paths.stimulus, paths.friction, paths.points[:, k : k + 2]), level, radius_mm)[1] for k in legs]
+    number = np.arange(int(np.sum(counts, axis=0).max(initial=0)) + 1)
+    shares = np.zeros((len(paths), len(number), len(legs) + 1))
+    for row, count in zip(shares, np.transpose(counts), strict=True):
+        kept = np.flatnonzero(np.append(1, count))
+        ends = np.append(0, np.cumsum(count))[kept]
+        row[:, kept] = np.stack([np.interp(number, ends, only) for only in np.eye(len(kept))], -1)
+    return shares
+
+
+def compliance(model: PinModel, log_ratio: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """w (3N, 3N) and g (3P, 3N) at this ratio of the moduli, over the mean diagonal of w, which comes third."""
+    if len(model.knots) == 1:
+        step = log_ratio - model.knots[0]
+        w, g = model.w[0] + step * model.w_slope[0], model.g[0] + step * model.g_slope[0]
+    else:
+        left = jnp.clip(jnp.searchsorted(model.knots, log_ratio) - 1, 0, len(model.knots) - 2)
+        width = model.knots[left + 1] - model.knots[left]
+        s = (log_ratio - model.knots[left]) / width
+        weights = (1 + 2 * s) * (1 - s) ** 2, s**2 * (3 - 2 * s), width * s * (1 - s) ** 2, width * s**2 * (s - 1)
+
+        def between(values: jax.Array, slopes: jax.Array) -> jax.Array:
+            ends = (values[left], values[left + 1], slopes[left], slopes[left + 1])
+            return sum(weight * end for weight, end in zip(weights, ends, strict=True))
+
+        w, g = between(model.w, model.w_slope), between(model.g, model.g_slope)
+    scale = jax.lax.stop_gradient(jnp.trace(w) / len(w))
+    return w / scale, g / scale, scale
+
+
+def pins(model: PinModel, points: jax.Array, friction: jax.Array, log_ratio: jax.Array | None = None) -> Pins:
+    """Pins at the ends of paths through way points (B, K, 6) mm and degrees, friction (B,), log(skin : gel modulus) ().
+
+    Differentiable by all three; for points not far from the model's own, whose nodes and increments it keeps.
+    """
+    turns = jnp.zeros(6, bool).at[jnp.array([YAW, TILT_X, TILT_X + 1])].set(True)
+    path = jnp.einsum("btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0))
+    w, g, scale = compliance(model, model.log_ratio if log_ratio is None else log_ratio)
+    inverse = jnp.linalg.inv(jax.lax.stop_gradient(w) + RHO * jnp.eye(len(w), dtype=w.dtype))
+    system = System(w, inverse, w, model.nodes, model.centre_mm)
+    force = model.force_n * scale
+    skin = Skin(force, jnp.zeros_like(force), (force.reshape(len(force), -1) @ w).reshape(force.shape), path[0])
+    state = pin_state(system, g.T, model.obstacles, model.which, friction, path, skin, model.most)
+    return Pins(model.tips + state.motion, state.margin_mm, state.residual_mm)
+
+
+def pin_gradient(
+    sensor: Sensor,
+    names: Stimuli,
+    paths: Paths,
+    level: str | Level = "auto",
+    start: Skins | None = None,
+    batch: int = 16,
+) -> PinGradient:
+    """Pins of B scenes and their derivatives by everything, in float64."""
+    parts = []
+    with jax.enable_x64(True):
+        for first in range(0, len(paths), batch):
+            rows = np.arange(first, min(first + batch, len(paths)))
+            part, before = paths.take(rows), None if start is None else start.take(rows)
+            model = pin_model(sensor, names, part, level, start=before)
+            parts.append(jax.device_get(_derivatives(model, jnp.asarray(part.points), jnp.asarray(part.friction))))
+    found = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+    answer, *slopes = found
+    good = answer.residual_mm <= GOAL_MM["float64"]
+    return PinGradient(answer.pins, *slopes, answer.margin_mm, answer.margin_mm < SWITCH_MM, good)
+
+
+@jax.jit
+def _derivatives(model: PinModel, points: jax.Array, friction: jax.Array):
+    """One tangent for all scenes at once, as none knows of another; all tangents share each increment's matrix."""
+    count, ways = points.shape[0], points.shape[1] * 6
+    tangents = (
+        jnp.broadcast_to(jnp.eye(ways + 2, ways).reshape(-1, 1, points.shape[1], 6), (ways + 2, *points.shape)),
+        jnp.zeros((ways + 2, count)).at[ways].set(1.0),
+        jnp.zeros(ways + 2).at[ways + 1].set(1.0),
+    )
+    at = (points, friction, model.log_ratio)
+
+    def push(*tangent):
+        def both(*x):
+            answer = pins(model, *x)
+            return answer.pins, answer
+
+        _, slope, answer = jax.jvp(both, at, tangent, has_aux=True)
+        return answer, slope
+
+    answer, slopes = jax.vmap(push, out_axes=(None, -1))(*tangents)
+    by_points = slopes[..., :ways].reshape(*slopes.shape[:-1], *points.shape[1:])
+    return answer, by_points, slopes[..., ways], slopes[..., ways + 1]

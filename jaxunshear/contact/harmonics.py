@@ -1,0 +1,125 @@
+"""From the harmonics of rings to single nodes: sums over the harmonics for the ring lattice 1 + 6 + 12 + ...
+
+A unit force at a node is spread with a hat of the angle, as wide as the node's two neighbours. In the node's own frame
+(radial, tangential, up) harmonic m of it is diag(1, i, 1)-times real, and so is every displacement in the frame of its own
+angle: two points at angles a and b see each other through cos m(a - b) and sin m(a - b) alone.
+"""
+
+import numpy as np
+
+# Which pairs (displacement, force) of radial, tangential, up go with sin m(a - b), and its sign; the others go with the cosine.
+_ODD = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
+
+
+def ring_sizes(rings: int) -> np.ndarray:
+    """Nodes of each ring, (rings,)."""
+    return np.maximum(6 * np.arange(rings), 1)
+
+
+def lattice(rings: int) -> tuple[np.ndarray, np.ndarray]:
+    """Ring and angle (rad) of each of the N nodes, ring by ring, counter-clockwise from +x."""
+    sizes = ring_sizes(rings)
+    return np.repeat(np.arange(rings), sizes), np.concatenate([np.arange(n) * 2 * np.pi / n for n in sizes])
+
+
+def spread_forces(rings: int, harmonics: int) -> np.ndarray:
+    """(harmonics + 1, rings, 3, 3): real part of harmonic m, (U, V, W) per unit force (radial, tangential, up), at angle 0."""
+
+    def hat(order: np.ndarray) -> np.ndarray:
+        width = 2 * np.pi / ring_sizes(rings)[1:]
+        around = np.sinc(order[:, None] * width / (2 * np.pi)) ** 2
+        return np.concatenate([(order == 0)[:, None], around], axis=1) / (2 * np.pi)  # the apex has no angle
+
+    m = np.arange(harmonics + 1)
+    along, across = (hat(m - 1) + hat(m + 1)) / 2, (hat(m - 1) - hat(m + 1)) / 2  # times cos, times sin of the angle
+    forces = np.zeros((*along.shape, 3, 3))
+    forces[..., 0, 0] = forces[..., 1, 1] = along
+    forces[..., 0, 1] = forces[..., 1, 0] = -across
+    forces[..., 2, 2] = hat(m)
+    return forces
+
+
+def sixfold(count: int) -> np.ndarray:
+    """(6, count) permutations of the ring lattice 1 + 6 + 12 + ...: [k, i] is the node where node i comes to lie when the
+    lattice turns by +60 k degrees. Raises ValueError where `count` nodes are no whole number of rings."""
+    rings = (1 + np.sqrt(max(4 * count - 1, 1) / 3)) / 2
+    if rings != round(rings) or count < 1:
+        raise ValueError(f"{count} nodes are no whole number of rings 1 + 6 + 12 + ...")
+    turned = [np.zeros((6, 1), int)]
+    for k in range(1, round(rings)):
+        turned.append(1 + 3 * k * (k - 1) + (np.arange(6 * k) + k * np.arange(6)[:, None]) % (6 * k))
+    return np.concatenate(turned, axis=1)
+
+
+def node_to_node(between: np.ndarray) -> np.ndarray:
+    """(3N, 3N) from `between` (M, 3R, 3R): rings' mean displacement (U, V, W) per load (U, V, W) on rings; symmetric.
+
+    Forces on one sixth of the nodes; the other columns are these, turned.
+    """
+    rings = between.shape[1] // 3
+    forces = spread_forces(rings, len(between) - 1)
+    mean = 2 * np.pi * np.einsum("mkap,mkalb->mkplb", forces, between.reshape(-1, rings, 3, rings, 3))
+    ring, angle = lattice(rings)
+    sector = np.flatnonzero(angle < np.pi / 3 - 1e-9)
+    part = _sum(mean, ring, angle, forces, sector)
+    w = np.empty((len(ring), 3, len(ring), 3))
+    turned = sixfold(len(ring))
+    for sixth in range(6):
+        columns = np.moveaxis(_turn(part, sixth * np.pi / 3, sixth * np.pi / 3), (0, 1), (1, 3))[turned[-sixth]]
+        images = turned[sixth][sector]
+        for number in range(rings):  # neighbours stay neighbours: copied in one piece
+            here = np.flatnonzero(ring[sector] == number)[[0, -1]]
+            first, last = images[here]
+            w[:, :, first : last + 1] = columns[:, :, here[0] : here[1] + 1]
+    return _symmetric(w.reshape(3 * len(ring), -1))
+
+
+def node_to_point(fields: np.ndarray, place: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """(3P, 3N) from `fields` (M, 3Q, 3R), displacements at Q places of the half-plane; point p is at place[p], angle[p]."""
+    rings = fields.shape[2] // 3
+    blocks = fields.reshape(len(fields), -1, 3, rings, 3)
+    g = _sum(blocks, place, angle, spread_forces(rings, len(fields) - 1), slice(None))
+    return np.moveaxis(g, (0, 1), (1, 3)).reshape(3 * len(place), -1)
+
+
+def _sum(fields: np.ndarray, place: np.ndarray, angle: np.ndarray, forces: np.ndarray, nodes) -> np.ndarray:
+    """(3, 3, P, K): directions of P points at (place, angle), of unit forces at K `nodes`; the points; the nodes.
+
+    fields (M, Q, 3, R, 3) are the harmonics at Q places.
+    """
+    fields = np.einsum("mqalb,mlbc->qacml", fields, forces)
+    fields[..., 1:, :] *= 2  # m and -m
+    ring, source = (values[nodes] for values in lattice(forces.shape[1]))
+    m = np.arange(len(forces))[:, None]
+    cos, sin = np.cos(m * source), np.sin(m * source)
+    even, odd = np.stack([cos, sin]), np.stack([-sin, cos])
+    total = np.empty((3, 3, len(place), len(source)))
+    for number in np.unique(place):
+        here = np.flatnonzero(place == number)
+        waves = np.concatenate([np.cos(m * angle[here]), np.sin(m * angle[here])]).T
+        local = np.empty((3, 3, len(here), len(source)))
+        for a, b in np.ndindex(3, 3):
+            partners = fields[number, a, b][:, ring] * (_ODD[a, b] * odd if _ODD[a, b] else even)
+            local[a, b] = waves @ partners.reshape(-1, len(source))
+        total[:, :, here] = _turn(local, angle[here][:, None], source)
+    return total
+
+
+def _turn(vectors: np.ndarray, first: np.ndarray | float, second: np.ndarray | float) -> np.ndarray:
+    """Both directions of (3, 3, P, K) turned about z, by angles that broadcast against (P, K)."""
+    for angle in (first, second):
+        cos, sin = np.cos(angle), np.sin(angle)
+        x, y, z = vectors
+        vectors = np.stack([cos * x - sin * y, sin * x + cos * y, z]).swapaxes(0, 1)
+    return vectors
+
+
+def _symmetric(w: np.ndarray, block: int = 512) -> np.ndarray:
+    """(w + w^T) / 2 in place, block by block."""
+    starts = range(0, len(w), block)
+    for i in starts:
+        for j in range(i, len(w), block):
+            above, below = w[i : i + block, j : j + block], w[j : j + block, i : i + block]
+            above[:] = (above + below.T) / 2
+            below[:] = above.T
+    return w

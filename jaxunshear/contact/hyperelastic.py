@@ -1,0 +1,133 @@
+"""A body of revolution at large strain: energy of its elements, differentiated to forces and tangent.
+
+Strain energy per reference volume  W = mu/2 (I1 - 3 - 2 ln J) + lambda/2 (ln J)^2  (Bonet & Wood 2008, Nonlinear Continuum
+Mechanics for Finite Element Analysis, 2nd ed., eq. 6.27), mu and lambda being Lame's constants, so that small strains see the
+material of `elasticity`. The energy of one element is written once; JAX gives its gradient and Hessian.
+
+Elements are 8-node quadrilaterals with 2 x 2 points, as in `elasticity`: what differs is then the strain, not the mesh. On the
+dome pressed by 1 to 6 mm they agree with 3 x 3 points to 0.2 % of the force and 0.03 px rms of the pins: they neither lock nor
+hourglass there.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.sparse as sp
+
+from jaxunshear.contact.mesh import Mesh, shape_functions
+
+_GAUSS = np.array([[x, y] for y in (-1, 1) for x in (-1, 1)]) / np.sqrt(3)
+
+Density = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
+
+
+@dataclass(frozen=True)
+class Body:
+    """E elements with Q points each; unknowns are u_r, u_z (mm) node by node."""
+
+    mesh: Mesh
+    slopes: np.ndarray  # (E, Q, 8, 2) gradients of the shape functions, 1/mm
+    hoop: np.ndarray  # (E, Q, 8) shape functions over the radius, 1/mm
+    volume: np.ndarray  # (E, Q) mm^3, all the way around
+    shear: np.ndarray  # (E,) MPa
+    first: np.ndarray  # (E,) MPa, Lame's first constant
+    density: Density
+
+    @property
+    def unknowns(self) -> np.ndarray:
+        """(E, 16) of each element."""
+        return (2 * self.mesh.elements[:, :, None] + np.arange(2)).reshape(len(self.mesh.elements), 16)
+
+    @property
+    def held(self) -> np.ndarray:
+        """Unknowns of the clamped nodes, and the radial ones on the axis."""
+        clamped = 2 * self.mesh.clamped
+        return np.unique(np.concatenate([clamped, clamped + 1, 2 * self.mesh.axis]))
+
+
+def neo_hookean(gradient: jax.Array, shear: jax.Array, first: jax.Array) -> jax.Array:
+    """W (MPa) of a deformation gradient (3, 3); NaN where it turns matter inside out."""
+    log_j = jnp.log(jnp.linalg.det(gradient))
+    return shear / 2 * (jnp.sum(gradient**2) - 3 - 2 * log_j) + first / 2 * log_j**2
+
+
+def lame(modulus: float, poisson: float) -> tuple[float, float]:
+    """mu and lambda in MPa."""
+    return modulus / (2 * (1 + poisson)), modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
+
+
+def make_body(mesh: Mesh, shear: np.ndarray, first: np.ndarray, density: Density = neo_hookean) -> Body:
+    """Body of moduli (E,) MPa on a mesh."""
+    corners = mesh.nodes[mesh.elements]
+    values, local = shape_functions(_GAUSS)
+    jacobian = np.einsum("qnl,enx->eqlx", local, corners)
+    radius = np.einsum("qn,en->eq", values, corners[..., 0])
+    slopes = np.einsum("eqxl,qnl->eqnx", np.linalg.inv(jacobian), local)
+    volume = 2 * np.pi * radius * np.abs(np.linalg.det(jacobian))
+    return Body(mesh, slopes, values / radius[..., None], volume, shear, first, density)
+
+
+def _gradients(moved, slopes, hoop):
+    """Deformation gradients (Q, 3, 3) in (r, theta, z) of an element whose nodes moved (8, 2)."""
+    plane = jnp.einsum("ni,qnj->qij", moved, slopes)
+    around = hoop @ moved[:, 0]
+    zero = jnp.zeros_like(around)
+    rows = [
+        [1 + plane[:, 0, 0], zero, plane[:, 0, 1]],
+        [zero, 1 + around, zero],
+        [plane[:, 1, 0], zero, 1 + plane[:, 1, 1]],
+    ]
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
+
+
+def _energy(density, moved, slopes, hoop, volume, shear, first):
+    return volume @ jax.vmap(density, (0, None, None))(_gradients(moved, slopes, hoop), shear, first)
+
+
+def _by_element(function):
+    """Of each element, jitted; the energy density is part of the program."""
+    return partial(jax.jit, static_argnums=0)(jax.vmap(function, (None, 0, 0, 0, 0, 0, 0)))
+
+
+_energies = _by_element(_energy)
+_forces = _by_element(jax.grad(_energy, argnums=1))
+_tangents = _by_element(jax.hessian(_energy, argnums=1))
+
+
+def _on_elements(function, body: Body, moved: np.ndarray) -> np.ndarray:
+    with jax.enable_x64(True):
+        at = moved[body.mesh.elements]
+        return np.asarray(function(body.density, at, body.slopes, body.hoop, body.volume, body.shear, body.first))
+
+
+def energy(body: Body, moved: np.ndarray) -> float:
+    """Strain energy (N mm) at displacement (V, 2) mm; NaN where matter is inside out."""
+    return float(_on_elements(_energies, body, moved).sum())
+
+
+def forces(body: Body, moved: np.ndarray) -> np.ndarray:
+    """Gradient (2V,) of the energy, N; NaN where matter is inside out."""
+    if deformation(body, moved)[1].min() <= 0:  # log J has a gradient there too
+        return np.full(moved.size, np.nan)
+    parts = _on_elements(_forces, body, moved)
+    return np.bincount(body.unknowns.ravel(), parts.ravel(), minlength=moved.size)
+
+
+def tangent(body: Body, moved: np.ndarray) -> sp.csc_matrix:
+    """Hessian (2V, 2V) of the energy, N/mm."""
+    blocks = _on_elements(_tangents, body, moved)
+    rows, columns = np.repeat(body.unknowns, 16, axis=1).ravel(), np.tile(body.unknowns, (1, 16)).ravel()
+    return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(moved.size, moved.size)).tocsc()
+
+
+def deformation(body: Body, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Principal stretches (E, Q, 3), not below zero, and signed volume ratios (E, Q)."""
+    at = moved[body.mesh.elements]
+    plane = np.eye(2) + np.einsum("eni,eqnj->eqij", at, body.slopes)
+    around = 1 + np.einsum("eqn,en->eq", body.hoop, at[..., 0])
+    stretches = np.concatenate([np.linalg.svd(plane, compute_uv=False), np.abs(around)[..., None]], -1)
+    return stretches, np.linalg.det(plane) * around

@@ -1,0 +1,305 @@
+"""What a scene needs, and what may be left out of its contact; scenes of like need share a batch.
+
+    batches = make_plan(rings_of_nodes, obstacles, paths, LEVELS["auto"], batch=64)
+
+Left out are scenes that touch nothing, friction where there is none, nodes that cannot touch, and increments of motions too
+short to need them. A node that was left out and would have touched after all is found afterwards (see `simulate`).
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.contact.friction import level_frame
+from jaxunshear.contact.obstacle import Obstacles, distance_at, drop
+from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
+
+# What `auto` leaves out, in the words of the command that shows a plan.
+OMISSIONS = ("untouched", "friction", "nodes", "steps", "grouping")
+
+
+@dataclass(frozen=True)
+class Level:
+    """How exactly a path is followed, and what is left out of it.
+
+    A leg between two way points is cut into increments of at most `press_mm` in depth and `slide_mm` along the surface; a leg
+    has at least `press` or `slide` of them unless "steps" is among the omissions. An increment is solved to `tolerance` times
+    its own length, within `limit` iterations. `reference` leaves out only what provably changes nothing.
+    """
+
+    press: int
+    slide: int
+    press_mm: float
+    slide_mm: float
+    tolerance: float
+    limit: int
+    precision: str = "float32"
+    omit: tuple[str, ...] = OMISSIONS
+    wide: bool = False  # leave out fewer nodes
+
+
+LEVELS = {
+    "fast": Level(press=1, slide=4, press_mm=3.0, slide_mm=0.9, tolerance=0.3, limit=300),
+    "default": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.2, limit=600, omit=()),
+    "auto": Level(press=2, slide=8, press_mm=2.0, slide_mm=0.45, tolerance=0.2, limit=600),
+    "reference": Level(
+        press=6,
+        slide=24,
+        press_mm=1.0,
+        slide_mm=0.15,
+        tolerance=0.02,
+        limit=8000,
+        precision="float64",
+        omit=("untouched", "nodes", "grouping"),
+        wide=True,
+    ),
+}
+STRONGER = {"fast": "auto", "default": "reference", "auto": "reference"}  # where to try again
+
+# A node can touch if the undeformed dome there lies below this share of the depth: the skin yields before the rest arrives.
+# The touched nodes of 128 slides over all shapes: median 0.59, largest 0.85, and at most 1.6 mm outside the shape's edge.
+REACHED = 0.75
+MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
+WIDE = (1.1, 3.0)  # both, where that was not enough
+# A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth and by 0.9 px at 6 mm.
+FRICTIONLESS_TAP_MM = 1.0
+BETWEEN_POSES_MM = 1.5  # along a leg, where that is looked at
+# padded sizes, so that few programs are compiled
+NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 1024)
+BATCHES = (1, 4, 16, 32, 64, 256)
+LEAST_SPLIT = 24  # scenes in a batch that is worth splitting
+ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
+PATH_LENGTHS = (16, 64, 256, 1024, 4096)
+
+
+class Batch(NamedTuple):
+    """Scenes that are solved together: `nodes` of the turned lattice, in which scene i stands turned by 60 `turn[i]` deg."""
+
+    index: np.ndarray  # (b,) rows of the paths
+    nodes: np.ndarray  # (n,) contact nodes; none where nothing touches
+    turn: np.ndarray  # (b,) 0 to 5
+    steps: int  # increments of the longest path
+    friction: bool  # False: pressures only
+    tilted: bool
+
+
+def unabridged(level: Level) -> Level:
+    """The same level with nothing left out."""
+    return replace(level, omit=())
+
+
+def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """Poses (B, T + 1, 6) along the paths, angles in rad, each padded by staying at its end; numbers of increments (B,).
+
+    Twists count as motion at `radius_mm` / 4 of the axis, tilts at the dome's radius.
+    """
+    points = np.array(paths.points, float)
+    points[..., [YAW, TILT_X, TILT_X + 1]] = np.radians(points[..., [YAW, TILT_X, TILT_X + 1]])
+    change = np.diff(points, axis=1)
+    pressed = np.abs(change[..., DEPTH])
+    along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
+    along += radius_mm * np.linalg.norm(change[..., TILT_X:], axis=-1)
+    press, slide = np.ceil(pressed / level.press_mm - 1e-9), np.ceil(along / level.slide_mm - 1e-9)
+    if "steps" not in level.omit:
+        press, slide = np.maximum(press, level.press * (pressed > 0)), np.maximum(slide, level.slide * (along > 0))
+    count = np.maximum(press, slide).astype(int)  # (B, K - 1)
+    ends = np.cumsum(count, axis=1)
+    total = ends[:, -1]
+    number = np.arange(1, max(int(total.max(initial=0)), 1) + 1)
+    leg = np.sum(number[None, :, None] > ends[:, None, :], axis=-1)  # of every increment; past the end: K - 1
+    rows = np.arange(len(points))[:, None]
+    inside = np.minimum(leg, count.shape[1] - 1)
+    before = ends[rows, inside] - count[rows, inside]
+    share = np.clip((number - before) / np.maximum(count[rows, inside], 1), 0, 1)[..., None]
+    share = np.where((leg < count.shape[1])[..., None], share, 1.0)
+    poses = points[rows, inside] + share * change[rows, inside]
+    return np.concatenate([points[:, :1], poses], axis=1), total
+
+
+def _in_target_frame(nodes, displacement, centre, pose, tilted):
+    """Places (B, N, 2) of displaced nodes in the target frame, and heights (B, N) of the undeformed ones over the lowest."""
+    place, height = nodes + displacement, jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
+    if tilted:
+        frame, lift = level_frame(pose), jnp.array([0, 0, 1.0], nodes.dtype) * centre
+        place = jnp.einsum("bij,bnj->bni", frame, place - lift) + lift
+        height = jnp.einsum("bj,nj->bn", frame[:, 2], nodes - lift) + centre
+    cos, sin = jnp.cos(pose[:, YAW])[:, None], jnp.sin(pose[:, YAW])[:, None]
+    x, y = place[..., 0], place[..., 1]
+    return jnp.stack([cos * x - sin * y, sin * x + cos * y], -1) + pose[:, None, :2], height, place[..., 2]
+
+
+@partial(jax.jit, static_argnames=("tilted", "wide"))
+def _can_touch(obstacles, nodes, centre, which, poses, tilted, wide):
+    """(B, N): whether a node can touch at any of poses (S, B, 6)."""
+    reached, margin = WIDE if wide else (REACHED, MARGIN_MM)
+
+    def at(pose):
+        still = jnp.zeros((pose.shape[0], *nodes.shape), nodes.dtype)
+        here, height, _ = _in_target_frame(nodes, still, centre, pose, tilted)
+        return (height < reached * pose[:, DEPTH, None]) & (distance_at(obstacles, which, here) < margin)
+
+    return jnp.any(jax.lax.map(at, poses), axis=0)
+
+
+@partial(jax.jit, static_argnames="tilted")
+def _gaps(obstacles, nodes, centre, which, pose, displacement, tilted):
+    here, _, height = _in_target_frame(nodes, displacement, centre, pose, tilted)
+    return height - pose[:, DEPTH, None] + drop(obstacles, which, here)
+
+
+def gaps(
+    obstacles: Obstacles,
+    nodes: np.ndarray,
+    centre_mm: float,
+    which: np.ndarray,
+    pose: np.ndarray,
+    displacement: np.ndarray,
+) -> np.ndarray:
+    """(B, N) mm between displaced nodes (N, 3) and the stimulus at poses (B, 6) with angles in rad; negative inside."""
+    count, size = len(pose), padded(len(nodes), NODE_COUNTS)
+    rows = np.minimum(np.arange(padded(count, BATCHES)), count - 1)
+    columns = np.minimum(np.arange(size), len(nodes) - 1)
+    found = _gaps(
+        obstacles,
+        jnp.asarray(nodes[columns], jnp.float32),
+        jnp.float32(centre_mm),
+        jnp.asarray(which[rows], jnp.int32),
+        jnp.asarray(pose[rows], jnp.float32),
+        jnp.asarray(displacement[rows][:, columns], jnp.float32),
+        bool(np.any(pose[:, TILT_X:])),
+    )
+    return np.asarray(found)[:count, : len(nodes)]
+
+
+def reachable(obstacles: Obstacles, nodes: np.ndarray, centre_mm: float, paths: Paths, wide: bool) -> np.ndarray:
+    """(B, N) bool: the contact nodes (N, 3) that each path can bring into contact; `wide` looks further."""
+    points = paths.points.astype(float).copy()
+    points[..., [YAW, TILT_X, TILT_X + 1]] = np.radians(points[..., [YAW, TILT_X, TILT_X + 1]])
+    change = np.diff(points, axis=1)
+    swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(
+        change[..., [YAW, TILT_X, TILT_X + 1]], axis=-1
+    )
+    pieces = 1 << int(np.ceil(np.log2(max(swept.max(initial=0) / BETWEEN_POSES_MM, 1))))
+    share = (np.arange(pieces) + 1) / pieces
+    poses = points[:, :-1, None] + share[:, None] * change[:, :, None]
+    poses = poses.reshape(len(points), -1, 6)
+    # a press passes only through poses that touch less than its end
+    poses = np.concatenate([points[:, :1], poses], axis=1).astype(np.float32)
+    tilted = bool(np.any(points[..., TILT_X:]))
+    found = []
+    for start in range(0, len(paths), 64):
+        rows = np.minimum(np.arange(start, start + 64), len(paths) - 1)
+        mask = _can_touch(
+            obstacles,
+            jnp.asarray(nodes, jnp.float32),
+            jnp.float32(centre_mm),
+            jnp.asarray(paths.stimulus[rows], jnp.int32),
+            jnp.asarray(np.swapaxes(poses[rows], 0, 1)),
+            tilted,
+            wide,
+        )
+        found.append(np.asarray(mask)[: len(paths) - start])
+    return np.concatenate(found)
+
+
+def make_plan(
+    obstacles: Obstacles,
+    nodes: np.ndarray,
+    sixfold: np.ndarray,
+    centre_mm: float,
+    paths: Paths,
+    level: Level,
+    batch: int,
+    wide: bool,
+) -> list[Batch]:
+    """Every path in one batch of at most `batch`; nodes (N, 3), sixfold (6, N) as `elasticity.sixfold`.
+
+    The dome looks the same after a turn by 60 deg, so each scene is turned to bring its contact to the side of +x: scenes
+    that touch with half of the dome then need the same half.
+    """
+    everything = np.ones((len(paths), len(nodes)), bool)
+    mask = reachable(obstacles, nodes, centre_mm, paths, wide or level.wide) if "nodes" in level.omit else everything
+    if "untouched" not in level.omit:
+        mask[~mask.any(axis=1)] = True
+    turn = _turns(mask, nodes) if "grouping" in level.omit and len(paths) > 1 else np.zeros(len(paths), int)
+    mask = np.take_along_axis(mask, sixfold[turn], axis=1)
+    tilted = np.any(paths.points[..., TILT_X:] != 0, axis=(1, 2))
+    friction = _needs_friction(paths) | tilted if "friction" in level.omit else np.ones(len(paths), bool)
+    _, steps = increments(paths, level, centre_mm)
+    touching = mask.any(axis=1)
+    batches = []
+    for kind in np.unique(np.stack([touching, friction, tilted], -1), axis=0):
+        rows = np.flatnonzero(np.all(np.stack([touching, friction, tilted], -1) == kind, axis=-1))
+        group = _Group(mask, steps, _features(mask, steps, nodes), 3 if kind[1] else 1, batch)
+        for index in _split(group, rows) if "grouping" in level.omit else _slices(rows, batch):
+            used = np.flatnonzero(mask[index].any(axis=0))
+            batches.append(Batch(index, used, turn[index], int(steps[index].max()), bool(kind[1]), bool(kind[2])))
+    return batches
+
+
+def _needs_friction(paths: Paths) -> np.ndarray:
+    """(B,) bool: not without friction, nor for a shallow press straight down."""
+    sideways = np.delete(paths.points, DEPTH, axis=-1)
+    straight = np.all(sideways == sideways[:, :1], axis=(1, 2))
+    shallow = np.max(paths.points[..., DEPTH], axis=1) <= FRICTIONLESS_TAP_MM
+    return (paths.friction > 0) & ~(straight & shallow)
+
+
+def _turns(mask: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(B,) sixths of a turn that bring each contact's middle nearest to +x, when undone."""
+    middle = mask @ nodes[:, :2]
+    return np.round(np.degrees(np.arctan2(middle[:, 1], middle[:, 0])) / 60).astype(int) % 6
+
+
+class _Group(NamedTuple):
+    mask: np.ndarray
+    steps: np.ndarray
+    features: np.ndarray
+    unknowns: int
+    batch: int
+
+
+def _features(mask: np.ndarray, steps: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """(B, 4) by which scenes are sorted: nodes, increments, and where the contact's middle lies."""
+    count = mask.sum(axis=1)
+    return np.column_stack([count, steps, mask @ nodes[:, :2] / np.maximum(count, 1)[:, None]])
+
+
+def _cost(group: _Group, rows: np.ndarray) -> float:
+    """Of one batch, in multiplications: its increments, and the inverse."""
+    unknowns = group.unknowns * padded(int(group.mask[rows].any(axis=0).sum()), NODE_COUNTS)
+    iterations = 25 * max(int(group.steps[rows].max()), 1)
+    batches = -(-len(rows) // group.batch)
+    return batches * (iterations * max(min(len(rows), group.batch), ROWS_AT_LEAST) * unknowns**2 + unknowns**3)
+
+
+def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
+    """Halved, each time along the feature that saves most, until every part fits a batch and no half is cheaper."""
+    if len(rows) <= LEAST_SPLIT and len(rows) <= group.batch:
+        return [rows]
+    half = len(rows) // 2
+    if len(rows) > group.batch:
+        half = group.batch * -(-half // group.batch)
+    best, parts = np.inf, [rows]
+    for values in group.features.T:
+        order = rows[np.argsort(values[rows], kind="stable")]
+        halves = [order[:half], order[half:]]
+        cost = sum(_cost(group, part) for part in halves)
+        if cost < best:
+            best, parts = cost, halves
+    if len(rows) <= group.batch and best > 0.9 * _cost(group, rows):
+        return [rows]
+    return [index for part in parts for index in _split(group, np.sort(part))]
+
+
+def _slices(rows: np.ndarray, batch: int) -> list[np.ndarray]:
+    return [rows[start : start + batch] for start in range(0, len(rows), batch)]
+
+
+def padded(count: int, sizes: tuple[int, ...]) -> int:
+    """The least of `sizes` that holds `count`; beyond them `count` itself."""
+    return next((size for size in sizes if size >= count), count)

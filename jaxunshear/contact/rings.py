@@ -1,0 +1,43 @@
+"""Where a sensor's contact rings stand, and how deep a contact they cover. Imports neither JAX nor SciPy.
+
+Rings are evenly spaced along the dome's surface, from the apex to about 60 degrees from it.
+"""
+
+import math
+
+import numpy as np
+
+from jaxunshear.scene.sensor import Sensor
+
+RING_MM = 1.0  # apart, along the surface
+COVERED_DEG = 60.0
+FEWEST, MOST = 8, 21  # rings beside the apex: larger domes get wider rings, small ones narrower
+
+
+def ring_spacing(sensor: Sensor) -> float:
+    """Arc between neighbouring rings in mm."""
+    covered = sensor.dome_radius_mm * math.radians(COVERED_DEG)
+    return min(max(RING_MM, covered / MOST), covered / FEWEST)
+
+
+def ring_arcs(sensor: Sensor) -> np.ndarray:
+    """Arc from the apex to each ring in mm, (rings,); the apex is the first."""
+    spacing = ring_spacing(sensor)
+    last = round(sensor.dome_radius_mm * math.radians(COVERED_DEG) / spacing)
+    return spacing * np.arange(last + 1)
+
+
+def contact_angle(sensor: Sensor) -> float:
+    """Degrees from the apex to the last ring."""
+    return math.degrees(float(ring_arcs(sensor)[-1]) / sensor.dome_radius_mm)
+
+
+def deepest_mm(sensor: Sensor, tilt_deg: float = 0.0) -> float:
+    """The depth at which the undeformed sphere's circle of contact, tilted, reaches the last ring."""
+    covered = max(contact_angle(sensor) - abs(tilt_deg), 0.0)
+    return sensor.dome_radius_mm * (1 - math.cos(math.radians(covered)))
+
+
+def reach_mm(sensor: Sensor, depth_mm: float) -> float:
+    """Lateral reach of the undeformed dome below `depth_mm`."""
+    return math.sqrt(max(2 * sensor.dome_radius_mm * depth_mm - depth_mm**2, 0.0))

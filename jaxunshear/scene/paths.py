@@ -1,0 +1,43 @@
+"""A motion in full: way points of the sensor over a stimulus, with slide, twist and tilt. Many are arrays side by side.
+
+    press, slide and twist:  points = [[-2, 0, 0, 0, 0, 0], [-2, 0, 0, 3, 0, 0], [0, 0, 20, 3, 0, 0]]
+
+`Scenes` are the paper's two kinds of motion; `path_of` writes them out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jaxunshear.scene.scene import Scenes
+
+X, Y, YAW, DEPTH, TILT_X, TILT_Y = range(6)
+
+
+@dataclass(frozen=True)
+class Paths:
+    """B motions over K way points (numpy), in the target frame of the stimulus; straight lines in between.
+
+    A point is x, y (mm), yaw (deg), depth (mm), tilt_x, tilt_y (deg): `depth` is how far the lowest point of the undeformed
+    dome, above (x, y), would lie below the stimulus' top. The tilt is a rotation vector in the yawed frame, about the dome's
+    centre, so that it moves neither the lowest point nor its depth. At the first point the skin is at rest.
+    """
+
+    stimulus: np.ndarray  # (B,) index into a tuple of stimuli
+    friction: np.ndarray  # (B,) Coulomb coefficient, 0 to infinity
+    points: np.ndarray  # (B, K, 6)
+
+    def __len__(self) -> int:
+        return len(self.stimulus)
+
+    def take(self, index: np.ndarray) -> "Paths":
+        return Paths(self.stimulus[index], self.friction[index], self.points[index])
+
+
+def path_of(scenes: Scenes) -> Paths:
+    """Down at `pose - move`, then along `move` (nowhere for a tap)."""
+    points = np.zeros((len(scenes), 3, 6))
+    points[..., :4] = scenes.pose[:, None]
+    points[:, :2, :2] -= scenes.move[:, None]
+    points[:, 0, DEPTH] = 0
+    return Paths(scenes.stimulus, scenes.friction, points)

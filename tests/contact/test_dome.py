@@ -1,0 +1,263 @@
+"""The dome of a small sensor: covered angle, materials, sensitivity, mesh, cache."""
+
+import hashlib
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxunshear.contact import dome as module
+from jaxunshear.contact.dome import compute_dome, dome, sensitivity
+from jaxunshear.contact.harmonics import sixfold
+from jaxunshear.contact.rings import contact_angle, deepest_mm, reach_mm, ring_arcs
+from jaxunshear.errors import UserError
+from jaxunshear.scene.sensor import SENSORS, TACTIP_127, TACTIP_331, Sensor, check_sensor, pin_levers, pin_tips
+
+SMALL = Sensor(
+    name="small", dome_radius_mm=6.0, skin_mm=0.5, rings=3, pin_spacing_mm=1.0, pin_radius_mm=0.3, pin_length_mm=0.5
+)
+
+
+@pytest.fixture(scope="module")
+def small():
+    return compute_dome(SMALL)
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("JAXUNSHEAR_CACHE", str(tmp_path))
+    return tmp_path
+
+
+def test_the_rings_of_the_sensors_cover_sixty_degrees():
+    for sensor in SENSORS.values():
+        np.testing.assert_array_equal(ring_arcs(sensor), np.arange(22.0))
+        assert 60 <= contact_angle(sensor) < 60.5
+    for radius in (1.0, 5.0, 12.0, 19.9, 20.5, 35.0, 200.0):
+        sensor = replace(TACTIP_331, dome_radius_mm=radius)
+        assert 9 <= len(ring_arcs(sensor)) <= 22 and abs(contact_angle(sensor) - 60) < 3.5
+    assert ring_arcs(replace(TACTIP_331, dome_radius_mm=12.0))[1] == 1.0
+
+
+def test_the_deepest_contact_reaches_the_last_ring():
+    last = ring_arcs(TACTIP_331)[-1] / TACTIP_331.dome_radius_mm
+    level = deepest_mm(TACTIP_331)
+    assert reach_mm(TACTIP_331, level) == pytest.approx(TACTIP_331.dome_radius_mm * np.sin(last))
+    assert level > 10
+    tilted = deepest_mm(TACTIP_331, 25.0)
+    assert tilted == deepest_mm(TACTIP_331, -25.0)
+    half_angle = np.degrees(np.arccos(1 - tilted / TACTIP_331.dome_radius_mm))
+    assert half_angle + 25 == pytest.approx(contact_angle(TACTIP_331))
+    assert deepest_mm(TACTIP_331, 90.0) == 0
+
+
+def test_nodes_and_pins_stand_on_the_dome(small):
+    centre = np.array([0, 0, SMALL.dome_radius_mm])
+    np.testing.assert_allclose(np.linalg.norm(small.nodes - centre, axis=-1), 6.0, atol=1e-3)
+    stands = pin_tips(SMALL) - pin_levers(SMALL)
+    np.testing.assert_allclose(np.linalg.norm(stands - centre, axis=-1), 5.5)
+    np.testing.assert_allclose(np.linalg.norm(pin_levers(SMALL), axis=-1), 0.5)
+    assert small.w.shape == (3 * len(small.nodes),) * 2 and small.g.shape == (3 * SMALL.pins, 3 * len(small.nodes))
+
+
+@pytest.mark.parametrize("layout", ["rings", "hexagonal"])
+def test_a_turn_by_60_degrees_changes_nothing(layout):
+    made = compute_dome(replace(SMALL, layout=layout))
+    force = np.random.default_rng(0).normal(size=made.nodes.shape)
+    turn = np.array([[0.5, -np.sqrt(0.75), 0], [np.sqrt(0.75), 0.5, 0], [0, 0, 1]])
+    for matrix, points in ((made.w, made.nodes), (made.g, made.pins)):
+        image = sixfold(len(points))[1]
+        np.testing.assert_allclose(points[image], points @ turn.T, atol=1e-9)
+        turned = np.empty_like(force)
+        turned[sixfold(len(force))[1]] = force @ turn.T
+        before, after = ((matrix @ f.ravel()).reshape(-1, 3) for f in (force, turned))
+        np.testing.assert_allclose(after[image], before @ turn.T, atol=1e-10 * np.abs(before).max())
+
+
+@pytest.mark.parametrize("ratio", [1e-2, 1.0, 1e6])
+@pytest.mark.parametrize("poisson", [0.0, 0.49, 0.4999])
+def test_extreme_materials_leave_it_positive_definite(ratio, poisson):
+    stiff = replace(SMALL, skin_poisson=poisson, gel_poisson=poisson, skin_modulus_mpa=ratio * SMALL.gel_modulus_mpa)
+    made = compute_dome(stiff)
+    assert np.isfinite(made.w).all() and np.isfinite(made.g).all()
+    np.testing.assert_array_equal(made.w, made.w.T)
+    eigenvalues = np.linalg.eigvalsh(made.w)
+    assert eigenvalues[0] > 1e-6 * eigenvalues[-1]
+    for scale in (1e-6, 1e6):
+        scaled = replace(
+            stiff,
+            skin_modulus_mpa=scale * stiff.skin_modulus_mpa,
+            gel_modulus_mpa=scale * stiff.gel_modulus_mpa,
+        )
+        np.testing.assert_allclose(scale * compute_dome(scaled).w, made.w, atol=1e-9 * np.abs(made.w).max())
+
+
+def test_harmonics_beyond_the_last_add_nothing_that_counts(small, monkeypatch):
+    monkeypatch.setattr(module, "_harmonics", lambda sensor: 200)
+    more = compute_dome(SMALL)
+    assert np.linalg.norm(more.w - small.w) < 1e-2 * np.linalg.norm(small.w)
+    assert np.linalg.norm(more.g - small.g) < 1e-9 * np.linalg.norm(small.g)
+
+
+def test_sensitivity_is_the_derivative_by_the_skins_modulus(cache, small):
+    dw, dg = sensitivity(SMALL)
+    step = 1e-3
+    up, down = (
+        compute_dome(replace(SMALL, skin_modulus_mpa=SMALL.skin_modulus_mpa * np.exp(s))) for s in (step, -step)
+    )
+    for exact, above, below in ((dw, up.w, down.w), (dg, up.g, down.g)):
+        np.testing.assert_allclose(exact, (above - below) / (2 * step), rtol=1e-5, atol=1e-6 * np.abs(exact).max())
+    step_gel = (compute_dome(replace(SMALL, gel_modulus_mpa=SMALL.gel_modulus_mpa * np.exp(s))) for s in (step, -step))
+    above, below = (made.g for made in step_gel)
+    np.testing.assert_allclose(-small.g - dg, (above - below) / (2 * step), rtol=1e-5, atol=1e-6 * np.abs(dg).max())
+
+
+def test_finer_meshes_agree_ever_better():
+    """A newton over the inner rings: pins and nodes against a mesh of 0.2 mm; at least order 1.5."""
+    finest = compute_dome(SMALL, mesh_mm=0.2)
+    force = np.zeros((len(finest.nodes), 3))
+    force[:19] = [0.5 / 19, 0, 1 / 19]
+    sizes, errors = (1.6, 0.8, 0.4), []
+    for size in sizes:
+        made = compute_dome(SMALL, mesh_mm=size)
+        errors.append(
+            [
+                np.linalg.norm((matrix - truth) @ force.ravel()) / np.linalg.norm(truth @ force.ravel())
+                for matrix, truth in ((made.g, finest.g), (made.w, finest.w))
+            ]
+        )
+    errors = np.array(errors)
+    assert np.all(np.diff(errors, axis=0) < 0)
+    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
+    assert np.all(order > 1.5), order
+    assert errors[-1].max() < 5e-3
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"dome_radius_mm": np.nan},
+        {"skin_mm": -1.0},
+        {"skin_mm": np.inf},
+        {"gel_modulus_mpa": 0.0},
+        {"skin_modulus_mpa": np.nan},
+        {"gel_poisson": 0.5},
+        {"skin_poisson": np.nan},
+        {"layout": "square"},
+        {"pin_length_mm": -0.1},
+        {"rings": 0},
+    ],
+)
+def test_impossible_sensors_are_refused_by_field(cache, wrong):
+    (field,) = wrong
+    for attempt in (check_sensor, dome, pin_tips):
+        with pytest.raises(UserError, match=field):
+            attempt(replace(TACTIP_331, **wrong))
+    with pytest.raises(UserError, match="dome_radius_mm"):
+        check_sensor(replace(TACTIP_127, skin_mm=21.0))
+    assert not list(cache.iterdir())
+
+
+@pytest.fixture
+def stored(cache, small):
+    """The cache file of SMALL, just made."""
+    made = dome(SMALL)
+    np.testing.assert_array_equal(made.w, small.w)
+    (path,) = cache.iterdir()
+    return path
+
+
+def _contents(path):
+    return dict(np.load(__import__("io").BytesIO(path.read_bytes()[32:])))
+
+
+def _store(path, contents):
+    """With the right checksum."""
+    stream = __import__("io").BytesIO()
+    np.savez(stream, **contents)
+    path.write_bytes(hashlib.sha256(stream.getvalue()).digest() + stream.getvalue())
+
+
+def test_a_whole_cache_file_is_used(stored, small, monkeypatch, capsys):
+    monkeypatch.setattr(module, "_compute", lambda *_: pytest.fail("made again"))
+    for name in ("w", "g", "nodes", "pins"):
+        np.testing.assert_array_equal(getattr(dome(SMALL), name), getattr(small, name))
+    assert capsys.readouterr().err == ""
+
+
+def _flip(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
+def _changed(**values):
+    return lambda path: _store(path, {**_contents(path), **values})
+
+
+def _not_finite(path):
+    contents = _contents(path)
+    contents["rings"][3, 2, 1] = np.nan
+    _store(path, contents)
+
+
+def _without(path):
+    contents = _contents(path)
+    del contents["fields"]
+    _store(path, contents)
+
+
+@pytest.mark.parametrize(
+    ("damage", "said"),
+    [
+        (lambda path: path.write_bytes(b""), "checksum"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-100]), "checksum"),
+        (_flip, "checksum"),
+        (lambda path: path.write_bytes(hashlib.sha256(b"text").digest() + b"text"), "pickle"),
+        (_changed(settings=np.array("{}")), "other settings"),
+        (_changed(rings=np.zeros((2, 3, 3))), "rings are not"),
+        (_changed(place=np.zeros(5, int)), "place are not"),
+        (_not_finite, "rings are not"),
+        (_without, "fields"),
+    ],
+)
+def test_a_cache_file_that_is_not_right_is_told_and_made_again(stored, small, capsys, damage, said):
+    whole = stored.read_bytes()
+    damage(stored)
+    capsys.readouterr()
+    np.testing.assert_array_equal(dome(SMALL).w, small.w)
+    told = [line for line in capsys.readouterr().err.splitlines() if "made again" in line]
+    assert len(told) == 1 and str(stored) in told[0] and said in told[0]
+    assert stored.read_bytes() == whole and len(list(stored.parent.iterdir())) == 1
+
+
+def test_other_settings_have_other_files(stored, monkeypatch):
+    monkeypatch.setattr(module, "VERSION", module.VERSION + 1)
+    dome(SMALL)
+    dome(replace(SMALL, gel_modulus_mpa=0.2))
+    dome(replace(SMALL, name="../sly"))
+    assert len(list(stored.parent.iterdir())) == 4
+
+
+def test_two_processes_at_once_do_each_other_no_harm(cache, small, tmp_path):
+    code = f"from jaxunshear.scene.sensor import Sensor; from jaxunshear.contact.dome import dome; print(dome({SMALL!r}).w.sum())"
+    environment = {**os.environ, "JAXUNSHEAR_CACHE": str(cache)}
+    running = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment)
+        for _ in range(2)
+    ]
+    for process in running:
+        assert float(process.communicate()[0]) == small.w.sum() and process.returncode == 0
+    (path,) = cache.iterdir()
+    assert path.suffix == ".bin"
+
+
+def test_a_cache_folder_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("JAXUNSHEAR_CACHE", str(tmp_path / "file"))
+    monkeypatch.setattr(module, "_compute", lambda *_: pytest.fail("worked in vain"))
+    with pytest.raises(UserError, match="JAXUNSHEAR_CACHE"):
+        dome(SMALL)
