@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxunshear import __version__
+from jaxunshear import __version__, cli_checks
 from jaxunshear.errors import UserError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command. Returns 0; 2 after an error that the user can mend (one line); 130 when interrupted."""
+    """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can mend (one line); 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
     try:
         return _run(argv)
@@ -125,6 +125,7 @@ def _parser() -> _Parser:
             command.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")
         _add_json(command)
 
+    cli_checks.add_parsers(commands)
     for name, text in (("sensors", "list or draw the sensors"), ("stimuli", "list or draw the stimuli")):
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("action", choices=("list", "draw"), nargs="?", default="list")
@@ -146,7 +147,7 @@ def _run(argv: list[str]) -> int:
         words, fields = split_overrides(argv, OWN_OPTIONS)
         parse_overrides(fields)  # before anything is read: a typo is refused at once
     try:
-        arguments = _parser().parse_args(words)
+        arguments = _parser().parse_args(cli_checks.joined(list(words)))
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
     command = shlex.join(["jaxunshear", *argv])
@@ -156,6 +157,8 @@ def _run(argv: list[str]) -> int:
         _report(arguments.run)
     elif arguments.command in ("unshear", "pose"):
         _infer(arguments)
+    elif arguments.command in cli_checks.COMMANDS:
+        return cli_checks.run(arguments, command)
     else:
         _catalogue(arguments)
     return 0

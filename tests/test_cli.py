@@ -55,7 +55,7 @@ BAD_FIELDS = [
     ("--paired.seed -1", "--paired.seed"),
     ("--seed 3000000000", "2147483647"),
     ("--paired.ranges.depth_max_mm 25", "cannot be reached"),
-    ("--pose.ranges.depth_max_mm 8.5", "cannot be reached"),
+    ("--pose.ranges.depth_max_mm 10.5", "cannot be reached"),
     ("--paired.ranges.depth_min_mm 7", "must not exceed depth_max_mm (6)"),
     ("--paired.ranges.depth_min_mm 0", "must be above zero"),
     ("--paired.tap_depth_jitter_mm 2", "a tap may miss"),

@@ -9,7 +9,7 @@ import pytest
 from jaxunshear.config import field_types, from_json, load_experiment, override, to_json, validate
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
-from jaxunshear.limits import STIMULUS_NAMES
+from jaxunshear.limits import STIMULUS_NAMES, limits
 from jaxunshear.training.settings import Training
 
 PLAIN = Experiment(name="plain", claim="none")
@@ -116,11 +116,14 @@ def test_the_names_of_the_stimuli_are_those_of_the_scene():
     assert tuple(STIMULI) == STIMULUS_NAMES
 
 
-def test_the_deepest_depth_is_that_of_the_contact_model():
-    from jaxunshear.contact.dome import deepest_mm
-    from jaxunshear.limits import _deepest
+def test_depths_beyond_the_contact_model_are_refused():
+    from jaxunshear.contact.rings import deepest_mm
 
-    assert _deepest(PLAIN.sensor) == deepest_mm(PLAIN.sensor)
+    for excess, refused in ((-0.01, False), (0.01, True)):
+        ranges = dataclasses.replace(PLAIN.pose.ranges, depth_max_mm=deepest_mm(PLAIN.sensor) + excess)
+        deep = dataclasses.replace(PLAIN, pose=dataclasses.replace(PLAIN.pose, config="deep", ranges=ranges))
+        wrong = [name for holds, name, _ in limits(deep) if not holds]
+        assert ("pose.ranges.depth_max_mm" in wrong) == refused
 
 
 def test_train_share_of_the_limits_is_that_of_the_split():

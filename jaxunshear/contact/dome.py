@@ -28,7 +28,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.sensor import Sensor, check_sensor, pin_levers, pin_tips
 
-VERSION = 3  # of what a cache file means: to be raised with every change of the model
+VERSION = 5  # of what a cache file means: to be raised with every change of the model
 MESH_MM = 1.0  # of elements, where rings are RING_MM apart
 _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
@@ -75,7 +75,7 @@ def _compute(sensor: Sensor, varied: bool, mesh_mm: float, progress) -> Response
 
 
 def _harmonics(sensor: Sensor) -> int:
-    """As many as nodes in the outer ring: a hat there has no part in that one, so that the next would add little."""
+    """As many as nodes in the outer ring; the others bear fewer."""
     return 6 * (len(ring_arcs(sensor)) - 1)
 
 

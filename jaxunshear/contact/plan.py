@@ -43,9 +43,9 @@ class Level:
 
 
 LEVELS = {
-    "fast": Level(press=1, slide=4, press_mm=3.0, slide_mm=0.9, tolerance=0.3, limit=300),
-    "default": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.2, limit=600, omit=()),
-    "auto": Level(press=2, slide=8, press_mm=2.0, slide_mm=0.45, tolerance=0.2, limit=600),
+    "fast": Level(press=1, slide=4, press_mm=3.0, slide_mm=0.9, tolerance=0.25, limit=300),
+    "default": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.1, limit=600, omit=()),
+    "auto": Level(press=2, slide=8, press_mm=2.0, slide_mm=0.45, tolerance=0.1, limit=600),
     "reference": Level(
         press=6,
         slide=24,
@@ -63,11 +63,12 @@ STRONGER = {"fast": "auto", "default": "reference", "auto": "reference"}  # wher
 # A node can touch if the undeformed dome there lies below this share of the depth: the skin yields before the rest arrives.
 # The touched nodes of 128 slides over all shapes: median 0.59, largest 0.85, and at most 1.6 mm outside the shape's edge.
 REACHED = 0.75
-MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
+MARGIN_MM = 1.75  # outside the shape: the skin is dragged and bulges
 WIDE = (1.1, 3.0)  # both, where that was not enough
 # A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth and by 0.9 px at 6 mm.
 FRICTIONLESS_TAP_MM = 1.0
 BETWEEN_POSES_MM = 1.5  # along a leg, where that is looked at
+LEAST_LEG_MM = 1e-6  # a shorter motion is none: float32 could not tell it from standing still
 # padded sizes, so that few programs are compiled
 NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 1024)
 BATCHES = (1, 4, 16, 32, 64, 256)
@@ -103,6 +104,7 @@ def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[np.ndarray
     pressed = np.abs(change[..., DEPTH])
     along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
     along += radius_mm * np.linalg.norm(change[..., TILT_X:], axis=-1)
+    pressed, along = (np.where(length < LEAST_LEG_MM, 0, length) for length in (pressed, along))
     press, slide = np.ceil(pressed / level.press_mm - 1e-9), np.ceil(along / level.slide_mm - 1e-9)
     if "steps" not in level.omit:
         press, slide = np.maximum(press, level.press * (pressed > 0)), np.maximum(slide, level.slide * (along > 0))

@@ -104,7 +104,7 @@ def follow(
     check(sensor, names, paths)
     if start is not None:
         _check_start(paths, start)
-    obstacles = _obstacles(_stimuli(names))
+    obstacles = obstacles_of(names)
     contacts, skins, incomplete = _follow(sensor, obstacles, paths, chosen, start, batch, progress, wide=False)
 
     def replace(rows: np.ndarray, new: Contacts, new_skins: Skins) -> None:
@@ -132,7 +132,7 @@ def plan(
     _check_scenes(scenes)
     paths = path_of(scenes)
     check(sensor, names, paths)
-    return [part.index for part in plan_paths(sensor, _obstacles(_stimuli(names)), paths, level_named(level), batch)]
+    return [part.index for part in plan_paths(sensor, obstacles_of(names), paths, level_named(level), batch)]
 
 
 def plan_paths(
@@ -159,7 +159,7 @@ def _check_scenes(scenes: Scenes) -> None:
 
 
 def check(sensor: Sensor, names: Stimuli, paths: Paths) -> None:
-    """Refuse by name what cannot be simulated."""
+    """Refuses by name what cannot be simulated."""
     if paths.points.ndim != 3 or paths.points.shape[1] < 2 or paths.points.shape[2] != 6:
         raise UserError(f"points have shape {paths.points.shape}: give (B, K, 6) with K at least 2")
     bad = np.flatnonzero(~np.isfinite(paths.points).all(axis=(1, 2)))
@@ -173,7 +173,8 @@ def check(sensor: Sensor, names: Stimuli, paths: Paths) -> None:
     if len(bad):
         raise UserError(f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {len(names)} named")
     tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
-    deepest = np.vectorize(lambda t: deepest_mm(sensor, t) / REACHED, otypes=[float])(tilt)
+    upright = deepest_mm(sensor)  # tilted contacts may go on to where the skin, which yields, is reached
+    deepest = np.vectorize(lambda t: min(upright, deepest_mm(sensor, t) / REACHED), otypes=[float])(tilt)
     deep = np.argwhere(paths.points[..., DEPTH] > deepest)
     if len(deep):
         row, point = deep[0]
@@ -192,6 +193,11 @@ def _check_start(paths: Paths, start: Skins) -> None:
         raise UserError(
             f"scene {apart[0]}: its path starts elsewhere than its skin: begin at {start.point[apart[0]].tolist()}"
         )
+
+
+def obstacles_of(names: Stimuli) -> Obstacles:
+    """The named shapes as the contact sees them; sampled once."""
+    return _obstacles(_stimuli(names))
 
 
 def _stimuli(names: Stimuli) -> tuple[Stimulus, ...]:

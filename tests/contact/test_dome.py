@@ -1,6 +1,7 @@
 """The dome of a small sensor: covered angle, materials, sensitivity, mesh, cache."""
 
 import hashlib
+import io
 import os
 import subprocess
 import sys
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.contact import dome as module
+from jaxunshear.contact import elasticity
 from jaxunshear.contact.dome import compute_dome, dome, sensitivity
 from jaxunshear.contact.harmonics import sixfold
 from jaxunshear.contact.rings import contact_angle, deepest_mm, reach_mm, ring_arcs
@@ -80,26 +82,29 @@ def test_a_turn_by_60_degrees_changes_nothing(layout):
 @pytest.mark.parametrize("ratio", [1e-2, 1.0, 1e6])
 @pytest.mark.parametrize("poisson", [0.0, 0.49, 0.4999])
 def test_extreme_materials_leave_it_positive_definite(ratio, poisson):
-    stiff = replace(SMALL, skin_poisson=poisson, gel_poisson=poisson, skin_modulus_mpa=ratio * SMALL.gel_modulus_mpa)
-    made = compute_dome(stiff)
+    made = compute_dome(with_modulus(ratio, poisson))
     assert np.isfinite(made.w).all() and np.isfinite(made.g).all()
     np.testing.assert_array_equal(made.w, made.w.T)
     eigenvalues = np.linalg.eigvalsh(made.w)
     assert eigenvalues[0] > 1e-6 * eigenvalues[-1]
-    for scale in (1e-6, 1e6):
-        scaled = replace(
-            stiff,
-            skin_modulus_mpa=scale * stiff.skin_modulus_mpa,
-            gel_modulus_mpa=scale * stiff.gel_modulus_mpa,
-        )
-        np.testing.assert_allclose(scale * compute_dome(scaled).w, made.w, atol=1e-9 * np.abs(made.w).max())
 
 
-def test_harmonics_beyond_the_last_add_nothing_that_counts(small, monkeypatch):
-    monkeypatch.setattr(module, "_harmonics", lambda sensor: 200)
+def with_modulus(ratio, poisson, gel=0.1):
+    return replace(SMALL, skin_modulus_mpa=ratio * gel, gel_modulus_mpa=gel, skin_poisson=poisson, gel_poisson=poisson)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_both_moduli_together_only_scale(scale):
+    made, scaled = (compute_dome(with_modulus(1e4, 0.4999, gel)) for gel in (0.1, 0.1 * scale))
+    np.testing.assert_allclose(scale * scaled.w, made.w, atol=1e-9 * np.abs(made.w).max())
+    np.testing.assert_allclose(scale * scaled.g, made.g, atol=1e-9 * np.abs(made.g).max())
+
+
+def test_harmonics_that_a_ring_does_not_bear_add_little(small, monkeypatch):
+    monkeypatch.setattr(elasticity, "ring_sizes", lambda rings: np.full(rings, 1000))
     more = compute_dome(SMALL)
-    assert np.linalg.norm(more.w - small.w) < 1e-2 * np.linalg.norm(small.w)
-    assert np.linalg.norm(more.g - small.g) < 1e-9 * np.linalg.norm(small.g)
+    difference = np.linalg.norm(more.w - small.w) / np.linalg.norm(small.w)
+    assert 0 < difference < 3e-4
 
 
 def test_sensitivity_is_the_derivative_by_the_skins_modulus(cache, small):
@@ -113,27 +118,6 @@ def test_sensitivity_is_the_derivative_by_the_skins_modulus(cache, small):
     step_gel = (compute_dome(replace(SMALL, gel_modulus_mpa=SMALL.gel_modulus_mpa * np.exp(s))) for s in (step, -step))
     above, below = (made.g for made in step_gel)
     np.testing.assert_allclose(-small.g - dg, (above - below) / (2 * step), rtol=1e-5, atol=1e-6 * np.abs(dg).max())
-
-
-def test_finer_meshes_agree_ever_better():
-    """A newton over the inner rings: pins and nodes against a mesh of 0.2 mm; at least order 1.5."""
-    finest = compute_dome(SMALL, mesh_mm=0.2)
-    force = np.zeros((len(finest.nodes), 3))
-    force[:19] = [0.5 / 19, 0, 1 / 19]
-    sizes, errors = (1.6, 0.8, 0.4), []
-    for size in sizes:
-        made = compute_dome(SMALL, mesh_mm=size)
-        errors.append(
-            [
-                np.linalg.norm((matrix - truth) @ force.ravel()) / np.linalg.norm(truth @ force.ravel())
-                for matrix, truth in ((made.g, finest.g), (made.w, finest.w))
-            ]
-        )
-    errors = np.array(errors)
-    assert np.all(np.diff(errors, axis=0) < 0)
-    order = np.polyfit(np.log(sizes), np.log(errors), 1)[0]
-    assert np.all(order > 1.5), order
-    assert errors[-1].max() < 5e-3
 
 
 @pytest.mark.parametrize(
@@ -171,12 +155,12 @@ def stored(cache, small):
 
 
 def _contents(path):
-    return dict(np.load(__import__("io").BytesIO(path.read_bytes()[32:])))
+    return dict(np.load(io.BytesIO(path.read_bytes()[32:])))
 
 
 def _store(path, contents):
     """With the right checksum."""
-    stream = __import__("io").BytesIO()
+    stream = io.BytesIO()
     np.savez(stream, **contents)
     path.write_bytes(hashlib.sha256(stream.getvalue()).digest() + stream.getvalue())
 

@@ -1,0 +1,260 @@
+"""Recordings in, a calibrated sensor and camera out, with what changed.
+
+    results = calibrate(Path("recordings/edge"), Path("runs/calibration"))
+    results["preset"]  # {"sensor": {...}, "camera": {...}, "friction": 0.25}
+
+Domes are kept in the cache, so that a second calibration of the same sensor takes a third of the time.
+"""
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxunshear.calibration.fit import Fitted, Group, fit
+from jaxunshear.calibration.matching import CREDIBLE, read_labels
+from jaxunshear.calibration.prediction import Values, skin_to_gel
+from jaxunshear.calibration.rendering import contact_tips, fit_pin_radius, render
+from jaxunshear.calibration.report import AFTER, BEFORE, RECORDED, Summaries, curves, rows_of, table
+from jaxunshear.calibration.sampling import Recorded, sample
+from jaxunshear.calibration.statistics import Seen, Summary, observe, summaries
+from jaxunshear.errors import UserError
+from jaxunshear.image.pins import find_pins
+from jaxunshear.image.settings import Camera
+from jaxunshear.progress import Progress
+from jaxunshear.scene.sensor import SENSORS, Sensor
+from jaxunshear.scene.stimuli import ABS_FRICTION
+from jaxunshear.storage import write_bytes, write_json, write_text
+
+IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter
+LEAST_LABELLED = 12  # contacts from which the labels' reading can be told
+SAME_FRAMING = 0.05  # of the outermost ring's radius: two that differ by more are two cameras
+UNITS = {
+    "mm_across": "mm",
+    "distance_mm": "mm",
+    "pin_spacing_mm": "mm",
+    "friction": "1",
+    "skin_to_gel": "1",
+    "pin_radius_mm": "mm",
+}
+OVERALL_MODULUS = "the moduli's overall size moves no pin: only skin over gel is fitted, with the skin's modulus kept"
+
+Log = Callable[[str], None]
+
+
+def calibrate(
+    path: Path,
+    out: Path | None = None,
+    sensor: Sensor | None = None,
+    camera: Camera | None = None,
+    images: int = IMAGES,
+    seed: int = 0,
+    log: Log = print,
+) -> dict[str, Any]:
+    """Fits camera, pins, friction and stiffness to the recordings at `path`; see `docs/simulator.md` for what they can tell.
+
+    With `out`, writes calibration.json, calibration.txt and calibration.png there; the picture shows recorded images, so it is
+    yours to keep or share. Returns `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`. `sensor` and
+    `camera` are where the fit starts: by default the preset with as many pins as are found. Raises `UserError` where the
+    recordings cannot be read or show no such pins.
+    """
+    path = Path(path)
+    recorded, notes = sample(path, images, seed)
+    sensor = sensor or _sensor_for(recorded)
+    camera = camera or Camera()
+    start = Values(camera.mm_across, camera.distance_mm, sensor.pin_spacing_mm, ABS_FRICTION, skin_to_gel(sensor))
+    groups, surfaces = _groups(recorded, sensor, start, notes)
+    start = replace(start, surface_mm=surfaces)
+    count = sum(len(group.seen.found) for group in groups if group.contacts is not None)
+    with Progress("fit", 30 * count, unit="contacts") as progress:
+        fitted = fit(groups, sensor, start, progress.advance)
+        progress.advance(progress.total - progress.done)
+    before = replace(start, surface_mm=fitted.values.surface_mm)
+    tips_before = [contact_tips(group, sensor, before, i) for i, group in enumerate(groups)]
+    after_sensor = fitted.values.sensor(sensor)
+    tips_after = [contact_tips(group, after_sensor, fitted.values, i) for i, group in enumerate(groups)]
+    radius = fit_pin_radius(groups, after_sensor, fitted.values, [tips for tips, _ in tips_after])
+    after_sensor = replace(after_sensor, pin_radius_mm=radius[0])
+    told: Summaries = {RECORDED: _merged([_summaries(group, group.seen) for group in groups])}
+    pictures = {f"recorded: {part.name}"[:40]: part.images[0] for part in recorded[:2]}
+    for kind, own, values, tips in (
+        (BEFORE, sensor, before, tips_before),
+        (AFTER, after_sensor, fitted.values, tips_after),
+    ):
+        told[kind], picture = _simulated(groups, own, values, tips)
+        pictures[kind] = picture
+    parameters = _parameters(start, fitted, sensor, radius)
+    notes += _told(groups, fitted, tips_before, tips_after)
+    results: dict[str, Any] = {
+        "rows": rows_of(told),
+        "parameters": parameters,
+        "preset": _preset(after_sensor, fitted.values),
+        "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
+        "images": {group.name: len(group.seen.found) for group in groups},
+        "notes": notes,
+    }
+    text = table(results["rows"], parameters) + "\n" + "".join(f"\nnote: {note}" for note in notes)
+    log(text)
+    if out is not None:
+        write_json(Path(out) / "calibration.json", results)
+        write_text(Path(out) / "calibration.txt", text + "\n")
+        write_bytes(Path(out) / "calibration.png", curves(told, pictures))
+    return results
+
+
+def _sensor_for(recorded: list[Recorded]) -> Sensor:
+    counts = [len(find_pins(image)) for part in recorded for image in part.images[:5]]
+    pins = float(np.median(counts))
+    nearest = min(SENSORS.values(), key=lambda sensor: abs(sensor.pins - pins))
+    if abs(nearest.pins - pins) > 0.1 * nearest.pins:
+        known = ", ".join(f"{sensor.name} ({sensor.pins})" for sensor in SENSORS.values())
+        raise UserError(f"about {pins:.0f} pins are found in an image, which is none of the known sensors: {known}")
+    return nearest
+
+
+def _groups(
+    recorded: list[Recorded], sensor: Sensor, start: Values, notes: list[str]
+) -> tuple[list[Group], tuple[float, ...]]:
+    """Every folder's pins, with its contacts where the labels go with the images."""
+    groups, surfaces, framing = [], [], []
+    for part in recorded:
+        with Progress(f"pins of {part.name}", len(part.images)) as progress:
+            seen = observe(_counted(part.images, progress), sensor)
+        framing.append(
+            np.linalg.norm(seen.lattice.place[seen.lattice.shell == sensor.rings] - seen.lattice.middle, axis=-1).mean()
+            / seen.size
+        )
+        if not seen.sure.any():
+            raise UserError(
+                f"{part.name}: in none of {len(part.images)} images the pins can be followed from rim to middle"
+            )
+        if not seen.sure.all():
+            notes.append(
+                f"{part.name}: {int((~seen.sure).sum())} of {len(seen.sure)} images left out, their pins cannot be followed surely"
+            )
+        group, surface = _labelled(part, seen, sensor, start, notes)
+        groups.append(group)
+        surfaces.append(surface)
+    if max(framing) > (1 + SAME_FRAMING) * min(framing):
+        worst = recorded[int(np.argmax(framing))].name, recorded[int(np.argmin(framing))].name
+        raise UserError(f"{worst[0]} and {worst[1]} are framed differently: calibrate one camera at a time")
+    return groups, tuple(surfaces)
+
+
+def _counted(images: np.ndarray, progress: Progress):
+    for image in images:
+        yield image
+        progress.advance()
+
+
+def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: list[str]) -> tuple[Group, float]:
+    rows = np.flatnonzero(seen.sure)
+    if part.poses is not None:
+        rows = rows[np.isfinite(part.poses[rows]).all(axis=-1)]
+    if part.poses is None or len(rows) < LEAST_LABELLED:
+        notes.append(f"{part.name}: fewer than {LEAST_LABELLED} labelled poses, so it tells framing and pin size only")
+        return Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
+    moves = None if part.moves is None else part.moves[rows]
+    reading = read_labels(seen.take(rows), part.poses[rows], moves, start, sensor)
+    if reading is None:
+        notes.append(
+            f"{part.name}: simulated touches as labelled move pins otherwise than these images show "
+            f"(correlation below {CREDIBLE}), so it tells framing and pin size only"
+        )
+        return Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
+    edge = (
+        ""
+        if reading.side == 0
+        else ", an edge with the object on the side of its "
+        + ("negative" if reading.side > 0 else "positive")
+        + " labels"
+    )
+    notes.append(
+        f"{part.name}: labels read with a correlation of {reading.match:.2f}{edge}; camera turned by {np.degrees(reading.angle):.0f} deg"
+    )
+    return Group(
+        part.name, seen.take(rows).turned(reading.mirrored, reading.angle), reading.contacts, reading.side
+    ), reading.surface_mm
+
+
+def _summaries(group: Group, seen: Seen) -> list[Summary]:
+    contacts = group.contacts
+    return summaries(seen, contacts.slide if contacts else None, contacts.yaw if contacts else None)
+
+
+def _merged(parts: list[list[Summary]]) -> list[Summary]:
+    """The same statistics of several groups, image after image; those that only some have are theirs alone."""
+    merged: dict[str, Summary] = {}
+    for part in parts:
+        for row in part:
+            known = merged.get(row.name)
+            merged[row.name] = row if known is None else row._replace(values=np.concatenate([known.values, row.values]))
+    return list(merged.values())
+
+
+def _simulated(groups: list[Group], sensor: Sensor, values: Values, tips: list[tuple[np.ndarray, np.ndarray]]):
+    """Statistics of rendered images of the same contacts, and the first image."""
+    parts, first = [], None
+    for group, (tip, converged) in zip(groups, tips, strict=True):
+        images = render(values.camera(group.seen.size), sensor, group.seen.size, tip)
+        first = images[0] if first is None else first
+        seen = observe(images, sensor)
+        seen = seen._replace(place=np.where(converged[:, None, None], seen.place, np.nan))
+        parts.append(_summaries(group, seen))
+    return _merged(parts), first
+
+
+def _parameters(
+    start: Values, fitted: Fitted, sensor: Sensor, radius: tuple[float, float, float]
+) -> list[dict[str, Any]]:
+    rows = []
+    for name, unit in UNITS.items():
+        if name == "pin_radius_mm":
+            rows.append(_parameter(name, unit, sensor.pin_radius_mm, *radius, True))
+        else:
+            ends = fitted.low.get(name), fitted.high.get(name)
+            before, after = getattr(start, name), getattr(fitted.values, name)
+            rows.append(_parameter(name, unit, before, after, *ends, fitted.determined.get(name, False)))
+    return rows
+
+
+def _parameter(
+    name: str, unit: str, before: float, after: float, low: float | None, high: float | None, determined: bool
+) -> dict[str, Any]:
+    return {
+        "name": name,
+        "unit": unit,
+        "before": before,
+        "after": after,
+        "low": low,
+        "high": high,
+        "determined": determined,
+    }
+
+
+def _preset(sensor: Sensor, values: Values) -> dict[str, Any]:
+    """Fields of `Sensor` and `Camera` and the friction, as they would be written into a preset."""
+    camera = asdict(values.camera(Camera().frame_px))
+    return {"sensor": asdict(sensor), "camera": camera, "friction": values.friction}
+
+
+def _told(groups: list[Group], fitted: Fitted, *tips: list[tuple[np.ndarray, np.ndarray]]) -> list[str]:
+    notes = [OVERALL_MODULUS]
+    for name, low in fitted.low.items():
+        if name.startswith("surface_mm"):
+            most, part = fitted.high[name], name.removeprefix("surface_mm ")
+            notes.append(f"{part}: contact begins at {low:.2f} to {most:.2f} mm of the labelled depth axis (95 %)")
+    unknown = [name for name, known in fitted.determined.items() if not known and not name.startswith("surface_mm")]
+    if unknown:
+        notes.append(f"not determined by these images, kept near the start: {', '.join(unknown)}")
+    missing = [name for name in ("friction", "skin_to_gel", "pin_spacing_mm") if name not in fitted.determined]
+    if missing:
+        notes.append(
+            f"not fitted, as no labelled {'slides' if missing == ['friction'] else 'contacts'} tell them: {', '.join(missing)}"
+        )
+    lost = sum(int((~converged).sum()) for part in tips for _, converged in part) + fitted.dropped
+    if lost:
+        notes.append(f"{lost} simulated contacts did not converge and were left out")
+    return notes

@@ -1,0 +1,111 @@
+"""Where the simulated pins of labelled contacts stand, as a smooth function of what is to be calibrated.
+
+A contact is solved once for pins on a finer and wider lattice than the sensor's; how far its own pins move follows by
+interpolation, so that their spacing and the camera can be fitted without a new contact. Stiffnesses are interpolated between three
+domes.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.calibration.labels import HALF_PLANE, Motions, to_paths
+from jaxunshear.contact.simulate import follow
+from jaxunshear.image.camera import project
+from jaxunshear.image.settings import Camera
+from jaxunshear.scene.sensor import Sensor, pin_lattice, pin_tips
+
+PROBE_DEG = 5.0  # between its rings
+PROBE_RINGS = 14  # to 70 degrees
+RATIO_NODES = (1 / 8, 1.0, 8.0)  # of the given sensor's skin:gel ratio
+
+
+@dataclass(frozen=True)
+class Values:
+    """What is calibrated. `surface_mm` is the nuisance of each group of images: where the object's top is in its labels."""
+
+    mm_across: float
+    distance_mm: float
+    pin_spacing_mm: float
+    friction: float
+    skin_to_gel: float
+    surface_mm: tuple[float, ...] = ()
+
+    def camera(self, frame_px: int) -> Camera:
+        return Camera(frame_px=frame_px, mm_across=self.mm_across, distance_mm=self.distance_mm)
+
+    def sensor(self, sensor: Sensor) -> Sensor:
+        return replace(
+            sensor, pin_spacing_mm=self.pin_spacing_mm, gel_modulus_mpa=sensor.skin_modulus_mpa / self.skin_to_gel
+        )
+
+
+def skin_to_gel(sensor: Sensor) -> float:
+    return sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
+
+
+def probe(sensor: Sensor, ratio: float) -> Sensor:
+    """The same dome with pins everywhere."""
+    return replace(
+        sensor,
+        name=f"{sensor.name}-probe",
+        layout="rings",
+        rings=PROBE_RINGS,
+        pin_spacing_mm=sensor.dome_radius_mm * math.radians(PROBE_DEG),
+        gel_modulus_mpa=sensor.skin_modulus_mpa / ratio,
+    )
+
+
+@lru_cache(maxsize=64)
+def interpolation(sensor: Sensor) -> np.ndarray:
+    """(P, Q): the probe's pins to the sensor's, trigonometric around the rings and cubic across them."""
+    rings = PROBE_RINGS
+    flat = pin_lattice(sensor)
+    across = np.linalg.norm(flat, axis=-1) / probe(sensor, 1.0).pin_spacing_mm
+    angle = np.arctan2(flat[:, 1], flat[:, 0])
+    first = np.clip(np.floor(across).astype(int) - 1, 0, rings - 3)
+    weights = np.zeros((len(flat), 1 + 3 * rings * (rings + 1)))
+    for ring in range(rings + 1):
+        pins = max(1, 6 * ring)
+        start = 1 + 3 * ring * (ring - 1) if ring else 0
+        others = first[:, None] + np.arange(4)
+        used = (others == ring).any(axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            factor = np.where(others == ring, 1.0, (across[:, None] - others) / (ring - others)).prod(axis=1)
+        turn = angle[:, None] - 2 * np.pi * np.arange(pins) / pins
+        weights[:, start : start + pins] = np.where(used, factor, 0.0)[:, None] * _periodic(pins, turn)
+    return weights
+
+
+def _periodic(count: int, turn: np.ndarray) -> np.ndarray:
+    """Trigonometric interpolation between `count` even points of a circle, at `turn` rad from each."""
+    if count == 1:
+        return np.ones_like(turn)
+    half = np.tan(turn / 2)
+    at = np.abs(half) < 1e-9
+    return np.where(at, 1.0, np.sin(count * turn / 2) / (count * np.where(at, 1.0, half)))
+
+
+def displacements(
+    sensor: Sensor, contacts: Motions, side: int, friction: float, surface_mm: float, ratio: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """(N, Q, 3) mm of the probe's pins, and (N,) bool which contacts converged."""
+    body = probe(sensor, ratio)
+    solved, _ = follow(body, (HALF_PLANE,), to_paths(contacts, body, surface_mm, side, friction))
+    return solved.pins - pin_tips(body).astype(np.float32), solved.converged
+
+
+def place_of(values: Values, sensor: Sensor, size: int, moved: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    """Pins (N, P, 2) px of an image of `size` from its middle for probe displacements (N, Q, 3), and (P, 2) undisturbed ones."""
+    own = values.sensor(sensor)
+    camera = values.camera(size)
+    tips = pin_tips(own)
+    rest = np.asarray(project(camera, jnp.asarray(tips), own)) - (size - 1) / 2
+    if moved is None:
+        return rest[None], rest
+    alike = replace(own, gel_modulus_mpa=sensor.gel_modulus_mpa)  # one entry of the cache for all stiffnesses
+    shift = (interpolation(alike) @ moved.swapaxes(0, 1).reshape(moved.shape[1], -1)).reshape(len(tips), -1, 3)
+    return np.asarray(project(camera, jnp.asarray(tips + shift.swapaxes(0, 1)), own)) - (size - 1) / 2, rest

@@ -1,0 +1,91 @@
+"""Simulated images of calibrated contacts, and the pin radius that makes their pins as large as the recorded ones."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.calibration.fit import Group
+from jaxunshear.calibration.labels import HALF_PLANE, to_paths
+from jaxunshear.calibration.prediction import Values
+from jaxunshear.calibration.statistics import pin_diameters
+from jaxunshear.contact.simulate import follow
+from jaxunshear.image.camera import frame
+from jaxunshear.image.pins import find_pins
+from jaxunshear.image.preprocess import binarise
+from jaxunshear.image.settings import Camera, Nuisance, Preprocess
+from jaxunshear.scene.paths import Paths
+from jaxunshear.scene.sensor import Sensor
+
+FRAME_PX = 256  # at least: what a camera sees before it is made smaller
+RADIUS_IMAGES = 16
+RADIUS_STEPS = 3
+UNKNOWN_DEPTHS_MM = (0.5, 3.0)  # of flat taps that stand in for unlabelled images
+
+
+def contact_tips(group: Group, sensor: Sensor, values: Values, which: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pin tips (N, P, 3) mm of a group's contacts, or of flat taps where these are unknown; and (N,) bool: converged."""
+    if group.contacts is not None:
+        paths = to_paths(group.contacts, sensor, values.surface_mm[which], group.side, values.friction)
+    else:
+        count = len(group.seen.found)
+        points = np.zeros((count, 2, 6))
+        points[..., 0] = -25.0
+        points[:, 1, 3] = np.linspace(*UNKNOWN_DEPTHS_MM, count)
+        paths = Paths(np.zeros(count, int), np.full(count, values.friction), points)
+    solved, _ = follow(sensor, (HALF_PLANE,), paths)
+    return solved.pins, solved.converged
+
+
+def render(camera: Camera, sensor: Sensor, size: int, tips: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Binary images (N, size, size) uint8 of pin tips (N, P, 3) mm, with the default disturbances."""
+    keys = jax.random.split(jax.random.key(seed), len(tips))
+    draw = _drawer(replace(camera, frame_px=max(FRAME_PX, size)), sensor, size)
+    return np.concatenate([np.asarray(draw(tips[i : i + 1], keys[i : i + 1])) for i in range(len(tips))])
+
+
+def _drawer(camera: Camera, sensor: Sensor, size: int):
+    @jax.jit
+    def draw(tips, keys):
+        grey = jax.vmap(partial(frame, camera, sensor, Nuisance()))(jnp.asarray(tips, jnp.float32), keys)
+        return binarise(Preprocess(size=size), grey)
+
+    return draw
+
+
+def fit_pin_radius(
+    groups: list[Group], sensor: Sensor, values: Values, tips: list[np.ndarray]
+) -> tuple[float, float, float]:
+    """(radius, low, high) mm: the pins of rendered images have the recorded ones' median diameter; 95 % over images."""
+    recorded, scatter = [], []
+    for group in groups:
+        each = np.nanmedian(group.seen.diameter, axis=1)
+        recorded.append(np.nanmean(each))
+        scatter.append(np.nanstd(each) / np.sqrt(max(1, len(each))) / np.nanmean(each))
+
+    def larger(radius: float) -> float:
+        """By what factor the rendered pins are larger than the recorded ones."""
+        ratios = []
+        for group, tip, wanted in zip(groups, tips, recorded, strict=True):
+            some = tip[:: -(-len(tip) // RADIUS_IMAGES)]
+            images = render(
+                values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), group.seen.size, some
+            )
+            ratios.append(np.mean([np.nanmedian(pin_diameters(i, find_pins(i))) for i in images]) / wanted)
+        return float(np.mean(ratios))
+
+    most = 0.49 * sensor.pin_spacing_mm
+    known = [(sensor.pin_radius_mm, larger(sensor.pin_radius_mm))]
+    slope = 1 / sensor.pin_radius_mm
+    for _ in range(RADIUS_STEPS):
+        radius, factor = known[-1]
+        trial = float(np.clip(radius - (factor - 1) / slope, 0.2 * radius, min(most, 3 * radius)))
+        if abs(trial / radius - 1) < 2e-3:
+            break
+        known.append((trial, larger(trial)))
+        slope = max((known[-1][1] - factor) / (trial - radius), 0.3 / trial)
+    best = min(known, key=lambda pair: abs(pair[1] - 1))[0]
+    error = 1.96 * float(np.sqrt(np.mean(np.square(scatter)))) / slope
+    return best, best - error, best + error

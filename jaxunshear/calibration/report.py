@@ -1,0 +1,116 @@
+"""What a calibration tells: rows of recorded, before and after, and one page of curves and example images."""
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from jaxunshear.calibration.statistics import SLIDE_BINS_MM, Summary
+
+RECORDED, BEFORE, AFTER = "recorded", "simulated, before", "simulated, after"
+COLOURS = {RECORDED: "#1c2330", BEFORE: "#d9822b", AFTER: "#1f6feb"}
+Summaries = dict[str, list[Summary]]
+
+
+def rows_of(summaries: Summaries) -> list[dict[str, Any]]:
+    """A row for each statistic: means over images, and the recorded mean's standard error; None where there are no images."""
+    rows = []
+    for real, before, after in zip(*(summaries[kind] for kind in (RECORDED, BEFORE, AFTER)), strict=True):
+        count = int(np.isfinite(real.values).sum())
+        rows.append(
+            {
+                "name": real.name,
+                "unit": real.unit,
+                "real": _mean(real),
+                "real_se": float(np.nanstd(real.values) / np.sqrt(count)) if count else None,
+                "before": _mean(before),
+                "after": _mean(after),
+                "images": count,
+            }
+        )
+    return rows
+
+
+def _mean(summary: Summary) -> float | None:
+    return float(np.nanmean(summary.values)) if np.isfinite(summary.values).any() else None
+
+
+def table(rows: Sequence[dict[str, Any]], parameters: Sequence[dict[str, Any]]) -> str:
+    """The same for people, as text."""
+    width = max(len(row["name"]) for row in (*rows, *parameters))
+    lines = [f"{'':{width}}  {'recorded':>16}  {'before':>9}  {'after':>9}"]
+    for row in rows:
+        if row["images"]:
+            real = f"{row['real']:.4g} +- {row['real_se']:.2g}"
+            lines.append(
+                f"{row['name']:{width}}  {real:>16}  {_number(row['before'])}  {_number(row['after'])}  {_unit(row)}"
+            )
+    lines += ["", f"{'':{width}}  {'before':>9}  {'after':>9}  95 % interval"]
+    for row in parameters:
+        interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["low"] is not None else ""
+        known = "" if row["determined"] else "  not determined by these images"
+        lines.append(
+            f"{row['name']:{width}}  {_number(row['before'])}  {_number(row['after'])}  {interval}  {_unit(row)}{known}"
+        )
+    return "\n".join(lines)
+
+
+def _number(value: float | None) -> str:
+    return f"{value:9.4g}" if value is not None else f"{'':9}"
+
+
+def _unit(row: dict[str, Any]) -> str:
+    return "" if row["unit"] == "1" else row["unit"]
+
+
+def curves(summaries: Summaries, pictures: dict[str, np.ndarray] | None = None) -> bytes:
+    """PNG: ring layout, spacing, pin size and motion over slide; below them, where given, images (S, S) by name."""
+    by_name = {kind: {row.name: row.values for row in rows} for kind, rows in summaries.items()}
+    with rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}):
+        figure = Figure(figsize=(11, 7 if pictures else 3.2), layout="constrained", dpi=110)
+        panels = figure.subplots(2 if pictures else 1, 4, squeeze=False)
+        _rings(panels[0, 0], by_name)
+        _histogram(panels[0, 1], by_name, "pin spacing", "pin spacing, px of 128")
+        _histogram(panels[0, 2], by_name, "pin diameter", "pin diameter, px of 128")
+        _slides(panels[0, 3], by_name)
+        for axes in panels[1:].ravel():
+            axes.axis("off")
+        for axes, (name, image) in zip(panels[1:].ravel(), (pictures or {}).items(), strict=False):
+            axes.imshow(image, cmap="gray", interpolation="nearest")
+            axes.set_title(name)
+        stream = io.BytesIO()
+        figure.savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def _rings(axes, by_name) -> None:
+    names = [name for name in by_name[RECORDED] if name.startswith("ring ")]
+    recorded = [np.nanmean(by_name[RECORDED][name]) for name in names]
+    for kind, values in by_name.items():
+        rings = np.arange(1, len(names) + 1)
+        off = np.array([np.nanmean(values[name]) for name in names]) - recorded
+        axes.plot(rings, off, "o-", markersize=3, color=COLOURS[kind], label=kind)
+    axes.set(xlabel="ring", title="radius over outermost, less recorded")
+    axes.legend()
+
+
+def _histogram(axes, by_name, name: str, title: str) -> None:
+    every = np.concatenate([values[name] for values in by_name.values()])
+    edges = np.linspace(np.nanmin(every) - 0.05, np.nanmax(every) + 0.05, 30)
+    for kind, values in by_name.items():
+        axes.hist(values[name], edges, density=True, histtype="step", color=COLOURS[kind], label=kind)
+    axes.set(title=title, yticks=[])
+
+
+def _slides(axes, by_name) -> None:
+    for kind, values in by_name.items():
+        for part, style in (("central pins left", "o-"), ("outermost ring left", "s:")):
+            means = [values[name] for name in values if name.startswith(part)]
+            known = [i for i, each in enumerate(means) if np.isfinite(each).any()]
+            if known:
+                middle = np.array(SLIDE_BINS_MM)[known] + 0.5
+                axes.plot(middle, [np.nanmean(means[i]) for i in known], style, markersize=3, color=COLOURS[kind])
+    axes.set(xlabel="slide, mm", title="pins left behind, px of 128\n(full: central, dotted: rim)")

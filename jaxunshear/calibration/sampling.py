@@ -1,0 +1,72 @@
+"""A sample of the images of a recording, folder by folder, at the size they have."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
+from jaxunshear.image.preprocess import is_binary, to_grey
+from jaxunshear.image.settings import Preprocess
+
+SIZES_PX = (128, 440)  # least and most; raw frames are made 256
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """One folder's images, sampled."""
+
+    name: str
+    images: np.ndarray  # (N, S, S) uint8
+    poses: np.ndarray | None
+    moves: np.ndarray | None
+
+
+def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str]]:
+    """A sample of every folder's images at a size that costs them nothing."""
+    probe = read_recordings(path, Preprocess())
+    first = to_grey(read_image(probe.files[0]))
+    size = int(np.clip(min(first.shape), *SIZES_PX)) if is_binary(first) else 256
+    recordings = replace(probe, preprocess=Preprocess(size=size))
+    folders = sorted({file.parent for file in recordings.files})
+    generator = np.random.default_rng(seed)
+    parts, notes = [], list(probe.notes)
+    for folder in folders:
+        rows = np.array([i for i, file in enumerate(recordings.files) if file.parent == folder])
+        chosen = _choose(recordings.moves, rows, max(1, images // len(folders)), generator)
+        sample = _take(recordings, chosen)
+        frames = list(sample.frames())
+        notes += sample.notes
+        kept = np.array([row for row, _, _ in frames])
+        parts.append(
+            Recorded(
+                folder.parent.relative_to(path.parent).as_posix() if path.is_dir() else path.name,
+                np.array([image for _, _, image in frames]),
+                None if sample.poses is None else sample.poses[kept],
+                None if sample.moves is None else sample.moves[kept],
+            )
+        )
+    return parts, notes
+
+
+def _choose(moves: np.ndarray | None, rows: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
+    """At most `count` rows, with short slides as likely as long ones: they are rare, and tell most about sticking."""
+    rows = generator.permutation(rows)
+    if moves is None or len(rows) <= count:
+        return np.sort(rows[:count])
+    length = np.nan_to_num(np.linalg.norm(moves[rows, :3], axis=-1))
+    rank = np.zeros(len(rows))
+    for bin in np.unique(np.floor(length)):
+        here = np.floor(length) == bin
+        rank[here] = np.arange(here.sum())
+    return np.sort(rows[np.argsort(rank, kind="stable")[:count]])
+
+
+def _take(recordings: Recordings, rows: np.ndarray) -> Recordings:
+    return replace(
+        recordings,
+        files=tuple(recordings.files[row] for row in rows),
+        poses=None if recordings.poses is None else recordings.poses[rows],
+        moves=None if recordings.moves is None else recordings.moves[rows],
+        notes=[],
+    )

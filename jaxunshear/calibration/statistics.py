@@ -1,0 +1,177 @@
+"""What images of pins say in numbers: the same functions on recorded and on simulated images.
+
+seen = observe(images, TACTIP_331)          # binary images (N, S, S)
+rings, motion = ring_radii(seen), ring_motion(seen)
+"""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+from skimage.measure import label
+
+from jaxunshear.calibration.tracking import Lattice, fit_lattice, follow_pins
+from jaxunshear.errors import UserError
+from jaxunshear.image.pins import find_pins
+from jaxunshear.scene.sensor import Sensor
+
+CENTRAL = 1  # pins up to this ring are the central ones: seven of them
+SLIDE_BINS_MM = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
+LATTICE_IMAGES = 40  # their mean is the lattice
+
+
+class Seen(NamedTuple):
+    """The pins of N images of one camera; lengths in px of the image."""
+
+    size: int  # px, of the square images
+    lattice: Lattice
+    place: (
+        np.ndarray
+    )  # (N, P, 2) from the middle of the outermost ring, as (column, row); NaN where a pin was not found
+    diameter: np.ndarray  # (N, P) of a disc of the pin's area; NaN where not found
+    doubt: np.ndarray  # (N,), see `tracking.Track`
+    sure: np.ndarray  # (N,) bool: the pins' identities are beyond doubt
+    found: np.ndarray  # (N,) pins
+    spacing: np.ndarray  # (N,) usual distance between nearest neighbours
+    white: np.ndarray  # (N,) white share of the whole image, housing and all
+
+    def take(self, rows: np.ndarray) -> "Seen":
+        return Seen(self.size, self.lattice, *(field[rows] for field in self[2:]))
+
+    def turned(self, mirrored: bool, angle: float) -> "Seen":
+        """The same pins seen by a camera that is not mirrored, and turned by `angle` rad from column towards row."""
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        turn = np.diag([1.0, -1.0 if mirrored else 1.0]) @ turn
+        return self._replace(place=self.place @ turn, lattice=self.lattice._replace(place=self.lattice.place @ turn))
+
+    @property
+    def direction(self) -> np.ndarray:
+        """(P, 2) unit vectors from the middle to each pin of the lattice; zero for the apex pin."""
+        return unit_vectors(self.lattice.place - self.lattice.middle)
+
+
+def unit_vectors(place: np.ndarray) -> np.ndarray:
+    """(P, 2) -> (P, 2); zero for a pin within a twentieth of the outermost one's distance from the middle: the apex pin."""
+    length = np.linalg.norm(place, axis=-1, keepdims=True)
+    return np.where(length > 0.05 * length.max(), place / np.maximum(length, 1e-9), 0.0)
+
+
+def observe(images: Iterable[np.ndarray], sensor: Sensor) -> Seen:
+    """Finds and follows the pins of binary images (S, S) uint8. Raises UserError where they are not this sensor's pins."""
+    images = list(images)
+    found = [find_pins(image) for image in images]
+    enough = np.array([len(pins) >= 0.7 * sensor.pins for pins in found])
+    if not enough.any():
+        most = max((len(pins) for pins in found), default=0)
+        raise UserError(f"at most {most} pins are found in an image, where sensor '{sensor.name}' has {sensor.pins}")
+    good = [pins for pins, use in zip(found, enough, strict=True) if use]
+    lattice = fit_lattice(good[:: -(-len(good) // LATTICE_IMAGES)], sensor)
+    tracks = [follow_pins(lattice, pins) for pins in found]
+    diameters = [pin_diameters(image, pins) for image, pins in zip(images, found, strict=True)]
+    diameter = [
+        np.where(track.which >= 0, np.append(d, np.nan)[track.which], np.nan)
+        for track, d in zip(tracks, diameters, strict=True)
+    ]
+    return Seen(
+        images[0].shape[0],
+        lattice,
+        np.array([track.motion for track in tracks]) + lattice.place - lattice.middle,
+        np.array(diameter),
+        np.array([track.doubt for track in tracks]),
+        np.array([track.sure for track in tracks]),
+        np.array([len(pins) for pins in found]),
+        np.array([_spacing(pins) for pins in found]),
+        np.array([np.mean(image > 127) for image in images]),
+    )
+
+
+def _spacing(pins: np.ndarray) -> float:
+    return float(np.median(cKDTree(pins).query(pins, k=2)[0][:, 1])) if len(pins) > 1 else float("nan")
+
+
+def pin_diameters(image: np.ndarray, pins: np.ndarray) -> np.ndarray:
+    """Diameters (N,) px of discs of the pins' areas in a binary image; pins that touch share their area evenly."""
+    parts = label(image > 127, connectivity=1)
+    column, row = np.clip(np.rint(pins).astype(int), 0, parts.shape[0] - 1).T.reshape(2, -1)
+    part = parts[row, column]
+    area = np.bincount(parts.ravel()) / np.maximum(np.bincount(part, minlength=parts.max() + 1), 1)
+    return np.where(part > 0, 2 * np.sqrt(area[part] / np.pi), np.nan)
+
+
+def _by_ring(shell: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Means (..., rings + 1) over the pins (..., P) of each ring, NaN left out; NaN where all are."""
+    known = np.isfinite(values)
+    member = np.eye(shell.max() + 1)[shell]
+    count = known.astype(float) @ member
+    return np.where(count > 0, np.where(known, values, 0) @ member / np.maximum(count, 1), np.nan)
+
+
+def ring_radii(shell: np.ndarray, place: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Mean distance (..., rings) from the middle of each ring, the apex pin left out, along the undisturbed directions."""
+    return _by_ring(shell, (place * direction).sum(-1))[..., 1:]
+
+
+def ring_motion(shell: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Mean place (N, rings + 1) of each ring as column + i row, less its mean over the N images."""
+    across = _by_ring(shell, place[..., 0]) + 1j * _by_ring(shell, place[..., 1])
+    return across - np.nanmean(across, axis=0)
+
+
+def central(motion: np.ndarray) -> np.ndarray:
+    """(N,) of the seven pins in the middle, from `ring_motion`."""
+    weight = np.array([1.0, *(6.0 * k for k in range(1, CENTRAL + 1))])
+    return motion[:, : CENTRAL + 1] @ (weight / weight.sum())
+
+
+def left_behind(motion: np.ndarray, slide: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+    """How far (N,) px a motion (N,) complex in the frame of a sensor at `yaw` (N,) rad lies against its slide (N, 2) mm."""
+    heading = slide @ np.array([1, 1j])
+    length = np.abs(heading)
+    return -np.real(motion * np.exp(1j * yaw) * np.conj(heading)) / np.where(length > 0, length, np.nan)
+
+
+def slide_bin(slide: np.ndarray) -> np.ndarray:
+    """(N,) index into SLIDE_BINS_MM of the slides (N, 2) mm; -1 for taps."""
+    length = np.linalg.norm(slide, axis=-1)
+    return np.where(length > 1e-6, np.digitize(length, SLIDE_BINS_MM) - 1, -1)
+
+
+class Summary(NamedTuple):
+    """One figure an image, (N,), NaN where it says nothing: its mean over images is the statistic."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+
+
+def summaries(seen: Seen, slide: np.ndarray | None = None, yaw: np.ndarray | None = None) -> list[Summary]:
+    """Statistics in px of 128, so that images of any size compare. `slide` (N, 2) mm and `yaw` (N,), see `left_behind`."""
+    scale = 128 / seen.size
+    shell, radii = seen.lattice.shell, ring_radii(seen.lattice.shell, seen.place, seen.direction)
+    diameter = _by_ring(shell, seen.diameter)
+    area = np.nansum(np.pi / 4 * seen.diameter**2, axis=1) / seen.size**2
+    rows = [
+        Summary("pins found", "1", seen.found.astype(float)),
+        Summary("pin spacing", "px", seen.spacing * scale),
+        Summary("pin diameter", "px", np.nanmedian(seen.diameter, axis=1) * scale),
+        Summary("pin diameter, rim over middle", "1", diameter[:, -1] / np.nanmean(diameter[:, : CENTRAL + 1], axis=1)),
+        Summary("white share of pins", "1", area),
+        Summary("white share of image", "1", seen.white),
+        Summary("outermost ring, share of width", "1", radii[:, -1] / seen.size),
+    ]
+    rows += [
+        Summary(f"ring {k + 1} over outermost", "1", radii[:, k] / radii[:, -1]) for k in range(radii.shape[1] - 1)
+    ]
+    if slide is not None and yaw is not None:
+        motion, index = ring_motion(shell, seen.place), slide_bin(slide)
+        for name, part in (("central pins", central(motion)), ("outermost ring", motion[:, -1])):
+            behind = left_behind(part, slide, yaw) * scale
+            for k, least in enumerate(SLIDE_BINS_MM):
+                most = f"to {SLIDE_BINS_MM[k + 1]:g}" if k + 1 < len(SLIDE_BINS_MM) else "or more"
+                rows.append(
+                    Summary(
+                        f"{name} left behind, slide {least:g} {most} mm", "px", np.where(index == k, behind, np.nan)
+                    )
+                )
+    return rows

@@ -1,0 +1,48 @@
+"""A contact whose nodes stand there twice: the compliance is singular and the share of each twin is anybody's choice."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.contact.friction import RHO, System, contact_state, follow_path, rest
+from jaxunshear.contact.obstacle import sample
+from jaxunshear.contact.plan import Level, increments
+from jaxunshear.contact.simulate import Contacts, dome
+from jaxunshear.scene.paths import Paths
+from jaxunshear.scene.sensor import Sensor
+from jaxunshear.scene.stimuli import stimulus_named
+
+
+def follow_duplicated(sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7) -> Contacts:
+    """`simulate.follow` of one path (K, 6) over the disk, with all nodes and the first `twice` of them once more."""
+    whole = dome(sensor)
+    count = len(whole.nodes)
+    index = np.concatenate([np.arange(count), np.arange(twice)])
+    columns = (3 * index[:, None] + np.arange(3)).ravel()
+    scale = np.trace(whole.w) / len(whole.w)
+    w = whole.w[np.ix_(columns, columns)] / scale
+    inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
+    poses, _ = increments(Paths(np.zeros(1, int), np.array([friction]), points[None]), level, sensor.dome_radius_mm)
+    with jax.enable_x64(level.precision == "float64"):
+        fields = (w, inverse, w, whole.nodes[index], sensor.dome_radius_mm)
+        system = System(*(jnp.asarray(field, level.precision) for field in fields))
+        path = jnp.asarray(poses[0, :, None], level.precision)
+        mu = jnp.asarray([friction], level.precision)
+        skin, quality = follow_path(
+            system,
+            sample((stimulus_named("disk"),)),
+            jnp.zeros(1, jnp.int32),
+            mu,
+            path[1:],
+            rest(system, path[0]),
+            level.tolerance,
+            level.limit,
+        )
+        states = contact_state(skin, mu)
+        skin, quality, states = jax.device_get((skin, quality, states))
+    force = skin.force[0].astype(np.float64) / scale
+    pins = whole.pins + (whole.g[:, columns] @ force.ravel()).reshape(-1, 3)
+    converged = (quality.residual_mm <= quality.tolerance_mm) & np.isfinite(pins).all()
+    total, nodes = force.sum(axis=0)[None], np.array([len(index)])
+    never = np.zeros(1, bool)
+    return Contacts(pins[None], quality.residual_mm, converged, quality.iterations, *states, total, nodes, never)

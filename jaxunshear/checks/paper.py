@@ -1,0 +1,23 @@
+"""Random scenes of the paper's distribution (its section 3.2) over all seven shapes, for measurements."""
+
+import numpy as np
+
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, make_scenes
+from jaxunshear.scene.stimuli import STIMULI
+
+NAMES = tuple(STIMULI)
+KINDS = ("slide", "tap")
+
+
+def paper_scenes(kind: str, count: int, seed: int = 0) -> Scenes:
+    """`count` slides, or taps at the same poses, each shape in turn. The first of many are the same as few."""
+    ranges = Ranges()
+    single = []
+    for number in range(count):
+        generator = np.random.default_rng((seed, number))
+        depth = (ranges.depth_min_mm, ranges.depth_max_mm)
+        pose = draw_poses(generator, 1, ranges.lateral_mm, ranges.yaw_deg, depth)
+        single.append(np.concatenate([pose, draw_moves(generator, 1, ranges.move_mm)], axis=1))
+    drawn = np.concatenate(single) if single else np.zeros((0, 6))
+    return make_scenes(NAMES, np.arange(count) % len(NAMES), drawn[:, :4], drawn[:, 4:] * (kind == "slide"))

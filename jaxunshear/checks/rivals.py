@@ -1,0 +1,189 @@
+"""Other solvers of an increment, to be measured beside the simulator's own ADMM. All have the signature of
+`friction.solve_increment`, for contacts without tilt, and stop on the same kind of length:
+
+- `projected_gradient`, and `accelerated` (Nesterov 1983, restarted as by O'Donoghue & Candes 2015)
+- `anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its last steps (Walker & Ni 2011)
+- `newton`: semismooth (Alart & Curnier 1991), each increment from a cold start
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from unittest.mock import patch
+
+import jax
+import jax.numpy as jnp
+
+from jaxunshear.contact import friction as physics
+from jaxunshear.contact.friction import BETWEEN_CHECKS, OVER_RELAXATION, RHO, System, project
+
+Solver = Callable[..., tuple[jax.Array, jax.Array, jax.Array, jax.Array]]
+MEMORY = 5  # steps that Anderson's extrapolation looks back on
+GROWTH = 2.0  # of its residual, beyond which an extrapolated step is taken back
+NEWTON_LIMIT = 40  # iterations, each a matrix factorised for every scene
+
+
+@contextmanager
+def exchanged(solver: Solver | None) -> Iterator[None]:
+    """While it lasts, `simulate` solves its increments by `solver` (None: its own). Compiled programs are dropped."""
+    if solver is None:
+        yield
+        return
+    jax.clear_caches()
+    try:
+        with patch.object(physics, "solve_increment", solver):
+            yield
+    finally:
+        jax.clear_caches()
+
+
+def _times(matrix: jax.Array, force: jax.Array) -> jax.Array:
+    return (force.reshape(force.shape[0], -1) @ matrix).reshape(force.shape)
+
+
+def _length(system: System, miss: jax.Array, force: jax.Array, factor: jax.Array | float) -> jax.Array:
+    """(B,) mm, as the simulator's own: what a miss of the forces does to the skin, and `factor` times the miss."""
+    touching = jnp.maximum(jnp.sum(force[..., -1] > 0, axis=-1), 1)
+    squared = _times(system.w, miss) ** 2 + (factor * miss) ** 2
+    return jnp.sqrt(jnp.sum(squared, axis=(1, 2)) / touching)
+
+
+def _largest_eigenvalue(system: System) -> jax.Array:
+    """Of w, by the power method; a little above."""
+
+    def step(_, v):
+        moved = v @ system.w
+        return moved / jnp.linalg.norm(moved)
+
+    count = len(system.w)
+    start = jnp.ones(count, system.w.dtype) / count**0.5 + jnp.linspace(0, 1, count, dtype=system.w.dtype)
+    vector = jax.lax.fori_loop(0, 30, step, start / jnp.linalg.norm(start))
+    return 1.02 * jnp.linalg.norm(vector @ system.w)
+
+
+def _iterate(step: Callable, state: tuple, tolerance: jax.Array, limit: int, every: int) -> tuple:
+    """Repeat `step`(state) -> (state, error (B,)), `every` times between looks, until all are below their tolerance."""
+
+    def unfinished(carry):
+        _, error, _, count = carry
+        return jnp.any(~(error <= tolerance)) & (count < limit)
+
+    def some(carry):
+        state, before, spent, count = carry
+        state, error = jax.lax.fori_loop(0, every, lambda _, both: step(both[0]), (state, before))
+        return state, error, spent + every * (before > tolerance), count + every
+
+    missing = jnp.where(jnp.isinf(tolerance), 0.0, jnp.inf).astype(tolerance.dtype)
+    begin = (state, missing, jnp.zeros(tolerance.shape, jnp.int32), jnp.zeros((), jnp.int32))
+    state, missing, spent, _ = jax.lax.while_loop(unfinished, some, begin)
+    return state, missing, spent
+
+
+def _gradient(accelerate: bool) -> Solver:
+    def solve(system, frame, offset, friction, start, tolerance, limit):
+        _untilted(frame)
+        largest = _largest_eigenvalue(system)
+
+        def step(state):
+            z, ahead, momentum = state
+            after = project(ahead - (_times(system.w, ahead) + offset) / largest, friction)
+            error = _length(system, after - ahead, after, largest)
+            if not accelerate:
+                return (after, after, momentum), error
+            against = jnp.sum((ahead - after) * (after - z), axis=(1, 2)) > 0
+            momentum = jnp.where(against, 1.0, momentum).astype(z.dtype)
+            following = (1 + jnp.sqrt(1 + 4 * momentum**2)) / 2
+            share = jnp.where(against, 0, (momentum - 1) / following)
+            return (after, after + share[:, None, None] * (after - z), following), error
+
+        force, dual = start
+        state = (force, force, jnp.ones(len(force), force.dtype))
+        (force, *_), error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
+        return force, dual, error, spent
+
+    return solve
+
+
+projected_gradient, accelerated = _gradient(False), _gradient(True)
+
+
+def anderson(system, frame, offset, friction, start, tolerance, limit):
+    """ADMM moves v = z + y by 1.8 (x - z), with z = P(v): Anderson's extrapolation of that, taken back where it does harm."""
+    _untilted(frame)
+    count, size = len(offset), offset[0].size
+
+    def move(v):
+        z = project(v, friction)
+        x = _times(system.inverse, RHO * (2 * z - v) - offset)
+        return OVER_RELAXATION * (x - z), z, x
+
+    def step(state):
+        v, plain, ways, pulls, last, before, z_before, number = state
+        pull, z, x = move(v)
+        norm = jnp.linalg.norm(pull.reshape(count, -1), axis=-1)
+        worse = (norm > GROWTH * before)[:, None, None]
+        # a step that did harm is undone: on from the plain one, with nothing remembered
+        way, gain = (v - last[0]).reshape(count, -1), (pull - last[1]).reshape(count, -1)
+        slot = number % MEMORY
+        ways, pulls = ways.at[:, slot].set(way), pulls.at[:, slot].set(gain)
+        ways, pulls = jnp.where(worse, 0, ways), jnp.where(worse, 0, pulls)
+        gram = jnp.einsum("bmi,bni->bmn", pulls, pulls)
+        ridge = 1e-7 * jnp.trace(gram, axis1=1, axis2=2)[:, None, None] + 1e-30
+        right = jnp.einsum("bmi,bi->bm", pulls, pull.reshape(count, -1))
+        share = jnp.linalg.solve(gram + ridge * jnp.eye(MEMORY, dtype=v.dtype), right[..., None])[..., 0]
+        back = jnp.einsum("bm,bmi->bi", share, ways + pulls).reshape(v.shape)
+        after = jnp.where(worse, plain, v + pull - back)
+        touching = jnp.maximum(jnp.sum(z[..., -1] > 0, axis=-1), 1)
+        squared = _times(system.w, x - z) ** 2 + (RHO * (z - z_before)) ** 2
+        error = jnp.sqrt(jnp.sum(squared, axis=(1, 2)) / touching)
+        held = jnp.where(worse[:, 0, 0], before, norm)
+        return (after, v + pull, ways, pulls, (v, pull), held, z, number + 1), error
+
+    force, dual = start
+    v = force + dual
+    pull, z, _ = move(v)
+    none = jnp.zeros((count, MEMORY, size), v.dtype)
+    state = (v + pull, v + pull, none, none, (v, pull), jnp.full(count, jnp.inf, v.dtype), z, jnp.zeros((), jnp.int32))
+    (v, *_), error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
+    force = project(v, friction)
+    return force, v - force, error, spent
+
+
+def newton(system, frame, offset, friction, start, tolerance, limit):
+    """Full steps on f - P(f - (W f + b)) = 0, from zero."""
+    _untilted(frame)
+    count, nodes, unknowns = offset.shape
+    of_node = jax.jacfwd(lambda force, mu: project(force[None, None], mu[None])[0, 0])
+    slopes_of = jax.vmap(jax.vmap(of_node, (0, None)))
+    identity = jnp.eye(nodes * unknowns, dtype=offset.dtype)
+
+    def step(force):
+        inner = force - _times(system.w, force) - offset
+        miss = force - project(inner, friction)
+
+        def one(item):
+            slopes, miss = item
+            rows = (identity - system.w).reshape(nodes, unknowns, -1)
+            through = jnp.einsum("nij,njk->nik", slopes, rows).reshape(identity.shape)
+            return jnp.linalg.solve(identity - through, miss.ravel()).reshape(miss.shape)
+
+        change = jax.lax.map(one, (slopes_of(inner, friction), miss))
+        after = force - change
+        miss = after - project(after - _times(system.w, after) - offset, friction)
+        return after, _length(system, miss, after, 1.0)
+
+    force, error, spent = _iterate(step, jnp.zeros_like(offset), tolerance, min(limit, NEWTON_LIMIT), 1)
+    return force, start[1], error, spent
+
+
+def _untilted(frame: jax.Array | None) -> None:
+    if frame is not None:
+        raise NotImplementedError("these solvers are for contacts without tilt")
+
+
+RIVALS: dict[str, Solver | None] = {
+    "admm": None,
+    "admm with anderson": anderson,
+    "accelerated projected gradient": accelerated,
+    "projected gradient": projected_gradient,
+    "newton, cold": newton,
+}

@@ -1,0 +1,167 @@
+"""Every case of `cases` in a table: solved, refused, or reported as not converged; never silently wrong.
+
+    rows = stability()
+    failed(rows)
+
+Each contact is solved as a user would (`auto`, again at a stronger level where that does not converge), and twice more to a
+tolerance so small that how the solver stops is no part of the difference: in float32 and in float64.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from jaxunshear.checks.cases import Case, all_cases
+from jaxunshear.checks.px import pin_error
+from jaxunshear.contact.plan import LEVELS
+from jaxunshear.contact.simulate import Contacts
+from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
+
+PRECISION_PX = 0.05  # by which float32 and float64, or two ways to the same contact, may differ
+SILENT_PX = 1.0  # an answer that calls itself converged and is further (rms) from the tight one is wrong
+TIGHT = replace(LEVELS["auto"], tolerance=0.02, limit=5000)
+SOLVED, RETRIED, REFUSED = "solved", "solved at a stronger level", "refused"
+GOOD = (SOLVED, RETRIED, REFUSED)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Of one case; NaN where nothing was measured."""
+
+    case: str
+    outcome: str
+    good: bool
+    finite: bool | None = None
+    converged: bool | None = None
+    residual_mm: float = np.nan
+    float_px: float = np.nan  # tight float32 against tight float64: largest of any pin
+    twin_px: float = np.nan  # tight, against the other way to the same contact: largest
+    tight_px: float = np.nan  # auto against tight float64: rms over the pins
+    iterations: int = 0
+    nodes: int = 0
+    ms: float = np.nan  # of auto, once compiled
+    said: str = ""  # the complaint of what was refused
+    scene: str = ""  # Python that runs it again
+
+
+def stability(only: str | None = None, cases: Sequence[Case] | None = None) -> list[Row]:
+    """Rows of all cases, or of those whose name contains `only`. Raises `UserError` where there is none."""
+    found = [case for case in (all_cases() if cases is None else cases) if only is None or only in case.name]
+    if not found:
+        raise UserError(f"--only '{only}': no case's name contains this; `jaxunshear stability` lists them")
+    rows = []
+    with Progress("stability", len(found), unit="cases") as progress:
+        for case in found:
+            rows.append(examine(case))
+            progress.advance(1)
+    return rows
+
+
+def failed(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if not row.good]
+
+
+def examine(case: Case) -> Row:
+    """One case, run and judged; a traceback is a judgement too, and no reason to leave the other cases out."""
+    try:
+        return _examine(case)
+    except Exception as error:
+        return Row(case.name, "crashed", False, said=f"{type(error).__name__}: {error}", scene=case.line)
+
+
+def _examine(case: Case) -> Row:
+    try:
+        contacts = case.solve("auto", True)
+    except UserError as error:
+        return _refused(case, str(error))
+    if case.refused is not None:
+        return Row(case.name, f"not refused, though its {case.refused} is senseless", False, scene=case.line)
+    start = time.perf_counter()
+    case.solve("auto", True)
+    ms = 1e3 * (time.perf_counter() - start)
+    narrow, wide = (case.solve(replace(TIGHT, precision=kind), False) for kind in ("float32", "float64"))
+    float_px = pin_error(case.sensor, narrow.pins, wide.pins).max_px
+    twin_px = pin_error(case.sensor, case.twin(TIGHT, False).pins, narrow.pins).max_px if case.twin else np.nan
+    tight_px = pin_error(case.sensor, contacts.pins, wide.pins).rms_px
+    outcome = _outcome(contacts, float_px, twin_px, tight_px)
+    return Row(
+        case.name,
+        outcome,
+        outcome in GOOD,
+        bool(np.isfinite(contacts.pins).all()),
+        bool(contacts.converged.all()),
+        float(np.max(contacts.residual_mm)),
+        float_px,
+        twin_px,
+        tight_px,
+        int(np.max(contacts.iterations)),
+        int(np.max(contacts.nodes)),
+        ms,
+        scene=case.line,
+    )
+
+
+def _outcome(contacts: Contacts, float_px: float, twin_px: float, tight_px: float) -> str:
+    if not np.isfinite(contacts.pins).all():
+        return "not finite"
+    if not contacts.converged.all():
+        return "not converged"
+    if not tight_px <= SILENT_PX:
+        return "converged to something else"
+    if not float_px <= PRECISION_PX:
+        return "float32 is too coarse"
+    if twin_px > PRECISION_PX:
+        return "differs from its twin"
+    return RETRIED if contacts.retried.any() else SOLVED
+
+
+def _refused(case: Case, said: str) -> Row:
+    if case.refused is None:
+        return Row(case.name, "refused, though it can be solved", False, said=said, scene=case.line)
+    if case.refused not in said or "\n" in said:
+        return Row(
+            case.name, f"refused by a line that does not name '{case.refused}'", False, said=said, scene=case.line
+        )
+    return Row(case.name, REFUSED, True, said=said, scene=case.line)
+
+
+def as_dicts(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    return [asdict(row) for row in rows]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """For people: a line a case, then what failed and how to run it again."""
+    width = max(len(row.case) for row in rows)
+    head = f"{'case':{width}}  finite conv.  residual   f32-f64  twin     tight    iter.  nodes  ms       outcome"
+    lines = [head, *(_line(row, width) for row in rows)]
+    bad = failed(rows)
+    for row in bad:
+        lines += [
+            f"\nFAILED: {row.case}: {row.outcome} {row.said}".rstrip(),
+            f"  again: jaxunshear stability --only {row.case!r}",
+        ]
+        lines.append(f"  scene: {row.scene}")
+    count = {kind: sum(row.outcome == kind for row in rows) for kind in GOOD}
+    counted = ", ".join(f"{number} {kind}" for kind, number in count.items())
+    widest = max((row.float_px for row in rows if row.float_px == row.float_px), default=0.0)
+    lines.append(f"\n{len(rows)} cases: {counted}, {len(bad)} failed; float32 against float64 at most {widest:.4f} px")
+    return "\n".join(lines)
+
+
+def _line(row: Row, width: int) -> str:
+    if row.finite is None:
+        return f"{row.case:{width}}  {row.outcome}: {row.said}"
+    figures = [_short(value) for value in (row.residual_mm, row.float_px, row.twin_px, row.tight_px)]
+    answers = ["yes" if value else "NO" for value in (row.finite, row.converged)]
+    return (
+        f"{row.case:{width}}  {answers[0]:6} {answers[1]:5}  {figures[0]:9}  {figures[1]:7}  {figures[2]:7}  {figures[3]:7}  "
+        f"{row.iterations:<5}  {row.nodes:<5}  {row.ms:<7.4g}  {row.outcome}"
+    )
+
+
+def _short(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.2g}"

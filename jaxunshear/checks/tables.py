@@ -1,0 +1,94 @@
+"""Rows of a verification: what was asked, what the closed form says, what was measured, and whether the bar holds."""
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+WIDTH = 64  # of the problems' column
+
+
+@dataclass(frozen=True)
+class Row:
+    """One comparison. Without a `bar` it informs; with one it must hold, and so must `least_order`.
+
+    `error` and `bar` are relative, to the closed form or, where that is zero, to what `problem` names; or lengths in px.
+    `order` is of convergence.
+    """
+
+    group: str
+    problem: str
+    closed_form: float | None
+    measured: float
+    error: float
+    bar: float | None = None
+    order: float | None = None
+    least_order: float | None = None
+    settled: bool = True  # every increment was solved below its tolerance
+    note: str = ""
+    px: bool = False  # `error` and `bar` are in px
+
+    @property
+    def holds(self) -> bool:
+        """Written so that a NaN does not."""
+        if self.bar is None:
+            return True
+        enough = self.least_order is None or (self.order is not None and self.order >= self.least_order)
+        return bool(abs(self.error) <= self.bar and enough and self.settled)
+
+
+def compare(
+    group: str, problem: str, closed_form: float, measured: float, bar: float | None = None, **more: Any
+) -> Row:
+    """A row against a closed form other than zero; `more` are further fields of `Row`."""
+    return Row(group, problem, float(closed_form), float(measured), float(measured / closed_form - 1), bar, **more)
+
+
+def vanishes(group: str, problem: str, measured: float, scale: float, bar: float | None = None, **more: Any) -> Row:
+    """A row of what should be zero, judged against `scale`."""
+    return Row(group, problem, 0.0, float(measured), float(measured / scale), bar, **more)
+
+
+def fit_order(sizes: Iterable[float], errors: Iterable[float]) -> float:
+    """Exponent p of |error| ~ size^p, by least squares over at least three sizes; NaN where an error is zero or not finite."""
+    x, y = np.asarray(list(sizes), float), np.abs(np.asarray(list(errors), float))
+    if len(x) < 3 or not (np.isfinite(y).all() and (y > 0).all()):
+        return float("nan")
+    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
+
+
+def as_dict(row: Row) -> dict[str, Any]:
+    """Flat, for a file of results."""
+    return {**asdict(row), "holds": row.holds}
+
+
+def table(rows: Iterable[Row]) -> str:
+    """Plain text, a heading a group. `ok` and `MISSED` are of rows with a bar; a row without one is `info`."""
+    lines, group = [], None
+    for row in rows:
+        if row.group != group:
+            group = row.group
+            lines += [
+                "",
+                group,
+                f"  {'':{WIDTH}} {'closed form':>12} {'measured':>12} {'error':>10} {'allowed':>9}  order",
+            ]
+        closed = "-" if row.closed_form is None else f"{row.closed_form:.5g}"
+        order = "" if row.order is None else f"{row.order:.2f}"
+        if row.least_order is not None:
+            order += f" (>= {row.least_order:g})"
+        verdict = "info" if row.bar is None else "ok" if row.holds else "MISSED"
+        if not row.settled:
+            verdict += ", not converged"
+        lines.append(
+            f"  {row.problem:{WIDTH}} {closed:>12} {row.measured:>12.5g} {_share(row, row.error):>10}"
+            f" {_share(row, row.bar):>9}  {order:13} {verdict}" + (f"  ({row.note})" if row.note else "")
+        )
+    return "\n".join(lines).lstrip("\n")
+
+
+def _share(row: Row, value: float | None) -> str:
+    if value is None:
+        return ""
+    return f"{value:.3g} px" if row.px else f"{100 * value:.3g} %"

@@ -1,0 +1,193 @@
+"""The commands that examine the simulator: parsers, calls and tables. Everything heavy is imported when it is needed."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+
+LEVEL_NAMES = (
+    "fast",
+    "default",
+    "auto",
+    "reference",
+)  # of `contact.plan`, which imports JAX; a test holds the two together
+
+
+def add_parsers(commands: Any) -> None:
+    """Adds `plan`, `verify`, `stability`, `bench`, `calibrate` and `identify` to an argparse subparsers object."""
+
+    def command(name: str, text: str, out: str | None = None) -> argparse.ArgumentParser:
+        parser = commands.add_parser(name, help=text, description=text)
+        parser.add_argument(
+            "--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions"
+        )
+        if out:
+            parser.add_argument("--out", metavar="DIR", type=Path, help=out)
+        return parser
+
+    parser = command("plan", "show what a contact needs, and what leaving out the rest saves and costs")
+    parser.add_argument("--stimulus", metavar="NAME", default="disk", help="what is touched (disk)")
+    parser.add_argument("--pose", metavar="X,Y,YAW,DEPTH", default="0,0,0,3", help="mm, mm, deg, mm (0,0,0,3)")
+    parser.add_argument("--move", metavar="DX,DY", default="0,0", help="slide that ends at the pose, mm (0,0)")
+    parser.add_argument("--twist", metavar="DEG", type=_number, default=0.0, help="turn that ends at the pose (0)")
+    parser.add_argument("--tilt", metavar="TX,TY", default="0,0", help="deg (0,0)")
+    parser.add_argument("--friction", metavar="MU", type=_number, help="0 to inf (default: that of the stimulus)")
+    parser.add_argument("--level", choices=LEVEL_NAMES, default="auto", help="(auto)")
+    parser.add_argument("--sensor", metavar="NAME", default="tactip331", help="(tactip331)")
+    parser.add_argument("--scenes", metavar="N", type=int, help="instead: how N random scenes of the paper are grouped")
+
+    command("verify", "hold the simulator against closed forms, conservation laws and independent solvers")
+
+    parser = command("stability", "run stiff, extreme and senseless contacts, in float32 and float64")
+    parser.add_argument("--only", metavar="NAME", help="only the cases whose name contains this")
+
+    parser = command("bench", "error against run time", "folder for the figure")
+    parser.add_argument("what", choices=("sim",), help="sim: the contact simulator")
+    parser.add_argument("--level", choices=LEVEL_NAMES, help="only rows of this level")
+    parser.add_argument("--batch", metavar="N", type=int, help="only rows with N scenes in a batch")
+
+    parser = command("calibrate", "fit camera, pins, friction and stiffness to recordings", "folder for figures")
+    parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
+
+    command("identify", "find friction and stiffness from simulated pins by gradient descent", "folder for the figure")
+
+
+def joined(argv: list[str]) -> list[str]:
+    """`--pose -1,0,0,3` as one word: argparse takes a value that begins with a minus for an option."""
+    words: list[str] = []
+    for word in argv:
+        if words and words[-1] in ("--pose", "--move", "--tilt") and word[:1] == "-" and word[1:2].isdigit():
+            words[-1] += f"={word}"
+        else:
+            words.append(word)
+    return words
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Runs one of `add_parsers`' commands. Returns 0, or 1 where a check does not hold."""
+    if arguments.json is not None and arguments.json.is_dir():
+        raise UserError(f"--json {arguments.json} is a folder: name a file")
+    return _COMMANDS[arguments.command](arguments, _writer(arguments.json, command))
+
+
+Keep = Callable[[list[dict[str, Any]]], None]
+
+
+def _writer(file: Path | None, command: str) -> Keep:
+    """Keeps rows in `file`, if there is one; called again it replaces what it wrote."""
+
+    def keep(rows: list[dict[str, Any]]) -> None:
+        if file is None:
+            return
+        from jaxunshear.metrics.machine import machine, versions
+        from jaxunshear.storage import write_json
+
+        write_json(file, {"command": command, "machine": machine(), "versions": versions(), "rows": rows})
+
+    return keep
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
+
+
+def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        raise UserError(f"{option} {text}: give {count} numbers with commas between them")
+    return values
+
+
+def _verify(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.checks import verify
+    from jaxunshear.checks.tables import as_dict, table
+    from jaxunshear.progress import Progress
+
+    with Progress("verify", len(verify.CHECKS), unit="checks") as progress:
+        rows = verify.verify(progress)
+    print(table(rows))
+    keep([as_dict(row) for row in rows])
+    missed = [row.problem for row in rows if not row.holds]
+    print(f"\n{len(rows)} rows, {len(missed)} do not hold{': ' if missed else ''}{', '.join(missed)}")
+    return 1 if missed else 0
+
+
+def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.checks import stability
+
+    rows = stability.stability(arguments.only)
+    print(stability.table(rows))
+    keep(stability.as_dicts(rows))
+    return 1 if stability.failed(rows) else 0
+
+
+def _bench(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.checks import bench_figure, bench_sim
+    from jaxunshear.storage import write_bytes
+
+    if arguments.batch is not None and arguments.batch < 1:
+        raise UserError(f"--batch {arguments.batch}: use at least 1")
+    rows = bench_sim.bench_sim(arguments.level, arguments.batch, keep=keep)
+    print(bench_sim.table(rows))
+    if arguments.out is not None:
+        write_bytes(arguments.out / "work_precision.png", bench_figure.work_precision(rows))
+        print(arguments.out / "work_precision.png")
+    return 0
+
+
+def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.checks import show_plan
+
+    if arguments.scenes is not None:
+        shown = show_plan.show_grouping(arguments.scenes, arguments.level, arguments.sensor)
+    else:
+        shown = show_plan.show_plan(
+            arguments.stimulus,
+            _numbers(arguments.pose, 4, "--pose"),
+            _numbers(arguments.move, 2, "--move"),
+            arguments.twist,
+            _numbers(arguments.tilt, 2, "--tilt"),
+            arguments.friction,
+            arguments.level,
+            arguments.sensor,
+        )
+    print(shown.text)
+    keep(shown.rows)
+    return 0
+
+
+def _calibrate(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.calibration.calibrate import calibrate
+
+    found = calibrate(arguments.recordings, arguments.out)
+    print(found["text"])
+    keep(found["rows"])
+    return 0
+
+
+def _identify(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.calibration import identify
+
+    found = identify.run(arguments.out)
+    print(found["text"])
+    keep(found["rows"])
+    return 0
+
+
+_COMMANDS: dict[str, Callable[[argparse.Namespace, Keep], int]] = {
+    "verify": _verify,
+    "stability": _stability,
+    "bench": _bench,
+    "plan": _plan,
+    "calibrate": _calibrate,
+    "identify": _identify,
+}
+COMMANDS = tuple(_COMMANDS)

@@ -1,0 +1,81 @@
+"""Labels become the motions they tell of."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jaxunshear.calibration.labels import INLAND_MM, motions, to_paths
+from jaxunshear.scene.sensor import TACTIP_331
+
+RADIUS = TACTIP_331.dome_radius_mm
+# x y z mm, Rx Ry Rz deg: the work frame's z points into the object
+POSES = np.array([[0, -2.0, 4.0, 0, 0, 30.0], [0, 1.0, 3.5, 10.0, -15.0, -20.0], [0, 5.0, 3.0, 0, 0, 170.0]])
+MOVES = np.array([[1.0, 2.0, 0, 0, 0, 3.0], [-1.0, 0.5, 0, 4.0, -2.0, 0], [0, 0, 0, 0, 0, 40.0]])
+
+
+def _work_to_scene() -> np.ndarray:
+    """x across the edge, z out of the object."""
+    return np.array([[0, 1.0, 0], [1.0, 0, 0], [0, 0, -1.0]])
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_points_hold_the_undeformed_dome(side):
+    """The lowest point of a sphere that stands as the labels say has the path's depth and place."""
+    paths = to_paths(motions(POSES, MOVES), TACTIP_331, surface_mm=1.0, side=side, friction=0.3)
+    polar, around = np.meshgrid(np.radians(np.arange(0, 40, 0.05)), np.radians(np.arange(0, 360, 0.5)), indexing="ij")
+    cap = RADIUS * np.stack([np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around), 1 - np.cos(polar)], -1)
+    basis = np.diag([side, side, 1]) @ _work_to_scene()
+    for i in range(len(POSES)):
+        for point, label in ((1, POSES[i] - MOVES[i]), (2, POSES[i])):
+            turn = basis @ Rotation.from_euler("xyz", label[3:], degrees=True).as_matrix() @ _work_to_scene().T
+            skin = basis @ label[:3] + cap.reshape(-1, 3) @ (turn @ np.diag([1, 1, 1])).T
+            lowest = skin[np.argmin(skin[:, 2])]
+            x, y, _, depth = paths.points[i, point, :4]
+            assert depth == pytest.approx(-lowest[2] - 1.0, abs=1e-3)
+            np.testing.assert_allclose([x, y], lowest[:2], atol=0.1)
+
+
+def test_yaw_and_tilt_make_up_the_turn():
+    paths = to_paths(motions(POSES, MOVES), TACTIP_331, surface_mm=0.0, side=1, friction=0.3)
+    for i in range(len(POSES)):
+        yaw, _, tilt_x, tilt_y = paths.points[i, 2, 2:]
+        turn = Rotation.from_euler("z", yaw, degrees=True) * Rotation.from_rotvec([tilt_x, tilt_y, 0], degrees=True)
+        basis = _work_to_scene()
+        expected = basis @ Rotation.from_euler("xyz", POSES[i, 3:], degrees=True).as_matrix() @ basis.T
+        np.testing.assert_allclose(turn.as_matrix(), expected, atol=1e-12)
+
+
+def test_twist_takes_the_short_way():
+    """170 degrees reached from 130 is a twist of 40, also across the jump at 180."""
+    for last in (170.0, 190.0):
+        pose = np.array([[0, 0, 3.0, 0, 0, last], [0, 1, 3.0, 0, 0, 0]])
+        move = np.array([[0, 0, 0, 0, 0, 40.0], [0, 0, 0, 0, 0, 0]])
+        points = to_paths(motions(pose, move), TACTIP_331, 0.0, 0, 0.3).points
+        assert abs(points[0, 2, 2] - points[0, 1, 2]) == pytest.approx(40)
+
+
+def test_flat_contacts_end_inland():
+    contacts = motions(POSES[:1], MOVES[:1])
+    points = to_paths(contacts, TACTIP_331, surface_mm=1.5, side=0, friction=0.3).points[0]
+    np.testing.assert_allclose(points[2, 0], -INLAND_MM)
+    np.testing.assert_allclose(points[2, :2] - points[1, :2], contacts.slide[0])
+    np.testing.assert_allclose(points[:, 3], [0, 2.5, 2.5])
+
+
+def test_the_depth_axis_is_the_one_that_varies():
+    """A wall: presses along y, tilts about z, slides along x."""
+    poses = np.zeros((3, 6))
+    poses[:, 1], poses[:, 5] = [-3, -2, -1], [-10, 0, 20]
+    moves = np.zeros((3, 6))
+    moves[:, 0] = [2, -1, 0.5]
+    contacts = motions(poses, moves)
+    np.testing.assert_allclose(-contacts.tip[:, 1, 2], [-3, -2, -1])
+    np.testing.assert_allclose(np.abs(contacts.tilt_deg), [10, 0, 20], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(contacts.slide, axis=-1), [2, 1, 0.5])
+    assert not contacts.across
+
+
+def test_taps_have_no_slide():
+    contacts = motions(POSES, None)
+    np.testing.assert_array_equal(contacts.slide, 0)
+    assert contacts.across

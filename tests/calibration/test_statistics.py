@@ -1,0 +1,119 @@
+"""Statistics of images with known pins, and what must not change them."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.calibration.rendering import render
+from jaxunshear.calibration.statistics import (
+    central,
+    left_behind,
+    observe,
+    pin_diameters,
+    ring_motion,
+    slide_bin,
+    summaries,
+)
+from jaxunshear.errors import UserError
+from jaxunshear.image.camera import outer_fraction
+from jaxunshear.image.settings import Camera
+from jaxunshear.scene.sensor import TACTIP_331, pin_tips
+
+
+@pytest.fixture(scope="module")
+def images():
+    """Three of undisturbed pins, 128 px."""
+    return render(Camera(), TACTIP_331, 128, np.repeat(pin_tips(TACTIP_331)[None], 3, axis=0))
+
+
+def _means(images):
+    return {row.name: np.nanmean(row.values) for row in summaries(observe(images, TACTIP_331)) if np.isfinite(row.values).any()}
+
+
+def test_known_lattice(images):
+    means = _means(images)
+    assert means["pins found"] == 331
+    assert means["outermost ring, share of width"] == pytest.approx(outer_fraction(Camera(), TACTIP_331), rel=0.005)
+    tips = pin_tips(TACTIP_331)
+    radius = np.linalg.norm(tips[:, :2], axis=-1) / (Camera().distance_mm - tips[:, 2])
+    ring = [radius[1 + 3 * k * (k - 1)] for k in range(1, 11)]
+    for k in range(1, 10):
+        assert means[f"ring {k} over outermost"] == pytest.approx(ring[k - 1] / ring[-1], abs=0.005)
+
+
+def test_shift_changes_nothing(images):
+    moved = np.roll(images, (2, -1), axis=(1, 2))
+    for name, value in _means(images).items():
+        assert _means(moved)[name] == pytest.approx(value, rel=1e-6), name
+
+
+def test_size_changes_nothing(images):
+    large = np.kron(images, np.ones((1, 2, 2), np.uint8))
+    here, there = _means(images), _means(large)
+    for name in here:
+        assert there[name] == pytest.approx(here[name], rel=0.02, abs=0.004), name
+
+
+def test_a_turned_camera_changes_no_ring(images):
+    seen = observe(images, TACTIP_331)
+    for turned in (seen.turned(False, 0.7), seen.turned(True, -1.2)):
+        for a, b in zip(summaries(seen), summaries(turned), strict=True):
+            np.testing.assert_allclose(a.values, b.values, atol=1e-9)
+
+
+def test_turned_is_a_turn_of_the_image(images):
+    """Seen by a mirrored camera and by one turned by a quarter: the places of the transposed and the rotated image."""
+    seen = observe(images[:1], TACTIP_331)
+    quarter = observe(np.rot90(images[:1], -1, axes=(1, 2)), TACTIP_331)
+    turned = seen.turned(False, np.pi / 2)
+    off = np.min(np.linalg.norm(quarter.place[0][:, None] - turned.place[0][None], axis=-1), axis=1)
+    assert off.max() < 0.1
+    transposed = observe(np.swapaxes(images[:1], 1, 2), TACTIP_331)
+    flipped = seen.turned(True, np.pi / 2)
+    off = np.min(np.linalg.norm(transposed.place[0][:, None] - flipped.place[0][None], axis=-1), axis=1)
+    assert off.max() < 0.1
+
+
+def test_diameters():
+    rows, columns = np.indices((64, 64))
+    image = np.zeros((64, 64), np.uint8)
+    for row, column, radius in ((16, 16, 4.0), (16, 44, 6.0), (44, 20, 5.0), (44, 30, 5.0)):  # the last two touch
+        image[np.hypot(rows - row, columns - column) <= radius] = 255
+    pins = np.array([[16, 16], [44, 16], [20, 44], [30, 44]], float)
+    np.testing.assert_allclose(pin_diameters(image, pins), [8, 12, 10, 10], rtol=0.04)
+    assert np.isnan(pin_diameters(image, np.array([[1.0, 1.0]])))[0]
+
+
+def test_left_behind():
+    """A skin that stays where it was moves against the slide, whichever way the sensor is turned."""
+    slide = np.array([[2.0, 0.0], [0.0, 1.5], [-1.0, 1.0]])
+    yaw = np.radians([0, 90, 200])
+    stays = -(slide @ [1, 1j]) * np.exp(-1j * yaw)  # in the sensor's frame
+    np.testing.assert_allclose(left_behind(stays, slide, yaw), np.linalg.norm(slide, axis=-1))
+    across = stays * 1j
+    np.testing.assert_allclose(left_behind(across, slide, yaw), 0, atol=1e-12)
+    assert np.isnan(left_behind(np.zeros(1, complex), np.zeros((1, 2)), np.zeros(1)))[0]
+    np.testing.assert_array_equal(slide_bin(np.array([[0, 0], [0.5, 0], [0, -1.5], [6, 3]])), [-1, 0, 1, 5])
+
+
+def test_central_pins_weigh_alike():
+    motion = np.zeros((1, 4), complex)
+    motion[0, 0], motion[0, 1] = 7, 0
+    assert central(motion)[0] == pytest.approx(1)
+    shell = np.repeat([0, 1], [1, 6])
+    place = np.zeros((2, 7, 2))
+    place[1] = [3, -1]
+    np.testing.assert_allclose(np.diff(ring_motion(shell, place), axis=0), 3 - 1j)
+
+
+def test_black_images_are_refused():
+    with pytest.raises(UserError, match="at most 0 pins"):
+        observe(np.zeros((2, 128, 128), np.uint8), TACTIP_331)
+
+
+def test_real_pins_can_be_followed(real_recordings):
+    from jaxunshear.calibration.sampling import sample
+
+    parts, _ = sample(real_recordings / "surface_3d_sample", 24, 0)
+    seen = observe(parts[0].images, TACTIP_331)
+    assert seen.sure.mean() > 0.9
+    assert np.abs(seen.found - 331).max() <= 5

@@ -1,0 +1,75 @@
+"""Pins keep their identities through motions larger than half their spacing."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.calibration.tracking import fit_lattice, follow_pins, make_lattice, shells
+from jaxunshear.errors import UserError
+from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_lattice
+
+RIM_PX = 46.0  # as at 128 px
+
+
+def _flat(sensor: Sensor) -> np.ndarray:
+    return pin_lattice(sensor) / (sensor.rings * sensor.pin_spacing_mm) * RIM_PX + 64
+
+
+def _slid(place: np.ndarray, shift_px: float, width_px: float = 22.0) -> np.ndarray:
+    """A field that moves the middle by `shift_px` along the columns and hardly the rim."""
+    bell = np.exp(-np.sum((place - 64) ** 2, axis=-1) / (2 * width_px**2))
+    return place + shift_px * np.stack([bell, 0.3 * bell], axis=-1)
+
+
+@pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_127])
+@pytest.mark.parametrize("shift_px", [0.0, 3.0, 7.0])
+def test_identities(sensor, shift_px):
+    rng = np.random.default_rng(0)
+    place = _flat(sensor)
+    order = rng.permutation(len(place))
+    found = (_slid(place, shift_px) + rng.normal(0, 0.1, place.shape))[order]
+    track = follow_pins(make_lattice(place, sensor), found)
+    assert track.sure and track.missed == track.extra == 0
+    np.testing.assert_array_equal(order[track.which], np.arange(len(place)))
+
+
+def test_nearest_would_be_wrong():
+    """The slide of the test above does mix up pins that are matched to the nearest place."""
+    place = _flat(TACTIP_331)
+    nearest = np.argmin(np.linalg.norm(_slid(place, 7.0)[:, None] - place[None], axis=-1), axis=1)
+    assert np.mean(nearest != np.arange(len(place))) > 0.2
+
+
+def test_missing_and_extra_pins_are_counted():
+    place = _flat(TACTIP_331)
+    found = np.concatenate([np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]])
+    track = follow_pins(make_lattice(place, TACTIP_331), found)
+    assert track.missed <= 3 and track.extra >= 1  # an extra pin may stand in for a missing neighbour
+    assert np.isnan(track.motion).any(axis=-1).sum() == track.missed
+
+
+def test_scrambled_pins_are_not_sure():
+    rng = np.random.default_rng(1)
+    place = _flat(TACTIP_331)
+    assert not follow_pins(make_lattice(place, TACTIP_331), rng.uniform(16, 112, place.shape)).sure
+    assert not follow_pins(make_lattice(place, TACTIP_331), place[:100]).sure
+
+
+def test_lattice_is_found_turned_and_shifted():
+    """Whatever the camera's turn, the lattice is found again: each pin within a tenth of a pixel, up to the lattice's symmetry."""
+    place = _flat(TACTIP_331) - 64
+    turn = np.radians(17)
+    turned = place @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [60.0, 66.0]
+    rng = np.random.default_rng(2)
+    frames = [turned[rng.permutation(331)] + rng.normal(0, 0.05, turned.shape) for _ in range(4)]
+    lattice = fit_lattice(frames, TACTIP_331)
+    off = np.min(np.linalg.norm(lattice.place[:, None] - turned[None], axis=-1), axis=1)
+    assert off.max() < 0.15
+    np.testing.assert_allclose(lattice.middle, [60, 66], atol=0.1)
+    np.testing.assert_allclose(
+        np.linalg.norm(lattice.place - lattice.middle, axis=-1), RIM_PX / 10 * shells(TACTIP_331), atol=0.2
+    )
+
+
+def test_another_sensor_is_refused():
+    with pytest.raises(UserError, match="tactip127"):
+        fit_lattice([_flat(TACTIP_331)], TACTIP_127)

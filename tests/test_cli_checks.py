@@ -1,0 +1,56 @@
+"""The commands that examine the simulator: names, refusals, and files of rows."""
+
+import json
+
+import pytest
+
+from jaxunshear import cli_checks
+from jaxunshear.cli import main
+from jaxunshear.contact.plan import LEVELS
+
+
+def test_levels_are_those_of_the_plan():
+    assert set(cli_checks.LEVEL_NAMES) == set(LEVELS)
+
+
+def test_values_that_begin_with_a_minus_are_values():
+    words = cli_checks.joined(["plan", "--pose", "-1,0,0,2", "--level", "auto", "--move", "-2,-2"])
+    assert words == ["plan", "--pose=-1,0,0,2", "--level", "auto", "--move=-2,-2"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("plan --pose 1,2,3", "give 4 numbers"),
+        ("plan --move a,b", "give 2 numbers"),
+        ("plan --twist far", "not a number"),
+        ("plan --stimulus pyramid", "stimulus 'pyramid' is unknown"),
+        ("plan --sensor finger", "sensor 'finger' is unknown"),
+        ("plan --level best", "--level"),
+        ("plan --pose nan,0,0,2", "not finite"),
+        ("plan --friction -1", "friction -1"),
+        ("plan --pose 0,0,0,15", "cannot be reached"),
+        ("plan --scenes 0", "--scenes 0"),
+        ("bench", "what"),
+        ("bench sim --batch 0", "--batch 0"),
+        ("stability --only nothing_like_this", "no case's name"),
+        ("calibrate nowhere", "nowhere"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(words, said, capsys):
+    assert main(words.split()) == 2
+    line = capsys.readouterr().err.strip()
+    assert said in line and "\n" not in line
+
+
+def test_rows_are_written_with_command_and_machine(tmp_path, capsys):
+    file = tmp_path / "plan.json"
+    assert main(["plan", "--stimulus", "disk", "--pose", "-5,0,10,1.5", "--move", "0.5,0", "--json", str(file)]) == 0
+    written = json.loads(file.read_text())
+    assert written["command"].startswith("jaxunshear plan") and written["rows"] and written["machine"]["cores"]
+    assert "nodes" in capsys.readouterr().out
+
+
+def test_a_folder_cannot_be_the_file_of_rows(tmp_path, capsys):
+    assert main(["verify", "--json", str(tmp_path)]) == 2
+    assert "is a folder" in capsys.readouterr().err
