@@ -16,7 +16,7 @@ from jaxunshear.calibration.tracking import shells
 from jaxunshear.scene.sensor import Sensor
 
 IMAGES = 48
-DEEPEST_MM = (2.5, 4.5)  # of the contacts, to begin with: the depth axis' origin is fitted later
+DEEPEST = (0.12, 0.22)  # of the contacts over the dome's radius, to begin with: the depth axis' origin is fitted later
 CREDIBLE = 0.5  # least correlation of simulated and recorded ring motion
 MARGIN = 0.03  # by which a reading must beat those before it
 
@@ -45,8 +45,8 @@ def read_labels(
     for sign in (1, -1) if slid else (1,):
         contacts = motions(poses, None if moves is None else sign * moves)
         part = contacts.take(some)
-        for side, deepest in product((1, -1, 0) if contacts.across else (0,), DEEPEST_MM):
-            surface = float(-contacts.tip[:, 1, 2].min()) - deepest
+        for side, deepest in product((1, -1, 0) if contacts.across else (0,), DEEPEST):
+            surface = float(-contacts.tip[:, 1, 2].min()) - deepest * sensor.dome_radius_mm
             moved, converged = displacements(sensor, part, side, start.friction, surface, start.skin_to_gel)
             place, rest = place_of(start, sensor, seen.size, moved)
             simulated = ring_motion(shells(sensor), place)

@@ -13,9 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.calibration.labels import HALF_PLANE, Motions, to_paths
+from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.contact.simulate import follow
 from jaxunshear.image.camera import project
 from jaxunshear.image.settings import Camera
+from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
 from jaxunshear.scene.sensor import Sensor, pin_lattice, pin_tips
 
 PROBE_DEG = 5.0  # between its rings
@@ -92,10 +94,23 @@ def _periodic(count: int, turn: np.ndarray) -> np.ndarray:
 def displacements(
     sensor: Sensor, contacts: Motions, side: int, friction: float, surface_mm: float, ratio: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(N, Q, 3) mm of the probe's pins, and (N,) bool which contacts converged."""
+    """(N, Q, 3) mm of the probe's pins, and (N,) bool which contacts were reached and converged."""
     body = probe(sensor, ratio)
-    solved, _ = follow(body, (HALF_PLANE,), to_paths(contacts, body, surface_mm, side, friction))
-    return solved.pins - pin_tips(body).astype(np.float32), solved.converged
+    paths = to_paths(contacts, body, surface_mm, side, friction)
+    fine = within_reach(body, paths)
+    moved, converged = np.zeros((len(paths), body.pins, 3), np.float32), np.zeros(len(paths), bool)
+    if fine.any():
+        solved, _ = follow(body, (HALF_PLANE,), paths.take(np.flatnonzero(fine)))
+        moved[fine] = solved.pins - pin_tips(body).astype(np.float32)
+        converged[fine] = solved.converged
+    return moved, converged
+
+
+def within_reach(sensor: Sensor, paths: Paths) -> np.ndarray:
+    """(N,) bool: contacts that the sensor's contact rings cover at every way point."""
+    tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
+    deepest = np.vectorize(lambda degrees: deepest_mm(sensor, degrees), otypes=[float])(tilt)
+    return np.all(paths.points[..., DEPTH] <= deepest, axis=1)
 
 
 def place_of(values: Values, sensor: Sensor, size: int, moved: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:

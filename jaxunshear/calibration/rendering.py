@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxunshear.calibration.fit import Group
 from jaxunshear.calibration.labels import HALF_PLANE, to_paths
-from jaxunshear.calibration.prediction import Values
+from jaxunshear.calibration.prediction import Values, within_reach
 from jaxunshear.calibration.statistics import pin_diameters
 from jaxunshear.contact.simulate import follow
 from jaxunshear.image.camera import frame
@@ -17,12 +17,12 @@ from jaxunshear.image.pins import find_pins
 from jaxunshear.image.preprocess import binarise
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.scene.sensor import Sensor, pin_tips
 
 FRAME_PX = 256  # at least: what a camera sees before it is made smaller
 RADIUS_IMAGES = 16
 RADIUS_STEPS = 3
-UNKNOWN_DEPTHS_MM = (0.5, 3.0)  # of flat taps that stand in for unlabelled images
+UNKNOWN_DEPTHS = (0.03, 0.15)  # over the dome's radius, of flat taps that stand in for unlabelled images
 
 
 def contact_tips(group: Group, sensor: Sensor, values: Values, which: int) -> tuple[np.ndarray, np.ndarray]:
@@ -33,10 +33,13 @@ def contact_tips(group: Group, sensor: Sensor, values: Values, which: int) -> tu
         count = len(group.seen.found)
         points = np.zeros((count, 2, 6))
         points[..., 0] = -25.0
-        points[:, 1, 3] = np.linspace(*UNKNOWN_DEPTHS_MM, count)
+        points[:, 1, 3] = sensor.dome_radius_mm * np.linspace(*UNKNOWN_DEPTHS, count)
         paths = Paths(np.zeros(count, int), np.full(count, values.friction), points)
-    solved, _ = follow(sensor, (HALF_PLANE,), paths)
-    return solved.pins, solved.converged
+    fine = within_reach(sensor, paths)
+    solved, _ = follow(sensor, (HALF_PLANE,), paths.take(np.flatnonzero(fine)))
+    tips, converged = np.repeat(pin_tips(sensor)[None], len(paths), axis=0), np.zeros(len(paths), bool)
+    tips[fine], converged[fine] = solved.pins, solved.converged
+    return tips, converged
 
 
 def render(camera: Camera, sensor: Sensor, size: int, tips: np.ndarray, seed: int = 0) -> np.ndarray:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-WIDTH = 64  # of the problems' column
+WIDTH = 76  # of the problems' column
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,11 @@ from jaxunshear.contact.cholesky import factorise
 from jaxunshear.contact.harmonics import lattice, node_to_node, node_to_point, ring_sizes
 from jaxunshear.contact.harmonics import sixfold as sixfold
 from jaxunshear.contact.mesh import Mesh, shape_functions
+from jaxunshear.contact.pins import Pins, interpolation
 from jaxunshear.errors import UserError
 
 _GAUSS = np.array([[x, y] for y in (-1, 1) for x in (-1, 1)]) / np.sqrt(3)
 _SAMPLES = 40  # of a surface edge
-_ON_AXIS_MM = 1e-9
 
 
 @dataclass(frozen=True)
@@ -133,32 +133,6 @@ def ring_loads(mesh: Mesh, arcs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return loads, np.stack([np.interp(arcs[:-1], reached, axis) for axis in outline.T], -1)
 
 
-def interpolation(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """(3, P, V): values of the shape functions at points (P, 2) of the half-plane, and their slopes in r and in z.
-
-    Newton's method in each near element; where elements meet, their mean (slopes along the line where they meet agree).
-    """
-    centres = mesh.nodes[mesh.elements[:, :4]].mean(1)
-    at = np.zeros((3, len(points), len(mesh.nodes)))
-    for p, point in enumerate(points):
-        near = mesh.elements[np.argsort(np.sum((centres - point) ** 2, -1))[:32]]
-        local = np.zeros((len(near), 2))
-        for _ in range(20):
-            values, gradients = shape_functions(local)
-            jacobian = np.einsum("enl,enx->exl", gradients, mesh.nodes[near])
-            miss = point - np.einsum("en,enx->ex", values, mesh.nodes[near])
-            local = np.clip(local + np.linalg.solve(jacobian, miss[..., None])[..., 0], -1.5, 1.5)
-        inside = np.abs(local).max(axis=1) < 1 + 1e-6
-        if not inside.any():
-            raise UserError(
-                f"pin at r = {point[0]:.2f} mm, z = {point[1]:.2f} mm lies outside the gel: check the sensor's pins"
-            )
-        slopes = np.einsum("enl,elx->xen", gradients, np.linalg.inv(jacobian))
-        for entries, matrix in zip((values, *slopes), at, strict=True):
-            np.add.at(matrix[p], near[inside], entries[inside] / inside.sum())
-    return at
-
-
 def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
     """Columns: the free unknowns of harmonic m. On the axis a field is finite and single-valued only if
     U = V = 0 (m = 0), U + V = 0 and W = 0 (m = 1), all zero (m > 1)."""
@@ -179,32 +153,6 @@ def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
     return select.tocsc()
 
 
-@dataclass(frozen=True)
-class Pins:
-    """Rigid pins at Q places (r, z) of a face, along its normal by `levers` (Q, 2); `at` as `interpolation` gives it."""
-
-    places: np.ndarray
-    levers: np.ndarray
-    at: np.ndarray
-
-    def motion(self, field: np.ndarray, m: int) -> np.ndarray:
-        """Harmonic m of the tips' displacement (3Q, K), of displacements `field` (3V, K).
-
-        With length L, normal n and linearised rotation a tip moves by u - L [(n . du/ds) t + (n . du/ds_theta) theta], t being
-        the tangent in the half-plane. On the axis the face turns with harmonic 1 alone, and 1/r becomes a slope.
-        """
-        value, in_r, in_z = np.einsum("xqv,vuk->xuqk", self.at, field.reshape(-1, 3, field.shape[1]), optimize=True)
-        r, length = self.places[:, :1], np.linalg.norm(self.levers, axis=1)[:, None]
-        n_r, n_z = np.divide(self.levers, length, out=np.zeros_like(self.levers), where=length > 0).T[..., None]
-        on_axis = r < _ON_AXIS_MM
-        over_r = np.where(on_axis, in_r, value / np.where(on_axis, 1.0, r))
-        turned = length * (~on_axis | (m == 1))
-        along = turned * (n_r * (n_z * in_r[0] - n_r * in_z[0]) + n_z * (n_z * in_r[2] - n_r * in_z[2]))
-        around = turned * (n_r * (m * over_r[0] + over_r[1]) + n_z * m * over_r[2])
-        tips = value + np.stack([-along * n_z, around, along * n_r])
-        return tips.swapaxes(0, 1).reshape(-1, field.shape[1])
-
-
 def respond(
     mesh: Mesh,
     materials: np.ndarray,
@@ -217,13 +165,15 @@ def respond(
 ) -> Response:
     """As `condense`, before the harmonics are summed.
 
-    A ring bears as many harmonics as it has nodes: what its hats hold beyond is little (a ten-thousandth of W), and what a
-    mesh answers to waves shorter than its elements is wrong.
+    A ring bears as many harmonics as it has nodes: what its hats hold beyond is less than a thousandth of W, and what
+    a mesh answers to waves shorter than its elements is wrong.
 
     With `varied` (E,) bool: instead its derivative by the logarithm of a factor on the moduli of these elements.
     """
     loads, outline = ring_loads(mesh, ring_arcs)
-    ring, angle = lattice(len(loads.T))
+    sizes = ring_sizes(len(loads.T))
+    harmonics = min(harmonics, sizes[-1])
+    ring, angle = lattice(len(sizes))
     around = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], -1)
     nodes = outline[ring][:, [0, 0, 1]] * around
     levers = np.zeros_like(pins) if levers is None else levers
@@ -240,7 +190,7 @@ def respond(
     with _one_thread():
         for m in range(harmonics + 1):
             free = _axis_constraints(mesh, m)
-            bears = np.flatnonzero(np.repeat(ring_sizes(len(loads.T)) >= m, 3))
+            bears = np.flatnonzero(np.repeat(sizes >= m, 3))
             load = spatial[:, bears]
             try:
                 solve = factorise(free.T @ _harmonic(parts, m) @ free)
@@ -287,6 +237,7 @@ def condense(
 ) -> Compliance:
     """Compliance of contact rings and of pins with tips at `pins` (P, 3), for materials (E, 6, 6) as of `isotropic`.
 
+    `harmonics`: at most the number of nodes in the outer ring is used, as it should be for an answer that is definite.
     `ring_arcs` (R + 1,): as for `ring_loads`. `levers` (P, 3): from the face on which a pin stands to its tip, along the
     face's normal: rigid, so that the tip moves with the face's rotation too; None: tips move with the gel around them.
     """

@@ -122,17 +122,22 @@ def pin_model(
         whole, (dw, dg) = domes.dome(other), domes.sensitivity(other)
         parts.append((whole.w[np.ix_(rows, rows)], dw[np.ix_(rows, rows)], whole.g[:, rows], dg[:, rows]))
     force = np.zeros((len(paths), len(index), 3)) if start is None else start.force_n[:, index]
+    w, w_slope, g, g_slope = (jnp.asarray(np.stack(part)) for part in zip(*parts, strict=True))
     return PinModel(
-        *(jnp.asarray(np.log(value)) for value in (own, ratios or (own,))),
-        *(jnp.asarray(np.stack(part)) for part in zip(*parts, strict=True)),
-        jnp.asarray(nodes[index]),
-        jnp.asarray(sensor.dome_radius_mm),
-        jnp.asarray(domes.dome(sensor).pins),
-        obstacles,
-        jnp.asarray(paths.stimulus, jnp.int32),
-        jnp.asarray(path_shares(paths, level, sensor.dome_radius_mm)),
-        jnp.asarray(force),
-        int(TOUCHED * within(False).sum(axis=1).max(initial=0)) + 1,
+        log_ratio=jnp.asarray(np.log(own)),
+        knots=jnp.asarray(np.log(ratios or (own,))),
+        w=w,
+        w_slope=w_slope,
+        g=g,
+        g_slope=g_slope,
+        nodes=jnp.asarray(nodes[index]),
+        centre_mm=jnp.asarray(sensor.dome_radius_mm),
+        tips=jnp.asarray(domes.dome(sensor).pins),
+        obstacles=obstacles,
+        which=jnp.asarray(paths.stimulus, jnp.int32),
+        shares=jnp.asarray(path_shares(paths, level, sensor.dome_radius_mm)),
+        force_n=jnp.asarray(force),
+        most=int(TOUCHED * within(False).sum(axis=1).max(initial=0)) + 1,
     )
 
 
@@ -142,7 +147,9 @@ def path_shares(paths: Paths, level: Level, radius_mm: float) -> np.ndarray:
     A leg without length has no increments: its end carries no derivative, as what would come of it depends on where to.
     """
     legs = range(paths.points.shape[1] - 1)
-    counts = [increments(Paths(paths.stimulus, paths.friction, paths.points[:, k : k + 2]), level, radius_mm)[1] for k in legs]
+    counts = [
+        increments(Paths(paths.stimulus, paths.friction, paths.points[:, k : k + 2]), level, radius_mm)[1] for k in legs
+    ]
     number = np.arange(int(np.sum(counts, axis=0).max(initial=0)) + 1)
     shares = np.zeros((len(paths), len(number), len(legs) + 1))
     for row, count in zip(shares, np.transpose(counts), strict=True):
@@ -164,8 +171,8 @@ def compliance(model: PinModel, log_ratio: jax.Array) -> tuple[jax.Array, jax.Ar
         weights = (1 + 2 * s) * (1 - s) ** 2, s**2 * (3 - 2 * s), width * s * (1 - s) ** 2, width * s**2 * (s - 1)
 
         def between(values: jax.Array, slopes: jax.Array) -> jax.Array:
-            ends = (values[left], values[left + 1], slopes[left], slopes[left + 1])
-            return sum(weight * end for weight, end in zip(weights, ends, strict=True))
+            ends = jnp.stack([values[left], values[left + 1], slopes[left], slopes[left + 1]])
+            return jnp.tensordot(jnp.stack(weights), ends, 1)
 
         w, g = between(model.w, model.w_slope), between(model.g, model.g_slope)
     scale = jax.lax.stop_gradient(jnp.trace(w) / len(w))
@@ -204,10 +211,16 @@ def pin_gradient(
             part, before = paths.take(rows), None if start is None else start.take(rows)
             model = pin_model(sensor, names, part, level, start=before)
             parts.append(jax.device_get(_derivatives(model, jnp.asarray(part.points), jnp.asarray(part.friction))))
-    found = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
-    answer, *slopes = found
-    good = answer.residual_mm <= GOAL_MM["float64"]
-    return PinGradient(answer.pins, *slopes, answer.margin_mm, answer.margin_mm < SWITCH_MM, good)
+    answer, by_points, by_friction, by_ratio = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
+    return PinGradient(
+        answer.pins,
+        by_points,
+        by_friction,
+        by_ratio,
+        answer.margin_mm,
+        answer.margin_mm < SWITCH_MM,
+        answer.residual_mm <= GOAL_MM["float64"],
+    )
 
 
 @jax.jit

@@ -25,6 +25,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxunshear.contact.friction import (
     LEAST_MM,
     MOST_MM,
+    PASSES,
     RHO,
     Skin,
     System,
@@ -32,6 +33,7 @@ from jaxunshear.contact.friction import (
     _times,
     increment_length,
     increment_offset,
+    level_frame,
     project,
     rest,
     solve_increment,
@@ -73,7 +75,9 @@ def slopes(moved: jax.Array, friction: jax.Array) -> tuple[jax.Array, jax.Array]
     slips = ~sticks & ((pull > limit) | (mu == 0))
     along = tangential / jnp.where(pull > 0, pull, 1)[..., None]
     share = jnp.where(slips, limit / jnp.where(pull > 0, pull, 1), 1)
-    disk = share[..., None, None] * (jnp.eye(2, dtype=moved.dtype) - jnp.where(slips, 1, 0)[..., None, None] * _outer(along, along))
+    disk = share[..., None, None] * (
+        jnp.eye(2, dtype=moved.dtype) - jnp.where(slips, 1, 0)[..., None, None] * _outer(along, along)
+    )
     zero, one = jnp.zeros_like(normal), jnp.ones_like(normal)
     by_normal = jnp.where(slips, mu, 0)[..., None] * along
     bottom = jnp.stack([zero, zero, one], -1)[..., None, :]
@@ -122,9 +126,15 @@ def _on_touching(most, w, slope, right):
     side = right - jnp.einsum("bnij,bnj->bni", slope, _times(w, free, None))
     pick = lambda field: jax.vmap(lambda row, i: row[i])(field, index)  # noqa: E731
     nodes = right.shape[1]
-    blocks = w.T.reshape(nodes, 3, nodes, 3).transpose(0, 2, 1, 3)[index[:, :, None], index[:, None]].transpose(0, 1, 3, 2, 4)
+    blocks = (
+        w.T.reshape(nodes, 3, nodes, 3)
+        .transpose(0, 2, 1, 3)[index[:, :, None], index[:, None]]
+        .transpose(0, 1, 3, 2, 4)
+    )
     found = _dense_blocks(blocks, pick(slope), pick(side))
-    return jax.vmap(lambda row, i, values: row.at[i].set(values, unique_indices=True))(free, index, jnp.where(pick(touches)[..., None], found, pick(free)))
+    return jax.vmap(lambda row, i, values: row.at[i].set(values, unique_indices=True))(
+        free, index, jnp.where(pick(touches)[..., None], found, pick(free))
+    )
 
 
 def _dense(w, slope, right):
@@ -201,7 +211,9 @@ def contact_force(
 def _contact_force_jvp(most, primals, tangents):
     w, frame, offset, friction, guess = primals
     force = checkpoint_name(contact_force(most, *primals), "force")
-    total, change = jax.jvp(lambda *given: _times(given[0], force, given[1]) + given[2], (w, frame, offset), tangents[:3])
+    total, change = jax.jvp(
+        lambda *given: _times(given[0], force, given[1]) + given[2], (w, frame, offset), tangents[:3]
+    )
     slope, by_friction = slopes(force - total, friction)
     finite = jnp.where(jnp.isinf(friction), 0, tangents[3])
     right = by_friction * finite[:, None, None] - jnp.einsum("bnij,bnj->bni", slope, change)
@@ -228,26 +240,28 @@ def pin_state(
     @partial(jax.checkpoint, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names("force"))
     def step(state, pose):
         skin, margin, worst = state
-        offset, frame = increment_offset(system, obstacles, which, skin, pose, tilted=True)
         moves = jnp.any(pose != skin.pose, axis=-1)
         length = jnp.where(moves, increment_length(skin.pose, pose, system.centre_mm / 4), 0)
-        before = _rotate(frame, skin.force), _rotate(frame, skin.dual)
-        guess = jax.lax.stop_gradient(Guess(system.inverse, *before, length))
-        force = contact_force(most or len(system.nodes), system.w, frame, offset, friction, guess)
-        gap = _times(system.w, force, frame) + offset
-        miss = force - project(force - gap, friction)
+        frame = level_frame(pose)
         back, keep = jnp.swapaxes(frame, 1, 2), moves[:, None, None]
-        inside = _rotate(back, force)
-        displacement = (inside.reshape(len(which), -1) @ system.w).reshape(inside.shape)
+        force, dual = _rotate(frame, skin.force), _rotate(frame, skin.dual)
+        displacement = skin.displacement
+        for _ in range(PASSES):
+            offset, _ = increment_offset(system, obstacles, which, skin, pose, True, displacement)
+            guess = jax.lax.stop_gradient(Guess(system.inverse, force, dual, length))
+            force = contact_force(most or len(system.nodes), system.w, frame, offset, friction, guess)
+            total = _times(system.w, force, frame) + offset
+            dual, inside = -total / RHO, _rotate(back, force)
+            displacement = (inside.reshape(len(which), -1) @ system.w).reshape(inside.shape)
+            margin = jnp.minimum(margin, jnp.where(moves, switch_distance(force - total, friction), jnp.inf))
+            worst = jnp.maximum(worst, jnp.where(moves, _size(force - project(force - total, friction)), 0))
         after = Skin(
             jnp.where(keep, inside, skin.force),
-            jnp.where(keep, _rotate(back, -gap / RHO), skin.dual),
+            jnp.where(keep, _rotate(back, dual), skin.dual),
             jnp.where(keep, displacement, skin.displacement),
             pose,
         )
-        margin_now = jnp.where(moves, switch_distance(force - gap, friction), jnp.inf)
-        worst_now = jnp.where(moves, _size(miss), 0)
-        return (after, jnp.minimum(margin, margin_now), jnp.maximum(worst, worst_now)), None
+        return (after, margin, worst), None
 
     skin = rest(system, path[0]) if skin is None else skin
     none = jnp.zeros(len(which), path.dtype)

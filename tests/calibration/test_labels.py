@@ -28,7 +28,7 @@ def test_points_hold_the_undeformed_dome(side):
     for i in range(len(POSES)):
         for point, label in ((1, POSES[i] - MOVES[i]), (2, POSES[i])):
             turn = basis @ Rotation.from_euler("xyz", label[3:], degrees=True).as_matrix() @ _work_to_scene().T
-            skin = basis @ label[:3] + cap.reshape(-1, 3) @ (turn @ np.diag([1, 1, 1])).T
+            skin = basis @ label[:3] + cap.reshape(-1, 3) @ turn.T
             lowest = skin[np.argmin(skin[:, 2])]
             x, y, _, depth = paths.points[i, point, :4]
             assert depth == pytest.approx(-lowest[2] - 1.0, abs=1e-3)
@@ -48,7 +48,7 @@ def test_yaw_and_tilt_make_up_the_turn():
 def test_twist_takes_the_short_way():
     """170 degrees reached from 130 is a twist of 40, also across the jump at 180."""
     for last in (170.0, 190.0):
-        pose = np.array([[0, 0, 3.0, 0, 0, last], [0, 1, 3.0, 0, 0, 0]])
+        pose = np.array([[0, 0, 3.0, 0, 0, last], [0, 1, 3.5, 0, 0, 0]])
         move = np.array([[0, 0, 0, 0, 0, 40.0], [0, 0, 0, 0, 0, 0]])
         points = to_paths(motions(pose, move), TACTIP_331, 0.0, 0, 0.3).points
         assert abs(points[0, 2, 2] - points[0, 1, 2]) == pytest.approx(40)

@@ -1,0 +1,75 @@
+"""A recording that was simulated: what the fit must find is known."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.calibration.labels import HALF_PLANE, motions, to_paths
+from jaxunshear.calibration.rendering import render
+from jaxunshear.contact.simulate import follow
+from jaxunshear.image.settings import Camera
+from jaxunshear.scene.sensor import Sensor
+
+# A small dome has few nodes and elements, and few pins are soon found.
+SMALL = Sensor(
+    name="small",
+    rings=6,
+    pin_spacing_mm=1.1,
+    pin_radius_mm=0.3,
+    pin_length_mm=0.5,
+    dome_radius_mm=8.0,
+    skin_mm=0.7,
+    gel_modulus_mpa=0.1,
+)
+GUESS = Camera(mm_across=17.0, distance_mm=80.0)  # where the fit starts
+SURFACE_MM = 0.35
+
+
+class Truth(NamedTuple):
+    folder: Path
+    sensor: Sensor
+    camera: Camera
+    friction: float
+
+
+def write_recording(folder: Path, images: np.ndarray, poses: np.ndarray | None, moves: np.ndarray | None) -> None:
+    """The older layout: images/, targets.csv, meta.json."""
+    (folder / "images").mkdir(parents=True)
+    for i, image in enumerate(images):
+        Image.fromarray(image).save(folder / "images" / f"image_{i + 1}.png")
+    (folder / "meta.json").write_text("{}")
+    if poses is None:
+        return
+    with open(folder / "targets.csv", "w", newline="") as stream:
+        write = csv.writer(stream).writerow
+        names = [f"pose_{i}" for i in range(1, 7)] + ([f"move_{i}" for i in range(1, 7)] if moves is not None else [])
+        write(["sensor_image", *names])
+        for i, pose in enumerate(poses):
+            write([f"image_{i + 1}.png", *pose, *(moves[i] if moves is not None else [])])
+
+
+@pytest.fixture(scope="session")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Truth:
+    """Presses and slides on a flat top, with a tilt and a turned camera, of a sensor unlike SMALL and GUESS."""
+    sensor = replace(SMALL, pin_radius_mm=0.36)
+    camera = replace(GUESS, mm_across=18.2)
+    friction = 0.35
+    rng = np.random.default_rng(0)
+    count = 36
+    poses, moves = np.zeros((count, 6)), np.zeros((count, 6))
+    poses[:, 2] = SURFACE_MM + rng.uniform(0.5, 1.6, count)
+    poses[:, 3:5] = rng.uniform(-6, 6, (count, 2))
+    poses[:, 5] = rng.uniform(-60, 60, count)
+    moves[6:, :2] = rng.uniform(-1.2, 1.2, (count - 6, 2))
+    contacts = motions(poses, moves)
+    solved, _ = follow(sensor, (HALF_PLANE,), to_paths(contacts, sensor, SURFACE_MM, 0, friction))
+    assert solved.converged.all()
+    images = render(camera, sensor, 128, solved.pins, seed=1)
+    folder = tmp_path_factory.mktemp("recording")
+    write_recording(folder, np.ascontiguousarray(np.rot90(images, axes=(1, 2))), poses, moves)
+    return Truth(folder, sensor, camera, friction)

@@ -1,0 +1,77 @@
+"""Known sensors are found again from images; what images do not tell is said, and what is no recording is refused."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from jaxunshear.calibration.calibrate import calibrate
+from jaxunshear.errors import UserError
+from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
+
+
+def _quiet(text: str) -> None:
+    pass
+
+
+@pytest.fixture(scope="module")
+def results(simulated, tmp_path_factory):
+    out = tmp_path_factory.mktemp("out")
+    return calibrate(simulated.folder, out, SMALL, GUESS, log=_quiet), out
+
+
+def _parameters(results):
+    return {row["name"]: row for row in results["parameters"]}
+
+
+def test_known_values_are_found(results, simulated):
+    found = _parameters(results[0])
+    assert found["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.01)
+    assert found["pin_radius_mm"]["after"] == pytest.approx(simulated.sensor.pin_radius_mm, rel=0.05)
+    assert found["friction"]["after"] == pytest.approx(simulated.friction, abs=0.05)
+    assert found["pin_spacing_mm"]["after"] == pytest.approx(simulated.sensor.pin_spacing_mm, rel=0.02)
+    for name in ("mm_across", "friction", "pin_spacing_mm"):
+        assert found[name]["determined"], name
+    surface = next(note for note in results[0]["notes"] if "contact begins" in note)
+    least, most = (float(word) for word in surface.split() if word.replace(".", "").isdigit())
+    assert least - 0.1 < SURFACE_MM < most + 0.1
+
+
+def test_after_is_nearer_than_before(results):
+    assert results[0]["ring_error_px"]["after"] < 0.25 * results[0]["ring_error_px"]["before"]
+    rows = {row["name"]: row for row in results[0]["rows"]}
+    for name in ("pin spacing", "pin diameter", "white share of pins", "outermost ring, share of width"):
+        row = rows[name]
+        assert abs(row["after"] - row["real"]) < 0.5 * abs(row["before"] - row["real"]), name
+        assert row["after"] == pytest.approx(row["real"], rel=0.02), name
+    slid = rows["central pins left behind, slide 1 to 2 mm"]
+    assert slid["images"] > 3 and slid["after"] == pytest.approx(slid["real"], abs=0.1 * slid["real"])
+
+
+def test_files(results):
+    measured, out = results
+    written = json.loads((out / "calibration.json").read_text())
+    assert written["preset"]["friction"] == pytest.approx(measured["preset"]["friction"])
+    assert (out / "calibration.png").read_bytes().startswith(b"\x89PNG")
+    assert "friction" in (out / "calibration.txt").read_text()
+
+
+def test_unlabelled_images_tell_framing_and_pins_only(simulated, tmp_path):
+    """And so do labels that belong to other images."""
+    (tmp_path / "bare").mkdir()
+    shutil.copytree(simulated.folder / "images", tmp_path / "bare" / "images")
+    results = calibrate(tmp_path / "bare", None, SMALL, GUESS, images=12, log=_quiet)
+    found = _parameters(results)
+    assert found["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.05)  # touches widen the rings
+    assert found["friction"]["after"] == found["friction"]["before"] and not found["friction"]["determined"]
+    assert any("framing and pin size only" in note for note in results["notes"])
+    assert any("not fitted" in note and "friction" in note for note in results["notes"])
+
+
+def test_what_is_no_recording_is_refused(tmp_path):
+    with pytest.raises(UserError, match="does not exist"):
+        calibrate(tmp_path / "none", log=_quiet)
+    write_recording(tmp_path / "black", np.zeros((3, 128, 128), np.uint8), None, None)
+    with pytest.raises(UserError, match="pins are found"):
+        calibrate(tmp_path / "black", log=_quiet)
