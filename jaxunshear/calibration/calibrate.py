@@ -6,7 +6,7 @@
 Domes are kept in the cache, so that a second calibration of the same sensor takes a third of the time.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,7 @@ from jaxunshear.scene.stimuli import ABS_FRICTION
 from jaxunshear.storage import write_bytes, write_json, write_text
 
 IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter
+CONTACTS_EACH = 40  # solved for each recorded one, about
 LEAST_LABELLED = 12  # contacts from which the labels' reading can be told
 SAME_FRAMING = 0.05  # of the outermost ring's radius: two that differ by more are two cameras
 UNITS = {
@@ -49,6 +50,7 @@ def calibrate(
     out: Path | None = None,
     sensor: Sensor | None = None,
     camera: Camera | None = None,
+    held: Collection[str] = (),
     images: int = IMAGES,
     seed: int = 0,
     log: Log = print,
@@ -58,9 +60,13 @@ def calibrate(
     With `out`, writes calibration.json, calibration.txt and calibration.png there; the picture shows recorded images, so it is
     yours to keep or share. Returns `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`. `sensor` and
     `camera` are where the fit starts: by default the preset with as many pins as are found. Raises `UserError` where the
-    recordings cannot be read or show no such pins.
+    recordings cannot be read or show no such pins. What `held` names (of UNITS, but for the pin radius) keeps its start.
     """
     path = Path(path)
+    wrong = [name for name in held if name not in UNITS or name == "pin_radius_mm"]
+    if wrong:
+        known = ", ".join(name for name in UNITS if name != "pin_radius_mm")
+        raise UserError(f"'{wrong[0]}' cannot be held: name some of {known}")
     recorded, notes = sample(path, images, seed)
     sensor = sensor or _sensor_for(recorded)
     camera = camera or Camera()
@@ -68,8 +74,8 @@ def calibrate(
     groups, surfaces = _groups(recorded, sensor, start, notes)
     start = replace(start, surface_mm=surfaces)
     count = sum(len(group.seen.found) for group in groups if group.contacts is not None)
-    with Progress("fit", 30 * count, unit="contacts") as progress:
-        fitted = fit(groups, sensor, start, progress.advance)
+    with Progress("fit", CONTACTS_EACH * count, unit="contacts") as progress:
+        fitted = fit(groups, sensor, start, held, progress.advance)
         progress.advance(progress.total - progress.done)
     before = replace(start, surface_mm=fitted.values.surface_mm)
     tips_before = [contact_tips(group, sensor, before, i) for i, group in enumerate(groups)]
@@ -86,7 +92,7 @@ def calibrate(
         told[kind], picture = _simulated(groups, own, values, tips)
         pictures[kind] = picture
     parameters = _parameters(start, fitted, sensor, radius)
-    notes += _told(groups, fitted, tips_before, tips_after)
+    notes += _told(held, fitted, tips_before, tips_after)
     results: dict[str, Any] = {
         "rows": rows_of(told),
         "parameters": parameters,
@@ -240,7 +246,7 @@ def _preset(sensor: Sensor, values: Values) -> dict[str, Any]:
     return {"sensor": asdict(sensor), "camera": camera, "friction": values.friction}
 
 
-def _told(groups: list[Group], fitted: Fitted, *tips: list[tuple[np.ndarray, np.ndarray]]) -> list[str]:
+def _told(held: Collection[str], fitted: Fitted, *tips: list[tuple[np.ndarray, np.ndarray]]) -> list[str]:
     notes = [OVERALL_MODULUS]
     for name, low in fitted.low.items():
         if name.startswith("surface_mm"):
@@ -249,7 +255,8 @@ def _told(groups: list[Group], fitted: Fitted, *tips: list[tuple[np.ndarray, np.
     unknown = [name for name, known in fitted.determined.items() if not known and not name.startswith("surface_mm")]
     if unknown:
         notes.append(f"not determined by these images, kept near the start: {', '.join(unknown)}")
-    missing = [name for name in ("friction", "skin_to_gel", "pin_spacing_mm") if name not in fitted.determined]
+    fittable = [name for name in ("friction", "skin_to_gel", "pin_spacing_mm") if name not in held]
+    missing = [name for name in fittable if name not in fitted.determined]
     if missing:
         notes.append(
             f"not fitted, as no labelled {'slides' if missing == ['friction'] else 'contacts'} tell them: {', '.join(missing)}"

@@ -4,19 +4,21 @@ What is compared is every ring's mean radius and mean place, contact by contact.
 parameter that these leave open keeps its start, held there by a wide prior, and is reported as not determined.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.calibration.labels import Motions
-from jaxunshear.calibration.prediction import RATIO_NODES, Values, displacements, place_of, skin_to_gel
+from jaxunshear.calibration.prediction import Values, displacements, place_of
 from jaxunshear.calibration.statistics import Seen, ring_motion, ring_radii, unit_vectors
 from jaxunshear.calibration.tracking import shells
 from jaxunshear.scene.sensor import Sensor
 
-ROUNDS = 6
+ROUNDS = 12
+SETTLED = 2e-3  # of the cost: a round that gains less is the last
+RATIO_STEP = 6.0  # between the domes that stiffnesses are interpolated from
 OUTLIER_PX = 0.5  # of 128: beyond it a residual counts linearly (stick and slip in turn leave some pins anywhere)
 # Standard deviations of wide priors: of logarithms, but for `surface_mm`. They hold what the images leave open.
 PRIORS = {
@@ -49,7 +51,9 @@ class Fitted(NamedTuple):
     low: dict[str, float]
     high: dict[str, float]
     determined: dict[str, bool]
-    before_px: float  # root mean square distance of recorded rings from simulated ones, px of 128
+    before_px: (
+        float  # distance of recorded rings from simulated ones, rms over an image's pins, median image, px of 128
+    )
     after_px: float
     dropped: int  # contacts that did not converge
 
@@ -61,7 +65,7 @@ class _Simulated:
         self, contacts: Motions, side: int, which: int, sensor: Sensor, advance: Callable[[int], None]
     ) -> None:
         self.contacts, self.side, self.which, self.sensor, self.advance = contacts, side, which, sensor, advance
-        self.nodes = [float(node) for node in np.array(RATIO_NODES) * skin_to_gel(sensor)]
+        self.nodes: list[float] = []
         self.known: dict[tuple[float, float, float], np.ndarray] = {}
         self.converged = np.ones(len(contacts), bool)
 
@@ -104,7 +108,14 @@ def features(seen_shell: np.ndarray, place: np.ndarray, direction: np.ndarray, s
 
 
 class _Problem:
-    def __init__(self, groups: list[Group], sensor: Sensor, start: Values, advance: Callable[[int], None]) -> None:
+    def __init__(
+        self,
+        groups: list[Group],
+        sensor: Sensor,
+        start: Values,
+        held: Collection[str],
+        advance: Callable[[int], None],
+    ) -> None:
         self.groups, self.sensor, self.start = groups, sensor, start
         self.simulated = [
             None if group.contacts is None else _Simulated(group.contacts, group.side, i, sensor, advance)
@@ -119,9 +130,11 @@ class _Problem:
         names = ["mm_across", "distance_mm"]
         names += ["pin_spacing_mm", "skin_to_gel"] if labelled else []
         names += ["friction"] if slid else []
-        self.scalars = names
+        self.scalars = [name for name in names if name not in held]
+        self.steps = 0  # of RATIO_STEP, from the start to the middle one of three domes
+        self.recentre(start)
         self.surfaces = [i for i, group in enumerate(groups) if group.contacts is not None]
-        self.names = names + [f"surface_mm {groups[i].name}" for i in self.surfaces]
+        self.names = self.scalars + [f"surface_mm {groups[i].name}" for i in self.surfaces]
 
     def values(self, x: np.ndarray) -> Values:
         """Parameters as logarithms over the start, surfaces as differences from it."""
@@ -137,11 +150,21 @@ class _Problem:
         return np.array([PRIORS[name.split()[0]] for name in self.names])
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        most = 3 * self.prior()
-        for i, name in enumerate(self.names):
-            if name == "skin_to_gel":
-                most[i] = np.log(max(RATIO_NODES))
-        return -most, most
+        low, high = -3 * self.prior(), 3 * self.prior()
+        if "skin_to_gel" in self.names:
+            k = self.names.index("skin_to_gel")
+            low[k], high[k] = ((self.steps + end) * np.log(RATIO_STEP) for end in (-1, 1))
+        return low, high
+
+    def recentre(self, values: Values) -> bool:
+        """Takes other domes where the stiffness nears the last one; whether it did."""
+        place = np.log(values.skin_to_gel / self.start.skin_to_gel) / np.log(RATIO_STEP)
+        moved = abs(place - self.steps) > 0.75
+        self.steps = round(place) if moved else self.steps
+        for simulated in self.simulated:
+            if simulated is not None:
+                simulated.nodes = [self.start.skin_to_gel * RATIO_STEP ** (self.steps + i) for i in (-1, 0, 1)]
+        return moved
 
     def residuals(self, values: Values, which: int, near: Values | None = None) -> np.ndarray:
         """(N, F) of one group, simulated less recorded; zero where nothing is known. `near`: see `_Simulated.nearby`."""
@@ -152,8 +175,10 @@ class _Problem:
         place, rest = place_of(values, self.sensor, group.seen.size, moved)
         expected = features(shells(self.sensor), place, unit_vectors(rest), group.seen.size)
         difference = expected - self.recorded[which]
-        if simulated is None:  # nobody knows how far a touch has moved these pins: only their mean shape is held
-            difference = np.broadcast_to(np.nanmean(difference, axis=0), difference.shape).copy()
+        if (
+            simulated is None
+        ):  # a touch widens all rings, nobody knows how far: the narrowest tenth is held to be undisturbed
+            difference = np.broadcast_to(np.nanpercentile(difference, 90, axis=0), difference.shape).copy()
             difference[:, group.seen.lattice.shell.max() :] = 0
         else:
             difference[~simulated.converged] = 0
@@ -179,32 +204,41 @@ class _Problem:
         return slopes
 
 
-def fit(groups: list[Group], sensor: Sensor, start: Values, advance: Callable[[int], None] = lambda n: None) -> Fitted:
-    """Gauss-Newton with damping on all groups at once. `start.surface_mm` has an entry for every group."""
-    problem = _Problem(groups, sensor, start, advance)
+def fit(
+    groups: list[Group],
+    sensor: Sensor,
+    start: Values,
+    held: Collection[str] = (),
+    advance: Callable[[int], None] = lambda contacts: None,
+) -> Fitted:
+    """Gauss-Newton with damping on all groups at once; what `held` names keeps its start.
+
+    `start.surface_mm` has an entry for every group. `advance` is told how many contacts were solved.
+    """
+    problem = _Problem(groups, sensor, start, held, advance)
     x, prior = np.zeros(len(problem.names)), problem.prior()
-    low, high = problem.bounds()
     base = problem.all(start)
-    before, cost, damping = _rms(base), _cost(base, x / prior), 1e-3
+    before, cost, damping = _error(base), _cost(base, x / prior), 1e-3
     slopes = problem.slopes(x, base)
     for _ in range(ROUNDS):
-        weight = _weights(base)
-        while True:
+        weight, old = _weights(base), cost
+        while damping < 1e3:
             step = _solve(slopes, base, weight, x, prior, damping)
-            proposed = np.clip(x + np.clip(step, -0.7, 0.7), low, high)
+            proposed = np.clip(x + np.clip(step, -0.7, 0.7), *problem.bounds())
             tried = problem.all(problem.values(proposed))
-            new = _cost(tried, proposed / prior)
-            if new < cost or damping > 1e2:
-                break
             damping *= 10
-        done = cost - new < 2e-3 * cost
-        if new < cost:
-            x, base, cost, damping = proposed, tried, new, damping / 10
-        if done:
-            break
+            if _cost(tried, proposed / prior) < cost:
+                x, base, cost, damping = proposed, tried, _cost(tried, proposed / prior), damping / 100
+                break
+        elsewhere = problem.recentre(problem.values(x))
+        if elsewhere:
+            base = problem.all(problem.values(x))
+            cost, damping = _cost(base, x / prior), 1e-3
         slopes = problem.slopes(x, base)
+        if not elsewhere and old - cost < SETTLED * old:
+            break
     spread = _bootstrap(slopes, base, _weights(base), x, prior)
-    return _told(problem, x, spread, before, _rms(base))
+    return _told(problem, x, spread, before, _error(base))
 
 
 def _weights(residual: np.ndarray) -> np.ndarray:
@@ -218,9 +252,9 @@ def _cost(residual: np.ndarray, prior: np.ndarray) -> float:
     return float(np.sum(2 * OUTLIER_PX**2 * (np.sqrt(1 + size) - 1)) + PRIOR_PX**2 * np.sum(prior**2))
 
 
-def _rms(residual: np.ndarray) -> float:
-    """Over all pins: the features' weights make the squares of an image sum to the mean over its pins."""
-    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1))))
+def _error(residual: np.ndarray) -> float:
+    """Root mean square over an image's pins (to which the features' weights add up), the median over images."""
+    return float(np.median(np.sqrt(np.sum(residual**2, axis=1))))
 
 
 def _solve(slopes, residual, weight, x, prior, damping) -> np.ndarray:

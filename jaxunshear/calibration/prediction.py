@@ -1,8 +1,7 @@
 """Where the simulated pins of labelled contacts stand, as a smooth function of what is to be calibrated.
 
 A contact is solved once for pins on a finer and wider lattice than the sensor's; how far its own pins move follows by
-interpolation, so that their spacing and the camera can be fitted without a new contact. Stiffnesses are interpolated between three
-domes.
+interpolation, so that their spacing and the camera can be fitted without a new contact.
 """
 
 import math
@@ -22,7 +21,6 @@ from jaxunshear.scene.sensor import Sensor, pin_lattice, pin_tips
 
 PROBE_DEG = 5.0  # between its rings
 PROBE_RINGS = 14  # to 70 degrees
-RATIO_NODES = (1 / 8, 1.0, 8.0)  # of the given sensor's skin:gel ratio
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.scene.sensor import Sensor, pin_lattice
 
 NEIGHBOURS = 12  # pins that tell where another one is
-SURE = 0.3  # of the spacing: how far from its neighbours' motion a pin may stand
+SURE = 0.22  # of the spacing: how far from its neighbours' motion a pin may stand; one mistaken for the next stands at 0.26 or more
 
 
 class Lattice(NamedTuple):

@@ -168,8 +168,8 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> dict
         try:
             first = seconds(work)
             spent = laps(work, product, effort.repeats, effort.budget_s)
-        except Exception as error:
-            return {**row, "failed": f"crashed: {type(error).__name__}: {str(error).splitlines()[0]}"}
+        except Exception as crash:
+            return {**row, "failed": f"crashed: {type(crash).__name__}: {str(crash).splitlines()[0]}"}
         planned = min(
             seconds(lambda: simulator.plan(here, NAMES, scenes, setting.how, setting.batch)) for _ in range(2)
         )

@@ -142,7 +142,8 @@ def _depths() -> Iterator[Case]:
         yield one_path(f"depth {depth:g} mm, press", motion(depth, at=inside))
         yield one_path(f"depth {depth:g} mm, slide", motion(depth, at=inside, slide=slide))
     yield one_path("depth 8 mm on an edge, slide", motion(8.0, slide=slide))
-    yield one_path("depth 12 mm", motion(12.0, at=inside), refused="depth")
+    yield one_path("depth 12 mm, press", motion(12.0, at=inside))
+    yield one_path("depth 20 mm", motion(20.0, at=inside), refused="depth")
     high = motion(3.0, at=inside)
     high[0, 3] = -50.0
     yield one_path("lowered from 50 mm above", high)
@@ -225,15 +226,15 @@ def _twins() -> Iterator[Case]:
     points = motion(3.0, slide=(1.5, 1.0))
     alone = one_path("", points)
     generator = np.random.default_rng(0)
-    crowd = np.concatenate([points[None], np.repeat(points[None], 63, axis=0)])
-    crowd[1:, :, :2] += generator.uniform(-5, 5, (63, 1, 2))
-    crowd[1:, 1:, 3] = generator.uniform(1, 6, (63, 1))
-    paths = Paths(np.zeros(64, int), np.full(64, 0.7), crowd)
+    crowd = np.concatenate([points[None], np.repeat(points[None], 15, axis=0)])
+    crowd[1:, :, :2] += generator.uniform(-5, 5, (15, 1, 2))
+    crowd[1:, 1:, 3] = generator.uniform(1, 6, (15, 1))
+    paths = Paths(np.zeros(16, int), np.full(16, 0.7), crowd)
 
     def in_a_crowd(level: str | Level, retry: bool) -> Contacts:
         return _first(follow(TACTIP_331, ("disk",), paths, level, retry=retry)[0])
 
-    yield replace(alone, name="batch of 1, as in a batch of 64", twin=in_a_crowd)
+    yield replace(alone, name="batch of 1, as in a batch of 16", twin=in_a_crowd)
 
     def in_two_parts(level: str | Level, retry: bool) -> Contacts:
         half = [Paths(np.array([0]), np.array([0.7]), points[None, part]) for part in (slice(0, 2), slice(1, 3))]
@@ -270,7 +271,7 @@ def _senseless() -> Iterator[Case]:
             line = f"simulate(TACTIP_331, ('disk',), {scene}, 'auto')"
             yield Case(
                 f"scene with {field} {value:g}",
-                lambda level, retry, s=scene: simulate(TACTIP_331, ("disk",), s, level, retry=retry),
+                lambda level, retry, s=scene: simulate(TACTIP_331, ("disk",), s, level, retry=retry),  # type: ignore[misc]
                 line,
                 refused=field,
             )
@@ -278,7 +279,7 @@ def _senseless() -> Iterator[Case]:
         yield one_path(f"friction {friction:g}", motion(3.0), friction=friction, refused="friction")
     for field in (f.name for f in fields(Sensor) if f.type in ("float", float)):
         for value in (np.nan, np.inf):
-            sensor = replace(TACTIP_331, **{field: value})
+            sensor = replace(TACTIP_331, **{field: value})  # type: ignore[arg-type]
             yield one_path(f"sensor with {field} {value:g}", motion(3.0), sensor=sensor, refused=field)
     yield one_path(
         "gel below zero", motion(3.0), sensor=replace(TACTIP_331, gel_modulus_mpa=-1.0), refused="gel_modulus_mpa"
@@ -300,7 +301,7 @@ def _senseless() -> Iterator[Case]:
         paths = Paths(np.array([value]), np.array([0.7]), motion(3.0)[None])
         yield Case(
             f"stimulus {value} of 1",
-            lambda level, retry, p=paths: follow(TACTIP_331, ("disk",), p, level, retry=retry)[0],
+            lambda level, retry, p=paths: follow(TACTIP_331, ("disk",), p, level, retry=retry)[0],  # type: ignore[misc]
             f"follow(TACTIP_331, ('disk',), {paths}, 'auto')",
             refused="stimulus",
         )

@@ -45,4 +45,7 @@ def follow_duplicated(sensor: Sensor, points: np.ndarray, friction: float, level
     converged = (quality.residual_mm <= quality.tolerance_mm) & np.isfinite(pins).all()
     total, nodes = force.sum(axis=0)[None], np.array([len(index)])
     never = np.zeros(1, bool)
-    return Contacts(pins[None], quality.residual_mm, converged, quality.iterations, *states, total, nodes, never)
+    stuck, slipping, free = states
+    return Contacts(
+        pins[None], quality.residual_mm, converged, quality.iterations, stuck, slipping, free, total, nodes, never
+    )

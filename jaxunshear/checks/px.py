@@ -21,8 +21,11 @@ class PinError(NamedTuple):
 
 def px_apart(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Distances (..., P) in px between pins (..., P, 3) mm and `others`."""
-    seen, theirs = (np.asarray(project(Camera(), np.asarray(tips, np.float64), sensor)) for tips in (pins, others))
-    return np.linalg.norm(seen - theirs, axis=-1)
+
+    def seen(tips: np.ndarray) -> np.ndarray:
+        return np.asarray(project(Camera(), np.asarray(tips, np.float64), sensor))  # type: ignore[arg-type]
+
+    return np.linalg.norm(seen(pins) - seen(others), axis=-1)
 
 
 def pin_error(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> PinError:

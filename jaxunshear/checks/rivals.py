@@ -8,6 +8,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any
 from unittest.mock import patch
 
 import jax
@@ -60,7 +61,7 @@ def _largest_eigenvalue(system: System) -> jax.Array:
     return 1.02 * jnp.linalg.norm(vector @ system.w)
 
 
-def _iterate(step: Callable, state: tuple, tolerance: jax.Array, limit: int, every: int) -> tuple:
+def _iterate(step: Callable, state: Any, tolerance: jax.Array, limit: int, every: int) -> tuple:
     """Repeat `step`(state) -> (state, error (B,)), `every` times between looks, until all are below their tolerance."""
 
     def unfinished(carry):

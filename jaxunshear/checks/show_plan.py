@@ -117,11 +117,11 @@ def show_grouping(count: int, level: str = "auto", sensor: str = "tactip331") ->
             "  scenes  nodes  of its scenes  increments  contact",
         ]
         for batch in batches:
-            own = [alone[i] for i in batch.index]
+            own = [alone[i] for i in batch.rows]
             row = {
                 "omission": "",
                 "kind": kind,
-                "scenes": len(batch.index),
+                "scenes": len(batch.rows),
                 "nodes": len(batch.nodes),
                 "nodes_least": min(own),
                 "nodes_most": max(own),
@@ -173,7 +173,7 @@ def _same(some: list[Batch], others: list[Batch]) -> bool:
         return False
     pairs = zip(some, others, strict=True)
     return all(
-        np.array_equal(a.index, b.index)
+        np.array_equal(a.rows, b.rows)
         and np.array_equal(a.nodes, b.nodes)
         and np.array_equal(a.turn, b.turn)
         and a[3:] == b[3:]

@@ -14,7 +14,9 @@ import numpy as np
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import Stimulus, signed_distance
 
-EDGE_RADIUS_MM = 1.0  # of the rounding: that of the node spacing, so that a node meets an edge by degrees and does not flip
+EDGE_RADIUS_MM = (
+    1.0  # of the rounding: that of the node spacing, so that a node meets an edge by degrees and does not flip
+)
 REACH_MM = 125.0  # beyond every shape, seen from its target
 SPACING_MM = 0.25
 

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from scipy.linalg import get_lapack_funcs
+from threadpoolctl import threadpool_limits
 
 from jaxunshear.contact import dome as domes
 from jaxunshear.contact.elasticity import Compliance, sixfold
@@ -132,7 +133,7 @@ def plan(
     _check_scenes(scenes)
     paths = path_of(scenes)
     check(sensor, names, paths)
-    return [part.index for part in plan_paths(sensor, obstacles_of(names), paths, level_named(level), batch)]
+    return [part.rows for part in plan_paths(sensor, obstacles_of(names), paths, level_named(level), batch)]
 
 
 def plan_paths(
@@ -215,6 +216,20 @@ def _obstacles(stimuli: tuple[Stimulus, ...]) -> Obstacles:
     return sample(stimuli)
 
 
+@lru_cache(maxsize=4)
+def _matrices(sensor: Sensor, precision: str) -> tuple[np.ndarray, np.ndarray]:
+    """w of the dome, scaled to a unit mean diagonal, and g, in one precision."""
+    whole = dome(sensor)
+    return (whole.w / (np.trace(whole.w) / len(whole.w))).astype(precision), whole.g.astype(precision)
+
+
+@lru_cache(maxsize=4)
+def _beside(sensor: Sensor) -> np.ndarray:
+    """(N, N) bool: pairs of neighbouring contact nodes."""
+    nodes = dome(sensor).nodes
+    return np.linalg.norm(nodes[:, None] - nodes[None], axis=-1) < NEIGHBOURS * ring_spacing(sensor)
+
+
 @lru_cache(maxsize=16)
 def _system(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tuple[System, float]:
     """The contact nodes `chosen` (int64 bytes), padded by nodes far from any stimulus; newtons per scaled force."""
@@ -224,18 +239,22 @@ def _system(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tu
     parts = np.arange(3) if friction else np.array([2])
     rows, all_rows = (3 * index[:, None] + parts).ravel(), (3 * index[:, None] + np.arange(3)).ravel()
     found, count = len(rows), len(parts) * size
+    matrix, _ = _matrices(sensor, precision)
     scale = np.trace(whole.w) / len(whole.w)
-    w, spread = np.eye(count), np.zeros((count, 3 * size))
-    w[:found, :found] = whole.w[np.ix_(rows, rows)] / scale
-    spread[:found, : len(all_rows)] = whole.w[np.ix_(rows, all_rows)] / scale
-    inverse = _inverse(w + RHO * np.eye(count), precision)
+    w = np.eye(count, dtype=precision)
+    w[:found, :found] = matrix[np.ix_(rows, rows)]
+    inverse = w.copy()
+    inverse[np.diag_indices(count)] += RHO
+    spread = np.zeros((count, 0 if friction else 3 * size), precision)
+    if not friction:
+        spread[:found, : len(all_rows)] = matrix[np.ix_(rows, all_rows)]
     nodes = np.full((size, 3), 1e3)
     nodes[: len(index)] = whole.nodes[index]
     as_array = partial(jnp.asarray, dtype=precision)
     shared = as_array(w)
     system = System(
         shared,
-        as_array(inverse),
+        as_array(_inverse(inverse)),
         shared if friction else as_array(spread),
         as_array(nodes),
         as_array(sensor.dome_radius_mm),
@@ -243,11 +262,17 @@ def _system(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tu
     return system, 1 / scale
 
 
-def _inverse(matrix: np.ndarray, precision: str) -> np.ndarray:
-    """Of a symmetric positive definite matrix, symmetric; its condition is that of W over RHO, so float32 is enough."""
-    factorise, invert = get_lapack_funcs(("potrf", "potri"), dtype=np.dtype(precision))
-    lower, _ = invert(factorise(matrix.astype(precision), lower=True)[0], lower=True)
-    return np.tril(lower) + np.tril(lower, -1).T
+def _inverse(matrix: np.ndarray) -> np.ndarray:
+    """Of a symmetric positive definite matrix, symmetric, in its precision: its condition is that of W over RHO.
+
+    On one thread: two BLAS threads on a busy machine wait for each other a hundred times longer than they work.
+    """
+    factorise, invert = get_lapack_funcs(("potrf", "potri"), dtype=matrix.dtype)
+    with threadpool_limits(1, "blas"):
+        lower = invert(factorise(matrix, lower=True)[0], lower=True)[0]
+    above = np.triu_indices(len(lower), 1)
+    lower[above] = lower.T[above]
+    return lower
 
 
 @partial(jax.jit, static_argnames=("tolerance", "limit", "tilted"))
@@ -276,14 +301,14 @@ def _follow(
     if start is not None:
         batches = [_with_loaded(part, start, sixfold(start.force_n.shape[1])) for part in batches]
     for part in batches:
-        before = None if start is None else start.take(part.index)
+        before = None if start is None else start.take(part.rows)
         if len(part.nodes):
-            parts.append(_solve(sensor, obstacles, paths.take(part.index), part, level, batch, before))
+            parts.append(_solve(sensor, obstacles, paths.take(part.rows), part, level, batch, before))
         else:
-            parts.append(_untouched(sensor, paths.take(part.index), level))
-        order.append(part.index)
+            parts.append(_untouched(sensor, paths.take(part.rows), level))
+        order.append(part.rows)
         if progress is not None:
-            progress.advance(len(part.index))
+            progress.advance(len(part.rows))
     back = np.argsort(np.concatenate(order), kind="stable")
     fields = [np.concatenate(field)[back] for field in zip(*((*c, *s, i) for c, s, i in parts), strict=True)]
     return Contacts(*fields[:-3]), Skins(*fields[-3:-1]), fields[-1]
@@ -291,7 +316,7 @@ def _follow(
 
 def _with_loaded(part: Batch, start: Skins, turned: np.ndarray) -> Batch:
     """A batch that also solves for the nodes that carry a force at the start, with what those need."""
-    force = start.force_n[part.index]
+    force = start.force_n[part.rows]
     loaded = [np.flatnonzero(np.any(f[turned[k]] != 0, axis=-1)) for k, f in zip(part.turn, force, strict=True)]
     friction = part.friction or bool(np.any(force[..., :2]))
     return part._replace(nodes=np.union1d(part.nodes, np.concatenate(loaded)).astype(int), friction=friction)
@@ -379,7 +404,7 @@ def _pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
     whole = dome(sensor)
     used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
     columns = (3 * used[:, None] + np.arange(3)).ravel()
-    matrix = whole.g[:, columns].astype(precision)
+    matrix = _matrices(sensor, precision)[1][:, columns]
     moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.T
     return (whole.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
 
@@ -391,12 +416,10 @@ def _needs_more(
     whole = dome(sensor)
     last_ring = part.nodes >= len(whole.nodes) - 6 * (len(ring_arcs(sensor)) - 1)
     beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2))
-    rest_of = np.setdiff1d(np.arange(len(whole.nodes)), part.nodes)
-    if not len(rest_of):
-        return beyond
     loaded = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    apart = np.linalg.norm(whole.nodes[rest_of, None] - whole.nodes[part.nodes[loaded]][None], axis=-1)
-    beside = rest_of[np.any(apart < NEIGHBOURS * ring_spacing(sensor), axis=1)] if len(loaded) else rest_of[:0]
+    near = np.any(_beside(sensor)[part.nodes[loaded]], axis=0)
+    near[part.nodes] = False
+    beside = np.flatnonzero(near)
     if not len(beside):
         return beyond
     columns = (3 * part.nodes[loaded][:, None] + np.arange(3)).ravel()

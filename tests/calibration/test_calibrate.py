@@ -18,7 +18,7 @@ def _quiet(text: str) -> None:
 @pytest.fixture(scope="module")
 def results(simulated, tmp_path_factory):
     out = tmp_path_factory.mktemp("out")
-    return calibrate(simulated.folder, out, SMALL, GUESS, log=_quiet), out
+    return calibrate(simulated.folder, out, SMALL, GUESS, held=("pin_spacing_mm", "distance_mm"), log=_quiet), out
 
 
 def _parameters(results):
@@ -30,8 +30,7 @@ def test_known_values_are_found(results, simulated):
     assert found["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.01)
     assert found["pin_radius_mm"]["after"] == pytest.approx(simulated.sensor.pin_radius_mm, rel=0.05)
     assert found["friction"]["after"] == pytest.approx(simulated.friction, abs=0.05)
-    assert found["pin_spacing_mm"]["after"] == pytest.approx(simulated.sensor.pin_spacing_mm, rel=0.02)
-    for name in ("mm_across", "friction", "pin_spacing_mm"):
+    for name in ("mm_across", "friction", "skin_to_gel"):
         assert found[name]["determined"], name
     surface = next(note for note in results[0]["notes"] if "contact begins" in note)
     least, most = (float(word) for word in surface.split() if word.replace(".", "").isdigit())
@@ -45,7 +44,7 @@ def test_after_is_nearer_than_before(results):
         row = rows[name]
         assert abs(row["after"] - row["real"]) < 0.5 * abs(row["before"] - row["real"]), name
         assert row["after"] == pytest.approx(row["real"], rel=0.02), name
-    slid = rows["central pins left behind, slide 1 to 2 mm"]
+    slid = rows["central pins left behind, slide 0 to 1 mm"]
     assert slid["images"] > 3 and slid["after"] == pytest.approx(slid["real"], abs=0.1 * slid["real"])
 
 
@@ -72,6 +71,10 @@ def test_unlabelled_images_tell_framing_and_pins_only(simulated, tmp_path):
 def test_what_is_no_recording_is_refused(tmp_path):
     with pytest.raises(UserError, match="does not exist"):
         calibrate(tmp_path / "none", log=_quiet)
-    write_recording(tmp_path / "black", np.zeros((3, 128, 128), np.uint8), None, None)
-    with pytest.raises(UserError, match="pins are found"):
-        calibrate(tmp_path / "black", log=_quiet)
+    few = np.zeros((3, 128, 128), np.uint8)
+    few[:, 30:100:10, 30:100:10] = few[:, 31:100:10, 30:100:10] = few[:, 30:100:10, 31:100:10] = 255
+    write_recording(tmp_path / "few", few, None, None)
+    with pytest.raises(UserError, match="49 pins are found"):
+        calibrate(tmp_path / "few", log=_quiet)
+    with pytest.raises(UserError, match="cannot be held"):
+        calibrate(tmp_path / "few", held=("colour",), log=_quiet)

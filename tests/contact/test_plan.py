@@ -47,17 +47,17 @@ def planned(obstacles, nodes, paths, level, batch=64):
 def test_every_path_once_and_needs_apart(obstacles, nodes):
     paths = mixed()
     batches = planned(obstacles, nodes, paths, LEVELS["auto"])
-    np.testing.assert_array_equal(np.sort(np.concatenate([part.index for part in batches])), np.arange(200))
+    np.testing.assert_array_equal(np.sort(np.concatenate([part.rows for part in batches])), np.arange(200))
     for part in batches:
-        assert len(part.index) <= 64
-        assert np.all((paths.friction[part.index] > 0) == part.friction) or not len(part.nodes)
-        touching = paths.points[part.index, :, 3].max(axis=1) > 0
+        assert len(part.rows) <= 64
+        assert np.all((paths.friction[part.rows] > 0) == part.friction) or not len(part.nodes)
+        touching = paths.points[part.rows, :, 3].max(axis=1) > 0
         assert np.all(touching) or not len(part.nodes)
 
 
 def test_grouping_costs_less_than_slices(obstacles, nodes):
     def work(level):
-        return sum(len(b.index) * b.steps * len(b.nodes) ** 2 for b in planned(obstacles, nodes, mixed(), level))
+        return sum(len(b.rows) * b.steps * len(b.nodes) ** 2 for b in planned(obstacles, nodes, mixed(), level))
 
     auto = LEVELS["auto"]
     ungrouped = replace(auto, omit=tuple(name for name in auto.omit if name != "grouping"))
@@ -69,7 +69,7 @@ def test_turned_scenes_keep_their_own_nodes(obstacles, nodes):
     paths = mixed(64)
     turned = sixfold(len(nodes))
     for part in planned(obstacles, nodes, paths, LEVELS["auto"]):
-        for row, turn in zip(part.index, part.turn, strict=True):
+        for row, turn in zip(part.rows, part.turn, strict=True):
             alone = planned(obstacles, nodes, paths.take(np.array([row])), LEVELS["auto"], 1)[0]
             assert np.isin(alone.nodes, turned[turn][part.nodes]).all()
 

@@ -96,9 +96,7 @@ def test_only_missing_chunks_are_made_again(paired, sensor, engine, tmp_path):
 
 def test_chunks_of_another_plan_are_made_again(paired, sensor, engine, tmp_path):
     make(paired, sensor, tmp_path, engine)
-    shots, paths = make(
-        paired, sensor, tmp_path, engine._replace(plan=lambda *_: [np.arange(50), np.arange(50, 100)])
-    )
+    shots, paths = make(paired, sensor, tmp_path, engine._replace(plan=lambda *_: [np.arange(50), np.arange(50, 100)]))
     assert sorted(np.concatenate([load_chunk(path)["number"] for path in paths])) == list(range(len(shots.scenes)))
 
 
