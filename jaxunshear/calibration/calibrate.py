@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.calibration.fit import Fitted, Group, fit
+from jaxunshear.calibration.fit import Fitted, fit
 from jaxunshear.calibration.matching import CREDIBLE, read_labels
 from jaxunshear.calibration.prediction import Values, skin_to_gel
+from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.rendering import contact_tips, fit_pin_radius, render
 from jaxunshear.calibration.report import AFTER, BEFORE, RECORDED, Summaries, curves, rows_of, table
 from jaxunshear.calibration.sampling import Recorded, sample
@@ -29,6 +30,7 @@ from jaxunshear.scene.stimuli import ABS_FRICTION
 from jaxunshear.storage import write_bytes, write_json, write_text
 
 IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter
+FIRST_OF = 3  # images, of which the first fit takes one
 CONTACTS_EACH = 40  # solved for each recorded one, about
 LEAST_LABELLED = 12  # contacts from which the labels' reading can be told
 SAME_FRAMING = 0.05  # of the outermost ring's radius: two that differ by more are two cameras
@@ -73,10 +75,7 @@ def calibrate(
     start = Values(camera.mm_across, camera.distance_mm, sensor.pin_spacing_mm, ABS_FRICTION, skin_to_gel(sensor))
     groups, surfaces = _groups(recorded, sensor, start, notes)
     start = replace(start, surface_mm=surfaces)
-    count = sum(len(group.seen.found) for group in groups if group.contacts is not None)
-    with Progress("fit", CONTACTS_EACH * count, unit="contacts") as progress:
-        fitted = fit(groups, sensor, start, held, progress.advance)
-        progress.advance(progress.total - progress.done)
+    fitted = _fit(groups, sensor, start, held)
     before = replace(start, surface_mm=fitted.values.surface_mm)
     tips_before = [contact_tips(group, sensor, before, i) for i, group in enumerate(groups)]
     after_sensor = fitted.values.sensor(sensor)
@@ -108,6 +107,16 @@ def calibrate(
         write_text(Path(out) / "calibration.txt", text + "\n")
         write_bytes(Path(out) / "calibration.png", curves(told, pictures))
     return results
+
+
+def _fit(groups: list[Group], sensor: Sensor, start: Values, held: Collection[str]) -> Fitted:
+    """On some images first: most of the way needs no more."""
+    count = sum(len(group.seen.found) for group in groups if group.contacts is not None)
+    with Progress("fit", CONTACTS_EACH * count, unit="contacts") as progress:
+        rough = fit([group.thinned(FIRST_OF) for group in groups], sensor, start, held, progress.advance)
+        fitted = fit(groups, sensor, start, held, progress.advance, begin=rough.values)
+        progress.advance(progress.total - progress.done)
+    return fitted
 
 
 def _sensor_for(recorded: list[Recorded]) -> Sensor:

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.calibration.fit import Group
 from jaxunshear.calibration.labels import HALF_PLANE, to_paths
 from jaxunshear.calibration.prediction import Values, within_reach
+from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.statistics import pin_diameters
 from jaxunshear.contact.simulate import follow
 from jaxunshear.image.camera import frame

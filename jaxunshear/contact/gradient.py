@@ -40,7 +40,7 @@ TOUCHED = 0.75  # of the nodes within reach: about as many as ever touch at once
 @partial(jax.tree_util.register_dataclass)
 @dataclass(frozen=True)
 class PinModel:
-    """A sensor on the paths it was made for, as arrays: goes through jit, grad and vmap.
+    """A sensor on the paths it was made for, as arrays: goes through jit and grad.
 
     The compliance is known, with its slope, at M ratios of the moduli (`knots`), mm/N for the sensor's gel.
     """

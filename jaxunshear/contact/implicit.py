@@ -233,30 +233,34 @@ def pin_state(
     """Where the pins are after B skins followed path (T + 1, B, 6), as `friction.follow_path`, each increment to rounding.
 
     Differentiable by `system.w`, `to_pins` (3N, 3P) (both scaled as in `System`), `friction`, `path`, and the displacement of
-    `skin`, at rest at path[0] by default. `system` must have three unknowns a node; float64 is advised. Runs under jit and vmap.
+    `skin`, at rest at path[0] by default. `system` must have three unknowns a node; float64 is advised. Runs under jit;
+    the batch is its own.
     `most`: see `contact_force`; all nodes by default.
     """
 
-    @partial(jax.checkpoint, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names("force"))
     def step(state, pose):
         skin, margin, worst = state
         moves = jnp.any(pose != skin.pose, axis=-1)
         length = jnp.where(moves, increment_length(skin.pose, pose, system.centre_mm / 4), 0)
         frame = level_frame(pose)
         back, keep = jnp.swapaxes(frame, 1, 2), moves[:, None, None]
-        force, dual = _rotate(frame, skin.force), _rotate(frame, skin.dual)
-        displacement = skin.displacement
-        for _ in range(PASSES):
+
+        @partial(jax.checkpoint, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names("force"))
+        def one_pass(state, _):
+            force, dual, displacement, margin, worst = state
             offset, _ = increment_offset(system, obstacles, which, skin, pose, True, displacement)
             guess = jax.lax.stop_gradient(Guess(system.inverse, force, dual, length))
             force = contact_force(most or len(system.nodes), system.w, frame, offset, friction, guess)
             total = _times(system.w, force, frame) + offset
-            dual, inside = -total / RHO, _rotate(back, force)
-            displacement = (inside.reshape(len(which), -1) @ system.w).reshape(inside.shape)
+            displacement = (_rotate(back, force).reshape(len(which), -1) @ system.w).reshape(force.shape)
             margin = jnp.minimum(margin, jnp.where(moves, switch_distance(force - total, friction), jnp.inf))
             worst = jnp.maximum(worst, jnp.where(moves, _size(force - project(force - total, friction)), 0))
+            return (force, -total / RHO, displacement, margin, worst), None
+
+        start = (_rotate(frame, skin.force), _rotate(frame, skin.dual), skin.displacement, margin, worst)
+        (force, dual, displacement, margin, worst), _ = jax.lax.scan(one_pass, start, length=PASSES)
         after = Skin(
-            jnp.where(keep, inside, skin.force),
+            jnp.where(keep, _rotate(back, force), skin.force),
             jnp.where(keep, _rotate(back, dual), skin.dual),
             jnp.where(keep, displacement, skin.displacement),
             pose,

@@ -37,7 +37,7 @@ from jaxunshear.contact.rings import deepest_mm, ring_arcs, ring_spacing
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths, path_of
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.scene.sensor import Sensor, check_sensor
 from jaxunshear.scene.stimuli import Stimulus, stimulus_named
 
 BATCH = 64
@@ -161,6 +161,7 @@ def _check_scenes(scenes: Scenes) -> None:
 
 def check(sensor: Sensor, names: Stimuli, paths: Paths) -> None:
     """Refuses by name what cannot be simulated."""
+    check_sensor(sensor)
     if paths.points.ndim != 3 or paths.points.shape[1] < 2 or paths.points.shape[2] != 6:
         raise UserError(f"points have shape {paths.points.shape}: give (B, K, 6) with K at least 2")
     bad = np.flatnonzero(~np.isfinite(paths.points).all(axis=(1, 2)))

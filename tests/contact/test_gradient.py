@@ -64,19 +64,19 @@ def model(paths):
 run = jax.jit(pins)
 
 
-def difference(model, points, friction, d_points=0.0, d_friction=0.0, d_log_ratio=0.0, step=STEP):
-    """Central difference of the pins along a direction."""
+def at(model, points, friction, log_ratio=None):
     with jax.enable_x64(True):
-        sides = [
-            run(
-                model,
-                jnp.asarray(points + h * d_points),
-                jnp.asarray(friction + h * d_friction),
-                model.log_ratio + h * d_log_ratio,
-            )
-            for h in (step, -step)
-        ]
-        return np.asarray(sides[0].pins - sides[1].pins) / (2 * step)
+        log_ratio = model.log_ratio if log_ratio is None else jnp.asarray(log_ratio)
+        return np.asarray(run(model, jnp.asarray(points), jnp.asarray(friction), log_ratio).pins)
+
+
+def difference(model, points, friction, d_points=0.0, d_friction=0.0, d_log_ratio=0.0):
+    """Central difference of the pins along a direction."""
+    ratio = float(model.log_ratio)
+    sides = [
+        at(model, points + h * d_points, friction + h * d_friction, ratio + h * d_log_ratio) for h in (STEP, -STEP)
+    ]
+    return (sides[0] - sides[1]) / (2 * STEP)
 
 
 def agree(derivative, expected, rel=1e-3):
@@ -106,105 +106,114 @@ def test_way_points(paths, model, found, point, column):
 def test_friction(paths, model, found):
     moved = (FRICTION > 0).astype(float)
     agree(found.d_friction[FRICTION > 0], difference(model, paths.points, FRICTION, d_friction=moved)[FRICTION > 0])
-    with jax.enable_x64(True):  # from no friction there is one way to go
-        more = (
-            run(model, paths.points, jnp.asarray(FRICTION + 1e-6)).pins
-            - run(model, paths.points, jnp.asarray(FRICTION)).pins
-        )
-    agree(found.d_friction[FRICTION == 0], np.asarray(more)[FRICTION == 0] / 1e-6)
+    more = at(model, paths.points, FRICTION + STEP) - at(
+        model, paths.points, FRICTION
+    )  # from none there is one way to go
+    agree(found.d_friction[FRICTION == 0], more[FRICTION == 0] / STEP)
 
 
 def test_moduli(paths, model, found):
     agree(found.d_log_ratio, difference(model, paths.points, FRICTION, d_log_ratio=1.0))
-    with jax.enable_x64(
-        True
-    ):  # and between domes of other moduli; the gel's counts as little as the skin's, the ratio alone
-        step = 1e-3
-        sides = [
-            run(
-                pin_model(replace(SMALL, skin_modulus_mpa=5 * np.exp(h), gel_modulus_mpa=0.5), ("disk",), paths),
-                paths.points,
-                FRICTION,
-            )
-            for h in (step, -step)
-        ]
+    sides, step = [], 1e-3  # and between domes of other moduli, of which only the ratio counts
+    for h in (step, -step):
+        other = replace(SMALL, skin_modulus_mpa=5 * np.exp(h), gel_modulus_mpa=0.5)
+        with jax.enable_x64(True):
+            sides.append(at(pin_model(other, ("disk",), paths), paths.points, FRICTION))
     smooth = found.margin_mm > 1e-4
     assert smooth.any()
-    agree(found.d_log_ratio[smooth], np.asarray(sides[0].pins - sides[1].pins)[smooth] / (2 * step))
+    agree(found.d_log_ratio[smooth], (sides[0] - sides[1])[smooth] / (2 * step))
 
 
-def test_backwards_equals_forwards_and_jit_and_vmap(paths, model, found):
+def test_backwards_equals_forwards_without_jit_and_with_jit_and_vmap(paths, model, found):
     weights = np.random.default_rng(0).normal(size=found.pins.shape)
+    close = {"rtol": 1e-6, "atol": 1e-8}
+
+    def loss(model, *x):
+        return jnp.sum(weights * pins(model, *x).pins)
+
     with jax.enable_x64(True):
-        at = jnp.asarray(paths.points), jnp.asarray(FRICTION), model.log_ratio
-        loss = lambda *x: jnp.sum(weights * pins(model, *x).pins)  # noqa: E731
-        back = jax.grad(loss, argnums=(0, 1, 2))(*at)  # without jit
-        np.testing.assert_allclose(back[0], np.einsum("bpc,bpckx->bkx", weights, found.d_points), rtol=1e-6, atol=1e-8)
-        np.testing.assert_allclose(back[1], np.einsum("bpc,bpc->b", weights, found.d_friction), rtol=1e-6, atol=1e-8)
-        np.testing.assert_allclose(back[2], np.sum(weights * found.d_log_ratio), rtol=1e-6)
-        many = jax.jit(jax.vmap(jax.grad(lambda friction: loss(at[0], friction, at[2]))))(
-            jnp.stack([at[1], 0.9 * at[1]])
-        )
-        np.testing.assert_allclose(many[0], back[1], rtol=1e-6, atol=1e-8)
-        other = jax.grad(lambda friction: loss(at[0], friction, at[2]))(0.9 * at[1])
-        np.testing.assert_allclose(many[1], other, rtol=1e-6, atol=1e-8)
+        here = jnp.asarray(paths.points), jnp.asarray(FRICTION), model.log_ratio
+        back = jax.grad(loss, argnums=(1, 2, 3))(model, *here)
+        np.testing.assert_allclose(back[0], np.einsum("bpc,bpckx->bkx", weights, found.d_points), **close)
+        np.testing.assert_allclose(back[1], np.einsum("bpc,bpc->b", weights, found.d_friction), **close)
+        np.testing.assert_allclose(back[2], np.sum(weights * found.d_log_ratio), **close)
         few = replace(model, most=2)  # more nodes touch than foreseen
-        np.testing.assert_allclose(
-            jax.grad(lambda x: jnp.sum(weights * pins(few, at[0], x).pins))(at[1]), back[1], rtol=1e-6, atol=1e-8
+        two = jax.jit(jax.vmap(jax.grad(lambda friction: loss(few, here[0], friction, here[2]))))(
+            jnp.stack([here[1], 0.9 * here[1]])
         )
+        np.testing.assert_allclose(two[0], back[1], **close)
+    moved = (FRICTION > 0).astype(float)
+    expected = np.einsum("bpc,bpc->b", weights, difference(model, paths.points, 0.9 * FRICTION, d_friction=moved))
+    np.testing.assert_allclose(two[1] * moved, expected, rtol=1e-3, atol=1e-6)
 
 
-def test_what_touches_nothing_answers_to_nothing():
-    points = np.zeros((2, 3, 6))
-    points[:, :, 0] = [[0, 1, 2], [0, -1, -2]]
-    points[:, 1:, 3] = -0.01
-    found = pin_gradient(SMALL, ("disk",), Paths(np.zeros(2, int), np.array([0.5, 0.0]), points))
-    assert not any(np.any(slope) for slope in (found.d_points, found.d_friction, found.d_log_ratio))
-    assert found.converged.all() and not found.at_switch.any()
-    assert found.margin_mm[0] == pytest.approx(0.01)  # the apex' gap
+@pytest.fixture(scope="module")
+def special():
+    """Two that touch nothing, two that stick, and one that comes down until it just touches."""
+    points = np.zeros((5, 3, 6))
+    points[:, :, 0] = [[0, 1, 2], [0, -1, -2], [-3, -3, -2.99], [-3, -3, -2.99], [-3, -3, -3]]
+    points[2:4, 2, 1] = 0.005
+    points[:, :, 3] = [[0, -0.01, -0.01], [0, -0.01, -0.01], [0, 0.3, 0.3], [0, 0.3, 0.3], [-0.1, -0.05, 0]]
+    return Paths(np.zeros(5, int), np.array([0.5, 0.0, 5.0, np.inf, 0.5]), points)
 
 
-def test_pure_stick_does_not_answer_to_friction():
-    points = np.zeros((2, 3, 6))
-    points[:, :, 0] = -3
-    points[:, 1:, 3] = 0.3
-    points[:, 2, :2] += [0.01, 0.005]
-    paths = Paths(np.zeros(2, int), np.array([5.0, np.inf]), points)
-    found = pin_gradient(SMALL, ("disk",), paths)
-    assert found.converged.all()
-    assert not np.any(found.d_friction)
+@pytest.fixture(scope="module")
+def special_found(special):
+    return pin_gradient(SMALL, ("disk",), special)
+
+
+@pytest.fixture(scope="module")
+def special_model(special):
     with jax.enable_x64(True):
-        model = pin_model(SMALL, ("disk",), paths)
+        return pin_model(SMALL, ("disk",), special)
+
+
+def test_what_touches_nothing_answers_to_nothing(special_found):
+    slopes = special_found.d_points, special_found.d_friction, special_found.d_log_ratio
+    assert not any(np.any(slope[:2]) for slope in slopes)
+    assert special_found.converged.all() and not special_found.at_switch[:2].any()
+    assert special_found.margin_mm[1] == pytest.approx(0.01 / 3)  # the apex' gap after the first of three increments
+
+
+def test_pure_stick_does_not_answer_to_friction(special, special_found, special_model):
+    assert not np.any(special_found.d_friction[2:4])
     direction = np.zeros((3, 6))
     direction[2, 0] = 1
-    agree(found.d_points[..., 2, 0], difference(model, points, paths.friction, d_points=direction))
-    np.testing.assert_allclose(found.pins[0], found.pins[1], atol=1e-9)  # 5 sticks as infinity does
+    expected = difference(special_model, special.points, special.friction, d_points=direction)
+    agree(special_found.d_points[2:4, ..., 2, 0], expected[2:4])
+    np.testing.assert_allclose(special_found.pins[2], special_found.pins[3], atol=1e-9)  # 5 sticks as infinity does
 
 
-def test_a_switch_is_flagged_and_one_sided():
+def test_a_switch_is_flagged_and_one_sided(special, special_found, special_model):
     """The dome just comes to the surface: less depth changes nothing, more depth does."""
-    points = np.zeros((1, 2, 6))
-    points[:, :, 0], points[:, 0, 3] = -3, -0.1
-    paths = Paths(np.zeros(1, int), np.array([0.5]), points)
-    found = pin_gradient(SMALL, ("disk",), paths)
-    assert found.at_switch[0] and found.margin_mm[0] < SWITCH_MM
-    with jax.enable_x64(True):
-        model = pin_model(SMALL, ("disk",), paths)
-        at = lambda depth: np.asarray(run(model, jnp.asarray(points).at[0, 1, 3].set(depth), paths.friction).pins)  # noqa: E731
-        up, down = (at(0.0) - at(-1e-4)) / 1e-4, (at(1e-4) - at(0.0)) / 1e-4
-    np.testing.assert_array_equal(found.d_points[..., 1, 3], up)
-    assert np.abs(down).max() > 0.1
+    assert list(special_found.at_switch) == [False] * 4 + [True]
+    assert special_found.margin_mm[4] < SWITCH_MM
+
+    def depth(change):
+        points = special.points.copy()
+        points[4, 2, 3] += change
+        return at(special_model, points, special.friction)[4]
+
+    less, more = (depth(0.0) - depth(-1e-6)) / 1e-6, (depth(1e-6) - depth(0.0)) / 1e-6
+    assert np.abs(more).max() > 0.1 and np.abs(less).max() < 1e-9
+    slope = special_found.d_points[4, ..., 2, 3]  # rounding decides which of the two
+    assert min(np.abs(slope - less).max(), np.abs(slope - more).max()) < 1e-3 * np.abs(more).max()
 
 
 def test_going_on_from_a_skin(paths):
     slides = Paths(paths.stimulus[:2], paths.friction[:2], paths.points[:2, :3])
-    whole = pin_gradient(SMALL, ("disk",), slides, "reference")
     pressed = Paths(slides.stimulus, slides.friction, slides.points[:, :2])
     moved = Paths(slides.stimulus, slides.friction, slides.points[:, 1:])
     _, skins = follow(SMALL, ("disk",), pressed, "reference")
-    rest = pin_gradient(SMALL, ("disk",), moved, "reference", start=skins)
-    np.testing.assert_allclose(rest.pins, whole.pins, atol=5e-3)  # as exact as the reference level is
-    agree(rest.d_points[..., -1, :], whole.d_points[..., -1, :], rel=0.05)
+    found = []
+    for part, start in ((slides, None), (moved, skins)):
+        with jax.enable_x64(True):
+            model = pin_model(SMALL, ("disk",), part, "reference", start=start)
+            end = jnp.asarray(part.points), jnp.zeros_like(part.points).at[:, -1, 0].set(1.0)
+            run_on = lambda x, model=model: pins(model, x, jnp.asarray(slides.friction)).pins  # noqa: E731
+            found.append(jax.jit(lambda x, d, f=run_on: jax.jvp(f, (x,), (d,)))(*end))
+    np.testing.assert_allclose(found[1][0], found[0][0], atol=5e-3)  # as exact as the reference level is
+    agree(found[1][1], found[0][1], rel=0.05)
 
 
 def test_shares_cut_a_path_as_the_plan_does(paths):
@@ -226,34 +235,41 @@ def test_between_ratios_the_compliance_is_that_of_a_dome(paths):
         several = pin_model(SMALL, ("disk",), paths, ratios=(5.0, 10.0, 20.0))
         for ratio, most in ((10.0, 1e-9), (14.0, 2e-3)):  # at a knot, between
             single = pin_model(replace(SMALL, skin_modulus_mpa=0.1 * ratio), ("disk",), paths)
-            apart = run(several, paths.points, FRICTION, jnp.log(ratio)).pins - run(single, paths.points, FRICTION).pins
-            assert float(jnp.abs(apart).max()) < most
+            apart = at(several, paths.points, FRICTION, np.log(ratio)) - at(single, paths.points, FRICTION)
+            assert np.abs(apart).max() < most
     with pytest.raises(UserError, match="ratios"), jax.enable_x64(True):
         pin_model(SMALL, ("disk",), paths, ratios=(10.0, 5.0))
 
 
-def test_cattaneo_mindlin_by_friction_and_slide(half_space):
-    """Q = mu P [1 - (1 - x / s)^1.5], s = 3 mu P / (16 a G*), differentiated by the slide x and by mu."""
-    radius, share = 0.45, 0.6
-    near = np.flatnonzero(half_space.radius < 1.4 * radius)
+def test_half_space_in_stick_and_in_slip(half_space):
+    """Stuck, a slide x is answered by dQ/dx = 8 a G*; slipping, only friction is: dQ/dmu = P. Each other is nothing."""
+    radius, slide = 0.45, 1.5 * slip_distance(half_space, 0.45)
+    near = np.flatnonzero(half_space.radius < 1.2 * radius)
     rows = (3 * near[:, None] + np.arange(3)).ravel()
     scale = float(np.trace(half_space.w[np.ix_(rows, rows)])) / len(rows)
-    pressed, slide = load(half_space, radius), share * slip_distance(half_space, radius)
     with jax.enable_x64(True):
         w = jnp.asarray(half_space.w[np.ix_(rows, rows)] / scale)
         nodes = np.column_stack([half_space.nodes[near, :2], half_space.sphere(SPHERE_MM)[near]])
         system = System(w, jnp.linalg.inv(w + RHO * jnp.eye(len(w))), w, jnp.asarray(nodes), jnp.zeros(()))
 
-        def pull(slide, mu):
-            path = jnp.zeros((10, 1, 6)).at[1:, 0, 3].set(depth(radius)).at[2:, 0, 0].set(jnp.arange(1, 9) / 8 * slide)
-            state = pin_state(system, jnp.zeros((len(w), 3)), FLAT, jnp.zeros(1, jnp.int32), mu[None], path)
-            return -jnp.sum(state.skin.force[0, :, 0]) / scale, state
+        def pull(slide, friction):
+            path = (
+                jnp.zeros((4, 2, 6))
+                .at[1:, :, 3]
+                .set(depth(radius))
+                .at[2:, :, 0]
+                .set(jnp.outer(jnp.arange(1, 3) / 2, slide))
+            )
+            state = pin_state(system, jnp.zeros((len(w), 3)), FLAT, jnp.zeros(2, jnp.int32), friction, path)
+            return -jnp.sum(state.skin.force[..., 0], axis=1) / scale, state.residual_mm
 
-        at = jnp.asarray(slide), jnp.asarray(MU)
-        (by_slide, by_mu), state = jax.jit(jax.jacfwd(pull, argnums=(0, 1), has_aux=True))(*at)
-        stuck, slipping, free = contact_state(state.skin, at[1][None])
-    assert float(state.residual_mm[0]) < GOAL_MM["float64"]
-    assert min(int(stuck[0]), int(slipping[0]), int(free[0])) > 0
-    root = np.sqrt(1 - share)
-    assert float(by_slide) == pytest.approx(1.5 * MU * pressed * share / slide * root, rel=0.03)
-    assert float(by_mu) == pytest.approx(pressed * (1 - root**3 - 1.5 * share * root), rel=0.06)
+        values = jnp.full(2, slide), jnp.array([jnp.inf, MU])
+        (by_slide, by_friction), residual = jax.jit(jax.jacfwd(pull, (0, 1), has_aux=True))(*values)
+    assert np.all(residual < GOAL_MM["float64"])
+    stuck, slipping = np.diag(by_slide)
+    assert stuck == pytest.approx(8 * radius * half_space.pull_modulus, rel=0.03)
+    assert abs(slipping) < 1e-2 * stuck
+    unmoved, weighed = np.diag(by_friction)
+    assert unmoved == 0
+    assert weighed == pytest.approx(load(half_space, radius), rel=0.03)
+    assert not np.any(by_slide - np.diag(np.diag(by_slide)))  # no scene knows of another

@@ -1,0 +1,198 @@
+"""What a calibration compares: rings of recorded pins with those of simulated ones, as residuals of what is to be found.
+
+Every ring's mean radius and mean place count, contact by contact, each with the weight of its pins.
+"""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxunshear.calibration.labels import Motions
+from jaxunshear.calibration.prediction import Values, displacements, place_of
+from jaxunshear.calibration.statistics import Seen, ring_motion, ring_radii, unit_vectors
+from jaxunshear.calibration.tracking import shells
+from jaxunshear.scene.sensor import Sensor
+
+RATIO_STEP = 6.0  # between the domes that stiffnesses are interpolated from
+# Standard deviations of wide priors: of logarithms, but for `surface_mm`. They hold what the images leave open.
+PRIORS = {
+    "mm_across": 1.0,
+    "distance_mm": 0.7,
+    "pin_spacing_mm": 0.2,
+    "friction": 1.0,
+    "skin_to_gel": 1.5,
+    "surface_mm": 5.0,
+}
+UNSOLVED_PX = 3.0  # what a contact without a solution counts for: dropping it must not pay
+
+
+@dataclass(frozen=True)
+class Group:
+    """Images of one camera and one day, seen as a simulated camera sees them, with the contacts that made them if these are known."""
+
+    name: str
+    seen: Seen
+    contacts: Motions | None = None
+    side: int = 0
+
+    def thinned(self, step: int) -> "Group":
+        """With one of `step` images."""
+        rows = np.arange(0, len(self.seen.found), step)
+        contacts = None if self.contacts is None else self.contacts.take(rows)
+        return Group(self.name, self.seen.take(rows), contacts, self.side)
+
+
+class _Simulated:
+    """Displacements of the probe's pins of labelled contacts, solved when first asked for."""
+
+    def __init__(
+        self, contacts: Motions, side: int, which: int, sensor: Sensor, advance: Callable[[int], None]
+    ) -> None:
+        self.contacts, self.side, self.which, self.sensor, self.advance = contacts, side, which, sensor, advance
+        self.nodes: list[float] = []
+        self.known: dict[tuple[float, float, float], np.ndarray] = {}
+
+    def at(self, values: Values, ratio: float) -> np.ndarray:
+        """(N, Q, 3) mm; NaN for contacts out of reach or without a solution."""
+        surface = values.surface_mm[self.which]
+        key = (round(values.friction, 9), round(surface, 9), round(ratio, 9))
+        if key not in self.known:
+            moved, converged = displacements(self.sensor, self.contacts, self.side, values.friction, surface, ratio)
+            self.known[key] = np.where(converged[:, None, None], moved, np.nan)
+            self.advance(len(moved))
+        return self.known[key]
+
+    def between(self, values: Values) -> np.ndarray:
+        """Quadratic in the logarithm of skin:gel."""
+        total = np.zeros(())
+        for i, node in enumerate(self.nodes):
+            weight = _lagrange(values, node, np.delete(self.nodes, i))
+            if abs(weight) > 1e-9:
+                total = total + weight * self.at(values, node)
+        return total
+
+    def nearby(self, values: Values, base: Values) -> np.ndarray:
+        """The same for a small change of friction or surface: it is about the same at all stiffnesses."""
+        node = min(self.nodes, key=lambda node: abs(np.log(node / base.skin_to_gel)))
+        return self.between(base) + (self.at(values, node) - self.at(base, node))
+
+
+def _lagrange(values: Values, node: float, others: np.ndarray) -> float:
+    return float(np.prod(np.log(values.skin_to_gel / others) / np.log(node / others)))
+
+
+def features(seen_shell: np.ndarray, place: np.ndarray, direction: np.ndarray, size: int) -> np.ndarray:
+    """(N, F) px of 128: radii and mean places of the rings, each weighing as its pins. `place` as in `Seen`."""
+    pins = np.bincount(seen_shell)
+    weight = np.sqrt(pins / pins.sum()) * (128 / size)
+    radii = ring_radii(seen_shell, place, direction) * weight[1:]
+    motion = ring_motion(seen_shell, place) * weight
+    return np.concatenate([radii, motion.real, motion.imag], axis=1)
+
+
+class Problem:
+    def __init__(
+        self,
+        groups: list[Group],
+        sensor: Sensor,
+        start: Values,
+        held: Collection[str],
+        advance: Callable[[int], None],
+    ) -> None:
+        self.groups, self.sensor, self.start = groups, sensor, start
+        self.simulated = [
+            None if group.contacts is None else _Simulated(group.contacts, group.side, i, sensor, advance)
+            for i, group in enumerate(groups)
+        ]
+        self.recorded = [
+            features(group.seen.lattice.shell, group.seen.place, group.seen.direction, group.seen.size)
+            for group in groups
+        ]
+        labelled = any(group.contacts is not None for group in groups)
+        slid = any(group.contacts is not None and np.any(np.abs(group.contacts.slide) > 1e-6) for group in groups)
+        names = ["mm_across", "distance_mm"]
+        names += ["pin_spacing_mm", "skin_to_gel"] if labelled else []
+        names += ["friction"] if slid else []
+        self.scalars = [name for name in names if name not in held]
+        self.steps = 0  # of RATIO_STEP, from the start to the middle one of three domes
+        self.recentre(start)
+        self.surfaces = [i for i, group in enumerate(groups) if group.contacts is not None]
+        self.names = self.scalars + [f"surface_mm {groups[i].name}" for i in self.surfaces]
+
+    def values(self, x: np.ndarray) -> Values:
+        """Parameters as logarithms over the start, surfaces as differences from it."""
+        scalars = {
+            name: float(getattr(self.start, name) * np.exp(step)) for name, step in zip(self.scalars, x, strict=False)
+        }
+        surface = list(self.start.surface_mm)
+        for i, step in zip(self.surfaces, x[len(self.scalars) :], strict=True):
+            surface[i] += float(step)
+        return replace(self.start, **scalars, surface_mm=tuple(surface))
+
+    def place(self, values: Values) -> np.ndarray:
+        """The inverse of `values`."""
+        scalars = [np.log(getattr(values, name) / getattr(self.start, name)) for name in self.scalars]
+        return np.array(scalars + [values.surface_mm[i] - self.start.surface_mm[i] for i in self.surfaces])
+
+    def nuisance(self) -> np.ndarray:
+        return np.array([name not in self.scalars for name in self.names])
+
+    def prior(self) -> np.ndarray:
+        return np.array([PRIORS[name.split()[0]] for name in self.names])
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        low, high = -3 * self.prior(), 3 * self.prior()
+        if "skin_to_gel" in self.names:
+            k = self.names.index("skin_to_gel")
+            low[k], high[k] = ((self.steps + end) * np.log(RATIO_STEP) for end in (-1, 1))
+        return low, high
+
+    def recentre(self, values: Values) -> bool:
+        """Takes other domes where the stiffness nears the last one; whether it did."""
+        place = np.log(values.skin_to_gel / self.start.skin_to_gel) / np.log(RATIO_STEP)
+        moved = abs(place - self.steps) > 0.75
+        self.steps = round(place) if moved else self.steps
+        for simulated in self.simulated:
+            if simulated is not None:
+                simulated.nodes = [self.start.skin_to_gel * RATIO_STEP ** (self.steps + i) for i in (-1, 0, 1)]
+        return moved
+
+    def residuals(self, values: Values, which: int, near: Values | None = None) -> np.ndarray:
+        """(N, F) of one group, simulated less recorded; zero where nothing is known. `near`: see `_Simulated.nearby`."""
+        group, simulated = self.groups[which], self.simulated[which]
+        moved = None
+        if simulated is not None:
+            moved = simulated.between(values) if near is None else simulated.nearby(values, near)
+        place, rest = place_of(values, self.sensor, group.seen.size, moved)
+        expected = features(shells(self.sensor), place, unit_vectors(rest), group.seen.size)
+        difference = expected - self.recorded[which]
+        if (
+            simulated is None
+        ):  # a touch widens all rings, nobody knows how far: the narrowest tenth is held to be undisturbed
+            difference = np.broadcast_to(np.nanpercentile(difference, 90, axis=0), difference.shape).copy()
+            difference[:, group.seen.lattice.shell.max() :] = 0
+        elif moved is not None:
+            unsolved = ~np.isfinite(moved[:, 0, 0])
+            difference[unsolved] = 0
+            difference[unsolved, 0] = UNSOLVED_PX
+        return np.nan_to_num(difference)
+
+    def all(self, values: Values) -> np.ndarray:
+        return np.concatenate([self.residuals(values, i) for i in range(len(self.groups))])
+
+    def slopes(self, x: np.ndarray, base: np.ndarray) -> np.ndarray:
+        """(N, F, K) forward differences."""
+        slopes = np.zeros((*base.shape, len(x)))
+        ends = np.cumsum([0, *(len(recorded) for recorded in self.recorded)])
+        for k, name in enumerate(self.names):
+            step = 0.05 if name.split()[0] in ("friction", "skin_to_gel", "surface_mm") else 0.01
+            moved = x.copy()
+            moved[k] += step
+            values, here = self.values(moved), self.values(x)
+            near = here if name.split()[0] in ("friction", "surface_mm") else None
+            own = [self.surfaces[k - len(self.scalars)]] if k >= len(self.scalars) else range(len(self.groups))
+            for i in own:
+                rows = slice(ends[i], ends[i + 1])
+                slopes[rows, :, k] = (self.residuals(values, i, near) - base[rows]) / step
+        return slopes
