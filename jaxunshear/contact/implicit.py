@@ -21,6 +21,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
+from jax.custom_batching import custom_vmap
 
 from jaxunshear.contact.friction import (
     LEAST_MM,
@@ -115,8 +116,22 @@ def _solve_linear(w, frame, slope, right, most):
     touches = jnp.any(slope != 0, axis=(2, 3))
     if most >= touches.shape[1]:
         return _rotate(frame, _dense(w, *inside))
-    few = jnp.max(jnp.sum(touches, axis=1)) <= most
+    few = _most_touching(jax.lax.stop_gradient(touches)) <= most
     return _rotate(frame, jax.lax.cond(few, partial(_on_touching, most), _dense, w, *inside))
+
+
+@custom_vmap
+def _most_touching(touches):
+    """Of all scenes, of those of a vmap too: the choice that stands on it stays one, or both of its sides would be worked out.
+
+    XLA's CPU client was seen to wait for ever for two such factorisations of one loop.
+    """
+    return jnp.max(jnp.sum(touches, axis=-1))
+
+
+@_most_touching.def_vmap
+def _most_touching_rule(size, batched, touches):
+    return _most_touching(touches), False
 
 
 def _on_touching(most, w, slope, right):
