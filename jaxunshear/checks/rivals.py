@@ -96,7 +96,7 @@ def _gradient(accelerate: bool) -> Solver:
             share = jnp.where(against, 0, (momentum - 1) / following)
             return (after, after + share[:, None, None] * (after - z), following), error
 
-        force, dual = start
+        force, dual, _ = start
         state = (force, force, jnp.ones(len(force), force.dtype))
         (force, *_), error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
         return force, dual, error, spent
@@ -139,7 +139,7 @@ def anderson(system, frame, offset, friction, start, tolerance, limit):
         held = jnp.where(worse[:, 0, 0], before, norm)
         return (after, v + pull, ways, pulls, (v, pull), held, z, number + 1), error
 
-    force, dual = start
+    force, dual, _ = start
     v = force + dual
     pull, z, _ = move(v)
     none = jnp.zeros((count, MEMORY, size), v.dtype)

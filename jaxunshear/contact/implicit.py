@@ -199,7 +199,8 @@ def _find(most, w, frame, offset, friction, guess: Guess) -> jax.Array:
         force, dual, error, number = state
         length = jnp.clip(guess.length_mm, LEAST_MM, MOST_MM)
         wanted = jnp.where(error > goal, TOLERANCE * length * 10.0**-number, jnp.inf).astype(offset.dtype)
-        force, dual, _, _ = solve_increment(system, frame, offset, friction, (force, dual), wanted, LIMIT)
+        warm = (force, dual, _times(w, force, frame))
+        force, dual, _, _ = solve_increment(system, frame, offset, friction, warm, wanted, LIMIT)
         start = (force, _size(miss(force)), jnp.ones((), bool), jnp.zeros((), jnp.int32))
         force, error, _, _ = jax.lax.while_loop(newton_goes_on, newton, start)
         return force, -(_times(w, force, frame) + offset) / RHO, error, number + 1

@@ -45,7 +45,7 @@ class Level:
 LEVELS = {
     "fast": Level(press=1, slide=4, press_mm=3.0, slide_mm=0.9, tolerance=0.25, limit=300),
     "default": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600, omit=()),
-    "auto": Level(press=2, slide=8, press_mm=2.5, slide_mm=0.45, tolerance=0.15, limit=600),
+    "auto": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600),
     "reference": Level(
         press=6,
         slide=24,
@@ -74,6 +74,7 @@ NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 
 BATCHES = (1, 4, 16, 32, 64, 256)
 LEAST_SPLIT = 24  # scenes in a batch that is worth splitting
 WORTH = 0.9  # of the whole's cost: more parts must save more than this
+PRODUCTS = 16  # of a matrix with the forces, an increment
 ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
 
@@ -273,11 +274,11 @@ def _features(mask: np.ndarray, steps: np.ndarray, nodes: np.ndarray) -> np.ndar
 
 
 def _cost(group: _Group, rows: np.ndarray) -> float:
-    """Of one batch, in multiplications: its increments, and the inverse."""
+    """Of one batch, in multiplications: its increments, and the inverse, which runs at half the rate of a product."""
     unknowns = group.unknowns * padded(int(group.mask[rows].any(axis=0).sum()), NODE_COUNTS)
-    iterations = 25 * max(int(group.steps[rows].max()), 1)
+    products = PRODUCTS * max(int(group.steps[rows].max()), 1)
     batches = -(-len(rows) // group.batch)
-    return batches * (iterations * max(min(len(rows), group.batch), ROWS_AT_LEAST) * unknowns**2 + unknowns**3)
+    return batches * (products * max(min(len(rows), group.batch), ROWS_AT_LEAST) * unknowns**2 + 2 * unknowns**3)
 
 
 def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:

@@ -219,9 +219,10 @@ def _obstacles(stimuli: tuple[Stimulus, ...]) -> Obstacles:
 
 @lru_cache(maxsize=4)
 def _matrices(sensor: Sensor, precision: str) -> tuple[np.ndarray, np.ndarray]:
-    """w of the dome, scaled to a unit mean diagonal, and g, in one precision."""
+    """w of the dome, scaled to a unit mean diagonal, and g transposed, in one precision."""
     whole = dome(sensor)
-    return (whole.w / (np.trace(whole.w) / len(whole.w))).astype(precision), whole.g.astype(precision)
+    scaled = (whole.w / (np.trace(whole.w) / len(whole.w))).astype(precision)
+    return scaled, np.ascontiguousarray(whole.g.T.astype(precision))
 
 
 @lru_cache(maxsize=4)
@@ -242,8 +243,9 @@ def _system(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tu
     found, count = len(rows), len(parts) * size
     matrix, _ = _matrices(sensor, precision)
     scale = np.trace(whole.w) / len(whole.w)
-    w = np.eye(count, dtype=precision)
-    w[:found, :found] = matrix[np.ix_(rows, rows)]
+    w = np.zeros((count, count), precision)
+    w[:found, :found] = matrix.take(rows, 0).take(rows, 1)
+    w[np.arange(found, count), np.arange(found, count)] = 1
     inverse = w.copy()
     inverse[np.diag_indices(count)] += RHO
     spread = np.zeros((count, 0 if friction else 3 * size), precision)
@@ -255,7 +257,7 @@ def _system(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tu
     shared = as_array(w)
     system = System(
         shared,
-        as_array(_inverse(inverse)),
+        _both_halves(as_array(_inverse(inverse))),
         shared if friction else as_array(spread),
         as_array(nodes),
         as_array(sensor.dome_radius_mm),
@@ -264,16 +266,20 @@ def _system(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tu
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Of a symmetric positive definite matrix, symmetric, in its precision: its condition is that of W over RHO.
+    """The upper triangle of a positive definite matrix' inverse, in its precision: the condition is that of W over RHO.
 
-    On one thread: two BLAS threads on a busy machine wait for each other a hundred times longer than they work.
+    Overwrites the matrix. On one thread: two BLAS threads on a busy machine wait for each other a hundred times longer than
+    they work.
     """
     factorise, invert = get_lapack_funcs(("potrf", "potri"), dtype=matrix.dtype)
     with threadpool_limits(1, "blas"):
-        lower = invert(factorise(matrix, lower=True)[0], lower=True)[0]
-    above = np.triu_indices(len(lower), 1)
-    lower[above] = lower.T[above]
-    return lower
+        lower, _ = factorise(matrix.T, lower=True, clean=True, overwrite_a=True)
+        return invert(lower, lower=True, overwrite_c=True)[0].T
+
+
+@jax.jit
+def _both_halves(upper: jax.Array) -> jax.Array:
+    return jnp.triu(upper) + jnp.triu(upper, 1).T
 
 
 @partial(jax.jit, static_argnames=("tolerance", "limit", "tilted"))
@@ -404,9 +410,8 @@ def _pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
     """Displaced pin tips (B, P, 3) under forces (B, N, 3) on the contact nodes."""
     whole = dome(sensor)
     used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    columns = (3 * used[:, None] + np.arange(3)).ravel()
-    matrix = _matrices(sensor, precision)[1][:, columns]
-    moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.T
+    matrix = _matrices(sensor, precision)[1].reshape(len(whole.nodes), 3, -1)[used]
+    moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.reshape(-1, matrix.shape[-1])
     return (whole.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
 
 
