@@ -50,6 +50,7 @@ class SimulatedSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # 
     VERSION = tfds.core.Version(configs.VERSION)
     RELEASE_NOTES: ClassVar[dict[str, str]] = {
         "2.0.0": "Pins as levers; contact to 60 deg from the apex.",
+        "2.1.0": "Presses in increments of 3 mm.",
         "1.0.0": "First release.",
     }
     engine: Engine | None = None  # tests put a fast stand-in for the simulator here

@@ -24,7 +24,7 @@ def listing(kind: str) -> str:
     """One line for each sensor or stimulus."""
     if kind == "sensors":
         return "\n".join(
-            f"{s.name:12} {s.pins} pins, {s.layout}, {s.pin_spacing_mm:g} mm apart; dome radius {s.dome_radius_mm:g} mm"
+            f"{s.name:16} {s.pins} pins, {s.layout}, {s.pin_spacing_mm:g} mm apart; dome radius {s.dome_radius_mm:g} mm"
             for s in SENSORS.values()
         )
     return "\n".join(

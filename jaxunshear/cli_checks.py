@@ -168,8 +168,7 @@ def _calibrate(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.calibration.calibrate import calibrate
 
     found = calibrate(arguments.recordings, arguments.out)
-    print(found["text"])
-    keep(found["rows"])
+    keep(found["rows"] + found["parameters"])
     return 0
 
 

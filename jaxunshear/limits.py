@@ -74,6 +74,11 @@ def _data(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[R
         f"use at least {FEWEST_POSES}, so that each of the three splits gets a pose",
     )
     yield _seed(data.seed), f"{group}.seed", "use a whole number from 0 to 2147483647"
+    yield (
+        data.friction is None or data.friction >= 0,
+        f"{group}.friction",
+        "use 0 or more, or none for each material's own",
+    )
     yield from _ranges(data.ranges, f"{group}.ranges", sensor)
     yield from _camera(data.camera, f"{group}.camera", sensor)
     yield from _nuisance(data.nuisance, f"{group}.nuisance", data.camera)
@@ -131,6 +136,7 @@ def _ranges(ranges: Ranges, group: str, sensor: Sensor) -> Iterator[Rule]:
 def _camera(camera: Camera, group: str, sensor: Sensor) -> Iterator[Rule]:
     yield SMALLEST_PX <= camera.frame_px <= LARGEST_PX, f"{group}.frame_px", f"use {SMALLEST_PX} to {LARGEST_PX}"
     yield camera.mm_across > 0, f"{group}.mm_across", "must be above zero"
+    yield camera.housing >= 1, f"{group}.housing", "use 1 or more: the housing lies outside the outermost pins"
     yield (
         camera.distance_mm > sensor.dome_radius_mm,
         f"{group}.distance_mm",

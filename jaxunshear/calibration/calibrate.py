@@ -17,7 +17,7 @@ from jaxunshear.calibration.fit import Fitted, fit
 from jaxunshear.calibration.matching import CREDIBLE, read_labels
 from jaxunshear.calibration.prediction import Values, skin_to_gel
 from jaxunshear.calibration.problem import Group
-from jaxunshear.calibration.rendering import contact_tips, fit_pin_radius, render
+from jaxunshear.calibration.rendering import contact_tips, fit_housing, fit_pin_radius, render
 from jaxunshear.calibration.report import AFTER, BEFORE, RECORDED, Summaries, curves, rows_of, table
 from jaxunshear.calibration.sampling import Recorded, sample
 from jaxunshear.calibration.statistics import Seen, Summary, observe, summaries
@@ -82,11 +82,14 @@ def calibrate(
     tips_after = [contact_tips(group, after_sensor, fitted.values, i) for i, group in enumerate(groups)]
     radius = fit_pin_radius(groups, after_sensor, fitted.values, [tips for tips, _ in tips_after])
     after_sensor = replace(after_sensor, pin_radius_mm=radius[0])
+    after = replace(
+        fitted.values, housing=fit_housing(groups, after_sensor, fitted.values, [tips for tips, _ in tips_after])
+    )
     told: Summaries = {RECORDED: _merged([_summaries(group, group.seen) for group in groups])}
     pictures = {f"recorded: {part.name}"[:40]: part.images[0] for part in recorded[:2]}
     for kind, own, values, tips in (
         (BEFORE, sensor, before, tips_before),
-        (AFTER, after_sensor, fitted.values, tips_after),
+        (AFTER, after_sensor, after, tips_after),
     ):
         told[kind], picture = _simulated(groups, own, values, tips)
         pictures[kind] = picture
@@ -95,7 +98,7 @@ def calibrate(
     results: dict[str, Any] = {
         "rows": rows_of(told),
         "parameters": parameters,
-        "preset": _preset(after_sensor, fitted.values),
+        "preset": _preset(after_sensor, after),
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.seen.found) for group in groups},
         "notes": notes,

@@ -33,9 +33,10 @@ class Values:
     friction: float
     skin_to_gel: float
     surface_mm: tuple[float, ...] = ()
+    housing: float = Camera.housing
 
     def camera(self, frame_px: int) -> Camera:
-        return Camera(frame_px=frame_px, mm_across=self.mm_across, distance_mm=self.distance_mm)
+        return Camera(frame_px, self.mm_across, self.distance_mm, self.housing)
 
     def sensor(self, sensor: Sensor) -> Sensor:
         return replace(

@@ -12,7 +12,7 @@ from jaxunshear.calibration.prediction import Values, within_reach
 from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.statistics import pin_diameters
 from jaxunshear.contact.simulate import follow
-from jaxunshear.image.camera import frame
+from jaxunshear.image.camera import frame, outer_fraction
 from jaxunshear.image.pins import find_pins
 from jaxunshear.image.preprocess import binarise
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
@@ -20,7 +20,7 @@ from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.sensor import Sensor, pin_tips
 
 FRAME_PX = 256  # at least: what a camera sees before it is made smaller
-RADIUS_IMAGES = 16
+SOME_IMAGES = 16  # tell the size of pins and housing
 RADIUS_STEPS = 3
 UNKNOWN_DEPTHS = (0.03, 0.15)  # over the dome's radius, of flat taps that stand in for unlabelled images
 
@@ -72,7 +72,7 @@ def fit_pin_radius(
         """By what factor the rendered pins are larger than the recorded ones."""
         ratios = []
         for group, tip, wanted in zip(groups, tips, recorded, strict=True):
-            some = tip[:: -(-len(tip) // RADIUS_IMAGES)]
+            some = tip[:: -(-len(tip) // SOME_IMAGES)]
             images = render(
                 values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), group.seen.size, some
             )
@@ -92,3 +92,18 @@ def fit_pin_radius(
     best = min(known, key=lambda pair: abs(pair[1] - 1))[0]
     error = 1.96 * float(np.sqrt(np.mean(np.square(scatter)))) / slope
     return best, best - error, best + error
+
+
+def fit_housing(groups: list[Group], sensor: Sensor, values: Values, tips: list[np.ndarray]) -> float:
+    """The housing's inner radius over the outermost pins' (`Camera.housing`) that makes images as white as the recorded ones.
+
+    What is white beside the pins is a ring from there to the mask, so that its area tells.
+    """
+    excess = []
+    for group, tip in zip(groups, tips, strict=True):
+        camera = values.camera(group.seen.size)
+        images = render(camera, sensor, group.seen.size, tip[:: -(-len(tip) // SOME_IMAGES)])
+        excess.append(
+            (np.mean(images > 127) - np.mean(group.seen.white)) / (np.pi * outer_fraction(camera, sensor) ** 2)
+        )
+    return float(np.sqrt(values.housing**2 + np.mean(excess)))

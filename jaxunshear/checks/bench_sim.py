@@ -40,7 +40,7 @@ class Effort:
     timed: int = 256
     slow: int = 63  # timed, of rows that take a second a state
     repeats: int = 5
-    budget_s: float = 60.0
+    budget_s: float = 15.0
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Camera, Preprocess
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 
-VERSION = "2.0.0"  # of the stored sets; raise it whenever the same settings give other bits
+VERSION = "2.1.0"  # of the stored sets; raise it whenever the same settings give other bits
 PAIRED_SET, POSE_SET = "tactip_paired", "tactip_pose"
 
 PAIRED = {

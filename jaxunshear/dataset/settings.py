@@ -27,6 +27,7 @@ class PairedData:
     slides: int = 2
     tap_depth_jitter_mm: float = 0.0  # the paper: 1.0
     seed: int = 0
+    friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
     nuisance: Nuisance = field(default_factory=Nuisance)
@@ -41,6 +42,7 @@ class PoseData:
     stimuli: tuple[str, ...] = ("disk", "clover", "teardrop")
     poses: int = 2400  # per stimulus
     seed: int = 1
+    friction: float | None = None  # as in `PairedData`
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
     nuisance: Nuisance = field(default_factory=lambda: Nuisance(drift_px=1.0, drift_brightness=0.1))

@@ -123,7 +123,7 @@ def _shots(settings, pose: np.ndarray, move: np.ndarray, instance: np.ndarray, s
     pose_id = np.tile(np.repeat(np.arange(settings.poses), each), len(names))
     age = np.concatenate([np.repeat(_ages(settings, index), each) for index in range(len(names))])
     split = np.concatenate([np.repeat(_splits(settings, name), each) for name in names])
-    scenes = make_scenes(names, stimulus, pose, move)
+    scenes = make_scenes(names, stimulus, pose, move, settings.friction)
     return Shots(scenes, pose_id, instance, slid, age, split, edge_labels(names, scenes))
 
 

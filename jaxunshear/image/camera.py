@@ -21,7 +21,6 @@ from jaxunshear.scene.sensor import Sensor, pin_tips
 PIN_GREY = 0.58
 DARK_GREY = 0.03
 HOUSING_GREY = 0.75
-HOUSING_RADIUS = 1.22  # of the dark disc within the lit housing: 210 px where the outermost pins stand at 172 px
 LAMPS = 6  # around the housing
 
 PIXEL_BLUR = 12**-0.5  # standard deviation of a pixel's own square aperture
@@ -159,7 +158,7 @@ def _housing(camera: Camera, sensor: Sensor, nuisance: Nuisance, shift: Array) -
     across = np.arange(camera.frame_px) - (camera.frame_px - 1) / 2
     x, y = np.meshgrid(across, across)
     angle = np.arctan2(y, x)
-    edge = np.full_like(x, HOUSING_RADIUS * outer_fraction(camera, sensor) * camera.frame_px)
+    edge = np.full_like(x, camera.housing * outer_fraction(camera, sensor) * camera.frame_px)
     for wave, phase in enumerate(rng.uniform(0, 2 * np.pi, 12), start=1):
         edge += 0.0015 * camera.frame_px * np.cos(wave * angle + phase) / np.sqrt(wave)
     inside = jnp.asarray(edge - np.hypot(x, y), jnp.float32)

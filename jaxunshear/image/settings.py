@@ -16,6 +16,12 @@ class Camera:
     frame_px: int = 256
     mm_across: float = 33.5
     distance_mm: float = 200.0  # pinhole above the undeformed apex
+    housing: float = (
+        1.22  # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
+    )
+
+
+FITTED_CAMERA = Camera(mm_across=52.15, distance_mm=65.2, housing=1.26)  # to the contacts of `sensor.TACTIP_331_FITTED`
 
 
 @dataclass(frozen=True)

@@ -46,9 +46,11 @@ def draw_moves(generator: np.random.Generator, count: int, move_mm: float) -> np
     return generator.uniform(-move_mm, move_mm, (count, 2))
 
 
-def make_scenes(names: tuple[str, ...], stimulus: np.ndarray, pose: np.ndarray, move: np.ndarray) -> Scenes:
-    """Scenes with the friction that each stimulus' material has."""
-    friction = np.array([stimulus_named(name).friction for name in names])
+def make_scenes(
+    names: tuple[str, ...], stimulus: np.ndarray, pose: np.ndarray, move: np.ndarray, mu: float | None = None
+) -> Scenes:
+    """Scenes with friction `mu`, or None for that of each stimulus' material."""
+    friction = np.array([stimulus_named(name).friction if mu is None else mu for name in names])
     return Scenes(np.asarray(stimulus), np.asarray(pose, float), np.asarray(move, float), friction[stimulus])
 
 

@@ -5,7 +5,7 @@ Sensor frame: origin at the apex of the undeformed dome, z from the apex towards
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,8 +40,13 @@ class Sensor:
 
 TACTIP_331 = Sensor()
 TACTIP_127 = Sensor(name="tactip127", layout="hexagonal", rings=6, pin_spacing_mm=2.4, pin_radius_mm=0.6)
+# Fitted by `jaxunshear calibrate` to 182 contacts of a real TacTip with an edge (docs/results/calibrate_edge_2d.json).
+TACTIP_331_FITTED = replace(
+    TACTIP_331, name="tactip331-fitted", pin_spacing_mm=2.24, pin_radius_mm=0.524, gel_modulus_mpa=0.0084
+)
+FITTED_FRICTION = 0.361  # of that skin on that edge
 LAYOUTS = ("rings", "hexagonal")
-SENSORS = {sensor.name: sensor for sensor in (TACTIP_331, TACTIP_127)}
+SENSORS = {sensor.name: sensor for sensor in (TACTIP_331, TACTIP_127, TACTIP_331_FITTED)}
 
 
 def sensor_named(name: str) -> Sensor:

@@ -17,7 +17,7 @@ import data_specs.tactip_paired
 import data_specs.tactip_pose
 from data_specs.simulated_set import SimulatedConfig, sha256
 from jaxunshear.dataset.chunks import load_chunk
-from jaxunshear.dataset.configs import CONFIGS, set_folder, unfinished_folder
+from jaxunshear.dataset.configs import CONFIGS, VERSION, set_folder, unfinished_folder
 from jaxunshear.dataset.making import make_set, make_sets
 from jaxunshear.dataset.shots import SPLITS, draw
 from jaxunshear.errors import UserError
@@ -192,11 +192,11 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(paire
 
 
 def test_what_a_run_killed_while_writing_shards_left_is_cleared(pose, sensor, engine, tmp_path):
-    left = set_folder(pose, sensor, tmp_path).parent / "incomplete.ABC123_2.0.0"
+    left = set_folder(pose, sensor, tmp_path).parent / f"incomplete.ABC123_{VERSION}"
     left.mkdir(parents=True)
     (left / "tactip_pose-train.array_record-00000-of-00001").write_bytes(b"half")
     make_set(pose, sensor, tmp_path, engine)
-    assert [path.name for path in left.parent.iterdir()] == ["2.0.0"]
+    assert [path.name for path in left.parent.iterdir()] == [VERSION]
 
 
 def test_chunks_left_by_a_run_killed_at_its_very_end_are_cleared(pose, sensor, engine, tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.dataset import reading
-from jaxunshear.dataset.configs import set_folder
+from jaxunshear.dataset.configs import VERSION, set_folder
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import open_set, shifted
 from jaxunshear.dataset.shots import SPLITS, draw
@@ -147,7 +147,7 @@ def test_a_split_too_large_for_memory_is_the_same(made, monkeypatch, paired, sen
     monkeypatch.setattr(reading, "MEMORY_BYTES", 1000)
     outside = next(open_set("tactip_paired", paired, tmp_path, sensor).split("train", 36))
     assert all(np.array_equal(inside[name], outside[name]) for name in inside)
-    assert [path.name for path in made.folder.parent.iterdir()] == ["2.0.0"]
+    assert [path.name for path in made.folder.parent.iterdir()] == [VERSION]
 
 
 def test_reading_keeps_up_with_training(made):
