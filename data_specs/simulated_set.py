@@ -39,7 +39,12 @@ class SimulatedConfig(tfds.core.BuilderConfig):
 
 def standard_configs(name: str) -> list[SimulatedConfig]:
     return [
-        SimulatedConfig(name=config, settings=settings, description=f"{settings.poses} poses a stimulus, see README.md")
+        SimulatedConfig(
+            name=config,
+            settings=settings,
+            sensor=configs.sensor_of(config),
+            description=f"{settings.poses} poses a stimulus, see README.md",
+        )
         for config, settings in configs.CONFIGS[name].items()
     ]
 

@@ -6,21 +6,17 @@ Expected on two cores: as long as the demo. The fitted skin is a hundred times s
 that slides drag it less than the demo's.
 """
 
-from dataclasses import replace
-
-from jaxunshear.dataset.configs import PAIRED, POSE
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
 from jaxunshear.experiment import Experiment
-from jaxunshear.image.settings import FITTED_CAMERA
 from jaxunshear.model.settings import UnshearNet
-from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331_FITTED
 from jaxunshear.training.settings import Training
 
 experiment = Experiment(
     name="calibrated",
     claim="A network takes the slide out of images of a sensor that was fitted to real ones.",
-    sensor=TACTIP_331_FITTED,
-    paired=replace(PAIRED["demo"], camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    pose=replace(POSE["demo"], camera=FITTED_CAMERA, friction=FITTED_FRICTION),
+    sensor=sensor_of("calibrated"),
+    paired=PAIRED["calibrated"],
+    pose=POSE["calibrated"],
     unshear=UnshearNet(widths=(16, 32, 64, 128, 256)),
     train=Training(epochs=10, batch=8, learning_rate=3e-3, shift=0.01, reconstruction_weight=0.3, validate_every=300),
     train_posenet=Training(epochs=16, batch=16, learning_rate=1e-3, shift=0.01, validate_every=400),

@@ -114,6 +114,12 @@ def _parser() -> _Parser:
     command = commands.add_parser("report", help=text, description=text)
     command.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
 
+    text = "show what the decoders make of swapped, blanked, shuffled and foreign codes (the paper's appendix D)"
+    command = commands.add_parser("ablate", help=text, description=text)
+    command.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
+    command.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+    _add_json(command)
+
     for name, text in (
         ("unshear", "take the slide out of recorded images; also predicts their poses"),
         ("pose", "predict the poses of recorded images, as they are and unsheared"),
@@ -155,6 +161,8 @@ def _run(argv: list[str]) -> int:
         _stages(arguments, fields, command)
     elif arguments.command == "report":
         _report(arguments.run)
+    elif arguments.command == "ablate":
+        _ablate(arguments, command)
     elif arguments.command in ("unshear", "pose"):
         _infer(arguments)
     elif arguments.command in cli_checks.COMMANDS:
@@ -195,6 +203,24 @@ def _report(run: Path) -> None:
     from jaxunshear.report.report import write_report
 
     print(write_report(run))
+
+
+def _ablate(arguments: argparse.Namespace, command: str) -> None:
+    from jaxunshear.config import from_json
+    from jaxunshear.evaluation import ablation
+    from jaxunshear.storage import read_json, write_json
+
+    settings = arguments.run / "experiment.json"
+    if not settings.is_file():
+        raise UserError(
+            f"{arguments.run} holds no experiment.json: name the folder of a finished run, such as runs/demo"
+        )
+    experiment = from_json(read_json(settings), str(settings))
+    results = ablation.ablate(experiment, arguments.run, arguments.data, command)
+    print(ablation.table(results["rows"]))
+    print(arguments.run / "ablation.png")
+    if arguments.json:
+        write_json(arguments.json, results)
 
 
 def _infer(arguments: argparse.Namespace) -> None:

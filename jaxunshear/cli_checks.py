@@ -44,9 +44,10 @@ def add_parsers(commands: Any) -> None:
     parser.add_argument("--only", metavar="NAME", help="only the cases whose name contains this")
 
     parser = command("bench", "error against run time", "folder for the figure")
-    parser.add_argument("what", choices=("sim",), help="sim: the contact simulator")
-    parser.add_argument("--level", choices=LEVEL_NAMES, help="only rows of this level")
-    parser.add_argument("--batch", metavar="N", type=int, help="only rows with N scenes in a batch")
+    parser.add_argument("what", choices=("sim", "train", "infer"), help="the contact simulator, or the networks")
+    parser.add_argument("--level", choices=LEVEL_NAMES, help="sim: only rows of this level")
+    parser.add_argument("--batch", metavar="N", type=int, help="only rows with N scenes or images in a batch")
+    parser.add_argument("--size", metavar="PX", type=int, help="train, infer: only images of this size")
 
     parser = command("calibrate", "fit camera, pins, friction and stiffness to recordings", "folder for figures")
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
@@ -130,16 +131,30 @@ def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _bench(arguments: argparse.Namespace, keep: Keep) -> int:
+    if arguments.batch is not None and arguments.batch < 1:
+        raise UserError(f"--batch {arguments.batch}: use at least 1")
+    if arguments.what != "sim":
+        return _bench_networks(arguments, keep)
     from jaxunshear.checks import bench_figure, bench_sim
     from jaxunshear.storage import write_bytes
 
-    if arguments.batch is not None and arguments.batch < 1:
-        raise UserError(f"--batch {arguments.batch}: use at least 1")
     rows = bench_sim.bench_sim(arguments.level, arguments.batch, keep=keep)
     print(bench_sim.table(rows))
     if arguments.out is not None:
         write_bytes(arguments.out / "work_precision.png", bench_figure.work_precision(rows))
         print(arguments.out / "work_precision.png")
+    return 0
+
+
+def _bench_networks(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.checks import bench_networks
+
+    if arguments.size is not None and arguments.size < 1:
+        raise UserError(f"--size {arguments.size}: use at least 1")
+    measure = bench_networks.bench_train if arguments.what == "train" else bench_networks.bench_infer
+    rows = measure(arguments.size, arguments.batch)
+    print(bench_networks.table(rows))
+    keep(rows)
     return 0
 
 

@@ -51,6 +51,14 @@ def test_rows_are_written_with_command_and_machine(tmp_path, capsys):
     assert "nodes" in capsys.readouterr().out
 
 
+def test_a_calibration_writes_statistics_and_parameters(tmp_path, monkeypatch):
+    rows = {"rows": [{"name": "pin spacing"}], "parameters": [{"name": "friction"}]}
+    monkeypatch.setattr("jaxunshear.calibration.calibrate.calibrate", lambda recordings, out: rows)
+    file = tmp_path / "calibration.json"
+    assert main(["calibrate", "recordings", "--json", str(file)]) == 0
+    assert json.loads(file.read_text())["rows"] == rows["rows"] + rows["parameters"]
+
+
 def test_a_folder_cannot_be_the_file_of_rows(tmp_path, capsys):
     assert main(["verify", "--json", str(tmp_path)]) == 2
     assert "is a folder" in capsys.readouterr().err

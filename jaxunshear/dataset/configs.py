@@ -7,8 +7,8 @@ from pathlib import Path
 
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Camera, Preprocess
-from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.image.settings import FITTED_CAMERA, Camera, Preprocess
+from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, Sensor
 
 VERSION = "2.1.0"  # of the stored sets; raise it whenever the same settings give other bits
 PAIRED_SET, POSE_SET = "tactip_paired", "tactip_pose"
@@ -16,6 +16,7 @@ PAIRED_SET, POSE_SET = "tactip_paired", "tactip_pose"
 PAIRED = {
     "tiny": PairedData(config="tiny", poses=10),
     "demo": PairedData(),
+    "calibrated": PairedData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PairedData(config="standard", poses=400, taps=2, slides=8, tap_depth_jitter_mm=0.5),
     "paper": PairedData(
         config="paper",
@@ -30,10 +31,16 @@ PAIRED = {
 POSE = {
     "tiny": PoseData(config="tiny", poses=10),
     "demo": PoseData(),
+    "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PoseData(config="standard", poses=3000),
     "paper": PoseData(config="paper", poses=10_000, camera=Camera(frame_px=256), preprocess=Preprocess(size=256)),
 }
 CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: PAIRED, POSE_SET: POSE}
+
+
+def sensor_of(config: str) -> Sensor:
+    """The sensor of a stored configuration."""
+    return TACTIP_331_FITTED if config == "calibrated" else TACTIP_331
 
 
 def set_name(settings: PairedData | PoseData) -> str:
@@ -60,7 +67,7 @@ def config_name(settings: PairedData | PoseData, sensor: Sensor = TACTIP_331) ->
     known = CONFIGS[set_name(settings)]
     if settings.config not in known:
         raise UserError(f"config '{settings.config}' of {set_name(settings)} is unknown: use one of {', '.join(known)}")
-    if settings == known[settings.config] and sensor == TACTIP_331:
+    if settings == known[settings.config] and sensor == sensor_of(settings.config):
         return settings.config
     return f"custom-{fingerprint(settings, sensor)}"
 

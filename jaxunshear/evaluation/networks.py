@@ -10,9 +10,9 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.dataset.settings import Ranges
+from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import Outputs, image_scores
 from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training.checkpoint import load_best, read_net
 
 FOLDERS = ("disentangled", "entangled", "posenet")
@@ -32,25 +32,10 @@ def load(run_dir: Path, ranges: Ranges) -> Callable[[np.ndarray, np.ndarray], tu
     def run(variables: dict[str, Any], tap: Array, sheared: Array):
         images = {"tap": tap.astype(np.float32) / 255, "sheared": sheared.astype(np.float32) / 255}
         images["entangled"] = unshearnet.unshear(nets["entangled"], variables["entangled"], images["sheared"])
-        cells = swapped(nets["disentangled"], variables["disentangled"], images["sheared"])
+        cells = draw_cells(nets["disentangled"], variables["disentangled"], images["sheared"])
         images["disentangled"] = cells["DC(z_p)"]
         answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}
         poses = {kind: posenet.pose_from_outputs(answer, ranges) for kind, answer in answers.items()}
         return Outputs(images, cells, poses), image_scores(images, cells)
 
     return partial(run, variables)
-
-
-def swapped(net: UnshearNet, variables: Any, sheared: Array) -> dict[str, Array]:
-    """Appendix D's four cells, images in [0, 1]: each decoder fed the codes of `sheared` (B, S, S, 1), right and wrong.
-
-    Without a shear code only `DC(z_p)`; the crossed cells need codes of one width.
-    """
-    pose, shear = unshearnet.encode(net, variables, sheared)
-    cells = {"DC(z_p)": unshearnet.decode_canonical(net, variables, pose)}
-    if shear is not None:
-        cells["DS(z_p,z_s)"] = unshearnet.decode_sheared(net, variables, pose, shear)
-        if net.shear_channels == net.pose_channels:
-            cells["DC(z_s)"] = unshearnet.decode_canonical(net, variables, shear)
-            cells["DS(z_p,z_p)"] = unshearnet.decode_sheared(net, variables, pose, pose)
-    return {name: jax.nn.sigmoid(logits) for name, logits in cells.items()}

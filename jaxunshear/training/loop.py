@@ -4,7 +4,7 @@
 
 `batches(start_step)` is an endless iterator of batches, the same ones whichever step it starts from; `validation()` a
 finite one. All randomness of a step follows from the seed and the step's number, so a run that was killed ends with
-the very bits of an undisturbed one. (You can skip `_Task` and read `_train`.)
+the very bits of an undisturbed one. (The losses are in tasks.py, the step in step.py.)
 """
 
 import dataclasses
@@ -14,27 +14,25 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-import optax
 from jax import Array
 
 from jaxunshear import storage
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import posenet, settings, unshearnet
+from jaxunshear.model import settings
 from jaxunshear.progress import Progress
-from jaxunshear.training import checkpoint, losses
+from jaxunshear.training import checkpoint
 from jaxunshear.training.settings import Training
+from jaxunshear.training.step import fresh, make_step, optimiser_of
+from jaxunshear.training.tasks import Batch, Task, Tree, posenet_task, unshear_task
 
-Batch = dict[str, Any]
 Batches = Callable[[int], Iterator[Batch]]
 Validation = Callable[[], Iterator[Batch]]
-Tree = Any
 
 
 @dataclass(frozen=True)
@@ -50,28 +48,6 @@ class Summary:
     train_seconds: float  # steps and their data, without compilation, validation and checkpoints
     compile_seconds: float
     images_per_second: float
-
-
-class State(NamedTuple):
-    """All that a step changes."""
-
-    step: Array
-    params: Tree
-    batch_stats: Tree
-    optimiser: Tree
-    average: dict[str, Tree]  # moving averages of both: the variables that are validated, kept and used
-
-
-@dataclass(frozen=True)
-class _Task:
-    """What differs between the networks. Terms are losses per example (B,), by name."""
-
-    kind: str
-    init: Callable[[Array], Tree]
-    terms: Callable[[Tree, Batch, Array], tuple[dict[str, Array], Tree]]  # variables, batch, key -> terms, batch_stats
-    weights: dict[str, float]
-    validate: Callable[[Tree, Batch], dict[str, Array]]
-    rank: str  # the validation term that the best model is chosen by
 
 
 def train_unshear(
@@ -92,34 +68,7 @@ def train_unshear(
     any JSON that says where the data come from; a folder trained from another origin or with other settings is refused.
     Raises UserError (a loss that is not finite, a damaged checkpoint, settings that do not fit).
     """
-    crop = training.crop_px
-    if not 0 < crop <= net.size:
-        raise UserError(f"crop_px: crops of {crop} px do not fit images of {net.size} px")
-
-    def terms(variables, batch, key):
-        canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
-        logits, sheared_logits, batch_stats = unshearnet.reconstruct(net, variables, sheared)
-        image = jax.nn.sigmoid(logits)
-        corners = losses.random_corners(key, len(image), training.crops, net.size, crop)
-        counts = losses.coverage(corners, net.size, crop)
-        named = {"supervised": losses.supervised(image, canonical), "patch": losses.patch(image, canonical, counts)}
-        if sheared_logits is not None:
-            named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
-        return named, batch_stats
-
-    def validate(variables, batch):
-        canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
-        z_p, z_s = unshearnet.encode(net, variables, sheared)
-        image = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
-        named = {"supervised": losses.supervised(image, canonical)}
-        if z_s is not None:
-            again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
-            named["reconstruction"] = losses.reconstruction(again, sheared)
-        return named
-
-    weights = {"supervised": 1.0, "patch": training.patch_weight, "reconstruction": training.reconstruction_weight}
-    _checked(unshearnet.check, net)
-    task = _Task("unshear", lambda key: unshearnet.init(net, key), terms, weights, validate, "supervised")
+    task = unshear_task(net, training)
     asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
     return _train(task, training, batches, validation, seed, Path(folder), epoch_images, asked | {"origin": origin})
 
@@ -139,21 +88,7 @@ def train_posenet(
     """Train PoseNet; as `train_unshear`. Batches: {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2)
     float32."""
 
-    def terms(variables, batch, key):
-        outputs, batch_stats = posenet.predict_training(net, variables, _unit(batch["image"]))
-        targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
-        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)}, batch_stats
-
-    def validate(variables, batch):
-        outputs = posenet.predict(net, variables, _unit(batch["image"]))
-        targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
-        got, true = posenet.pose_from_outputs(outputs, ranges), posenet.pose_from_outputs(targets, ranges)
-        turn = {"edge_deg": 360.0}
-        errors = {name: jnp.abs(_wrapped(got[name] - true[name], turn.get(name))) for name in got}
-        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)} | errors
-
-    _checked(posenet.check, net)
-    task = _Task("posenet", lambda key: posenet.init(net, key), terms, {"pose": 1.0}, validate, "pose")
+    task = posenet_task(net, ranges)
     asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
     return _train(
         task,
@@ -167,25 +102,8 @@ def train_posenet(
     )
 
 
-def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> Callable[[Array], Array]:
-    """Step -> learning rate. Raises UserError for an unknown schedule."""
-    first = training.learning_rate
-    if training.schedule == "cosine":
-        return optax.cosine_decay_schedule(first, steps)
-    if training.schedule != "steps":
-        raise UserError(f'schedule: "{training.schedule}" is unknown; use "cosine" or "steps"')
-
-    def drop(step):
-        rate = jnp.asarray(first)
-        for epoch, factor in training.drops:
-            rate = jnp.where(step >= epoch * steps_per_epoch, first * factor, rate)
-        return rate
-
-    return drop
-
-
 def _train(
-    task: _Task,
+    task: Task,
     training: Training,
     batches: Batches,
     validation: Validation,
@@ -200,10 +118,10 @@ def _train(
     keep_freed_memory()
     batch_size, steps_per_epoch = training.batch, epoch_images / training.batch
     steps = max(1, round(training.epochs * steps_per_epoch))
-    optimiser = optax.adam(learning_rate(training, steps, steps_per_epoch), training.beta1, training.beta2)
+    optimiser = optimiser_of(training, steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
 
-    state = jax.jit(lambda key: _fresh(task.init(key), optimiser))(key_init)
+    state = jax.jit(lambda key: fresh(task.init(key), optimiser))(key_init)
     history: list[dict[str, Any]] = []
     best_step, best_loss, seconds, compile_seconds = 0, math.inf, 0.0, 0.0
     start = checkpoint.latest(folder) or 0
@@ -217,7 +135,7 @@ def _train(
     stream = iter(batches(start))
     batch = jax.device_put(next(stream))
     began = time.perf_counter()
-    step = jax.jit(_step(task, training, optimiser, key_steps), donate_argnums=0).lower(state, batch).compile()
+    step = jax.jit(make_step(task, training, optimiser, key_steps), donate_argnums=0).lower(state, batch).compile()
     validate = jax.jit(task.validate)
     compile_seconds += time.perf_counter() - began
 
@@ -266,38 +184,6 @@ def _train(
     return summary
 
 
-def _fresh(variables: Tree, optimiser: optax.GradientTransformation) -> State:
-    params, batch_stats = variables["params"], variables["batch_stats"]
-    average = {"params": params, "batch_stats": batch_stats}
-    return State(jnp.zeros((), jnp.int32), params, batch_stats, optimiser.init(params), average)
-
-
-def _step(task: _Task, training: Training, optimiser: optax.GradientTransformation, key: Array):
-    """The step: (state, batch) -> (state, mean terms, regularisation and gradient norm by name)."""
-
-    def loss(params, batch_stats, batch, step_key):
-        terms, batch_stats = task.terms({"params": params, "batch_stats": batch_stats}, batch, step_key)
-        metrics = {name: jnp.mean(values) for name, values in terms.items()}
-        kernels = losses.regularisation(params, training.l1, training.l2)
-        total = kernels + sum(task.weights[name] * value for name, value in metrics.items())
-        return total, (metrics | {"regularisation": kernels}, batch_stats)
-
-    def step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
-        step_key = jax.random.fold_in(key, state.step)
-        gradient_of = jax.grad(loss, has_aux=True)
-        gradient, (metrics, batch_stats) = gradient_of(state.params, state.batch_stats, batch, step_key)
-        updates, moments = optimiser.update(gradient, state.optimiser, state.params)
-        params = optax.apply_updates(state.params, updates)
-        # averages start short, else the first weights would linger in them
-        decay = jnp.minimum(training.averaging, (1.0 + state.step) / (10.0 + state.step))
-        new = {"params": params, "batch_stats": batch_stats}
-        average = jax.tree.map(lambda old, now: decay * old + (1 - decay) * now, state.average, new)
-        metrics["gradient"] = jnp.sqrt(sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(gradient)))
-        return State(state.step + 1, params, batch_stats, moments, average), metrics
-
-    return step
-
-
 def _finite(step: int, metrics: dict[str, Array], folder: Path) -> dict[str, float]:
     """Metrics as floats. Raises UserError where one is not finite: nothing learnt after that is worth keeping."""
     values = {name: float(value) for name, value in jax.device_get(metrics).items()}
@@ -335,22 +221,6 @@ def _mean_terms(validate, variables: Tree, batches: Iterator[Batch]) -> dict[str
 def _ranked(loss: float | None) -> float:
     """A loss that was not finite ranks last."""
     return math.inf if loss is None else loss
-
-
-def _unit(images: Array) -> Array:
-    """uint8 {0, 255} -> float32 [0, 1]; floats are taken as they are."""
-    return images.astype(jnp.float32) / 255.0 if jnp.issubdtype(images.dtype, jnp.integer) else images
-
-
-def _wrapped(difference: Array, turn: float | None) -> Array:
-    return difference if turn is None else (difference + turn / 2) % turn - turn / 2
-
-
-def _checked(check: Callable[[Any], None], net: Any) -> None:
-    try:
-        check(net)
-    except ValueError as error:
-        raise UserError(str(error)) from error
 
 
 def _write_log(folder: Path, history: list[dict[str, Any]]) -> None:

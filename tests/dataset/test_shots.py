@@ -86,6 +86,7 @@ def test_friction_is_the_materials(paired):
     disk, spiral = (set(shots.scenes.friction[shots.scenes.stimulus == index]) for index in range(2))
     assert len(disk) == len(spiral) == 1
     assert disk != spiral
+    assert set(draw_paired(dataclasses.replace(paired, friction=0.2)).scenes.friction) == {0.2}
 
 
 @pytest.mark.parametrize(

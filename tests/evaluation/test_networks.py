@@ -9,6 +9,7 @@ import pytest
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import networks
+from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import CELLS, KINDS
 from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model import unshearnet
@@ -16,7 +17,7 @@ from jaxunshear.model.settings import UnshearNet
 
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 init = jax.jit(unshearnet.init, static_argnums=0)
-swapped = jax.jit(networks.swapped, static_argnums=0)
+swapped = jax.jit(draw_cells, static_argnums=0)
 
 
 def images(count=2):

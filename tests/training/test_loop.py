@@ -19,6 +19,7 @@ from jaxunshear.model import unshearnet
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training import checkpoint, loop
 from jaxunshear.training.settings import Training
+from jaxunshear.training.step import learning_rate
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -238,10 +239,10 @@ def test_posenet_names_the_loss_that_nan_labels_break(tmp_path):
 
 
 def test_schedules():
-    cosine = loop.learning_rate(Training(learning_rate=1.0), 100, 10)
+    cosine = learning_rate(Training(learning_rate=1.0), 100, 10)
     np.testing.assert_allclose([cosine(0), cosine(50), cosine(100)], [1, 0.5, 0], atol=1e-6)
     paper = Training(learning_rate=1e-4, schedule="steps", drops=((40, 0.2), (80, 0.1)))
-    steps = loop.learning_rate(paper, 1000, 10)
+    steps = learning_rate(paper, 1000, 10)
     np.testing.assert_allclose([steps(399), steps(400), steps(799), steps(800)], [1e-4, 2e-5, 2e-5, 1e-5], rtol=1e-6)
 
 

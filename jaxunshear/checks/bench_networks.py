@@ -1,0 +1,216 @@
+"""Images per second of training, and milliseconds per image of inference, beside PyTorch in the same run.
+
+    rows = bench_train(size=128, batch=32)
+
+Both sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
+the convolutions' multiplications over the product's. Compile time stands apart. Without the extra `torch` only our rows come.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxunshear.checks.clock import SIZE, matrix_product, seconds
+from jaxunshear.errors import UserError
+from jaxunshear.memory import keep_freed_memory
+from jaxunshear.model import unshearnet
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.progress import Progress
+from jaxunshear.training.settings import Training
+from jaxunshear.training.step import fresh, make_step, optimiser_of
+from jaxunshear.training.tasks import unshear_task
+
+TRAINED = ((256, 8), (128, 32))  # size in px, batch
+INFERRED = (256, 128)
+ROUNDS = 7
+ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
+Work = Callable[[], object]
+
+
+def bench_train(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+    """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
+    cases = [(size or 128, batch or 32)] if size or batch else list(TRAINED)
+    rows = []
+    with Progress("bench train", len(cases), unit="cases") as progress:
+        for px, images in cases:
+            rows += _compared(_training_sides(px, images), px, images, 3, rounds)
+            progress.advance(1)
+    return rows
+
+
+def bench_infer(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+    """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
+    cases = [(px, batch or 1) for px in ([size] if size else INFERRED)]
+    rows = []
+    with Progress("bench infer", len(cases), unit="cases") as progress:
+        for px, images in cases:
+            rows += _compared(_inference_sides(px, images), px, images, 0, rounds)
+            progress.advance(1)
+    return rows
+
+
+def _network(size: int, batch: int) -> UnshearNet:
+    if batch < 1:
+        raise UserError(f"--batch {batch}: use at least 1")
+    net = UnshearNet(size=size)
+    try:
+        unshearnet.check(net)
+    except ValueError as error:
+        raise UserError(f"--size {size}: {error}") from error
+    return net
+
+
+def _images(size: int, batch: int) -> tuple[np.ndarray, np.ndarray]:
+    generator = np.random.default_rng(0)
+    canonical, sheared = 255 * generator.integers(0, 2, (2, batch, size, size, 1), np.uint8)
+    return canonical, sheared
+
+
+def _training_sides(size: int, batch: int) -> Iterator[tuple[str, Callable[[], Work]]]:
+    net, training = _network(size, batch), Training(batch=batch)
+    canonical, sheared = _images(size, batch)
+
+    def ours() -> Work:
+        keep_freed_memory()
+        task, optimiser = unshear_task(net, training), optimiser_of(training, 1000, 100)
+        state = [jax.jit(lambda key: fresh(task.init(key), optimiser))(jax.random.key(0))]
+        given = jax.device_put({"canonical": canonical, "sheared": sheared})
+        step = jax.jit(make_step(task, training, optimiser, jax.random.key(1)), donate_argnums=0)
+
+        def work() -> None:
+            state[0], metrics = step(state[0], given)
+            jax.block_until_ready(metrics)
+
+        return work
+
+    def theirs(compiled: bool) -> Work:
+        import torch
+
+        from jaxunshear.checks import torch_twin
+
+        torch.manual_seed(0)
+        twin = torch_twin.Twin(net).to(memory_format=torch.channels_last).train()
+        step = torch_twin.training_step(twin, training, compiled)
+        given = [torch.from_numpy(images.transpose(0, 3, 1, 2).copy()) for images in (canonical, sheared)]
+        return lambda: float(step(*given)) and None
+
+    yield "jaxunshear", ours
+    yield "pytorch", lambda: theirs(False)
+    yield "pytorch, compiled", lambda: theirs(True)
+
+
+def _inference_sides(size: int, batch: int) -> Iterator[tuple[str, Callable[[], Work]]]:
+    net = _network(size, batch)
+    _, sheared = _images(size, batch)
+
+    def ours() -> Work:
+        variables = unshearnet.init(net, jax.random.key(0))
+        run = jax.jit(lambda variables, images: unshearnet.unshear(net, variables, images))
+        given = np.asarray(sheared, np.float32) / 255
+        return lambda: np.asarray(run(variables, given)) is None
+
+    def theirs(compiled: bool) -> Work:
+        import torch
+
+        from jaxunshear.checks import torch_twin
+
+        twin = torch_twin.Twin(net).to(memory_format=torch.channels_last).eval()
+        run = torch.compile(twin.unshear) if compiled else twin.unshear
+        given = torch.from_numpy(sheared.transpose(0, 3, 1, 2).astype(np.float32) / 255)
+        given = given.contiguous(memory_format=torch.channels_last)
+
+        def work() -> None:
+            with torch.inference_mode():
+                run(given).numpy()
+
+        return work
+
+    yield "jaxunshear", ours
+    yield "pytorch", lambda: theirs(False)
+    yield "pytorch, compiled", lambda: theirs(True)
+
+
+def _compared(
+    sides: Iterator[tuple[str, Callable[[], Work]]], size: int, batch: int, passes: int, rounds: int
+) -> list[dict[str, Any]]:
+    """One row a side; a step is worth `passes` forward passes, 0 for inference."""
+    ready: dict[str, Work] = {}
+    rows: dict[str, dict[str, Any]] = {}
+    for name, make in sides:
+        rows[name] = {"name": name, "size": size, "batch": batch}
+        try:
+            begun = time.perf_counter()
+            work = make()
+            work()
+            rows[name]["compile_s"] = time.perf_counter() - begun
+            work()
+            ready[name] = work
+        except ModuleNotFoundError as missing:
+            if name == "jaxunshear":
+                raise
+            rows[name]["failed"] = f"{missing.name} is not installed: pip install -c constraints.txt '.[torch]'"
+        except Exception as crash:
+            if name == "jaxunshear":
+                raise
+            rows[name]["failed"] = f"{type(crash).__name__}: {str(crash).splitlines()[0]}"
+    times: dict[str, list[float]] = {name: [] for name in ready}
+    product, yard = matrix_product(), []
+    for _ in range(rounds):
+        for name, work in ready.items():
+            end = time.perf_counter() + ROUND_S
+            while True:
+                times[name].append(seconds(work))
+                if time.perf_counter() >= end:
+                    break
+        yard += [seconds(product) for _ in range(3)]
+    rate = 2 * SIZE**3 / statistics.median(yard)
+    operations = max(1, passes) * 2 * batch * multiplications(UnshearNet(size=size), training=passes > 0)
+    for name, spent in times.items():
+        median, late = np.median(spent), np.percentile(spent, 95)
+        rows[name] |= {
+            "images_per_s": float(batch / median),
+            "ms_per_image": float(1e3 * median / batch),
+            "ms_p95": float(1e3 * late / batch),
+            "share": float(operations / median / rate),
+            "steps": len(spent),
+            "product_ms": 1e3 * statistics.median(yard),
+            "failed": "",
+        }
+    return list(rows.values())
+
+
+def multiplications(net: UnshearNet, training: bool) -> int:
+    """Of one image's forward pass through all convolutions; with `training` False those of encoder, pose code and DC alone."""
+    widths, side, count = net.widths, net.size, 0
+    for before, width in zip((1, *widths), widths, strict=False):
+        side //= 2
+        count += 16 * before * width * side * side
+    shear = net.shear_channels if net.disentangled and training else 0
+    pose = net.pose_channels if net.disentangled else 0
+    count += 9 * widths[-1] * (pose + shear) * side * side
+    decoders = [pose or widths[-1]] + ([pose + shear] if shear else [])
+    for code in decoders:
+        here, outwards = side, (*reversed(widths[:-1]), 1)
+        for before, width in zip((code, *outwards), outwards, strict=False):
+            count += 16 * before * width * here * here
+            here *= 2
+    return count
+
+
+def table(rows: Sequence[dict[str, Any]]) -> str:
+    """For people."""
+    lines = [f"{'':20} px   batch  images/s  ms/image     p95  share  compile s"]
+    for row in rows:
+        head = f"{row['name']:20} {row['size']:<4} {row['batch']:<5}"
+        if row["failed"]:
+            lines.append(f"{head}  FAILED: {row['failed']}")
+            continue
+        lines.append(
+            f"{head} {row['images_per_s']:9.1f} {row['ms_per_image']:9.2f} {row['ms_p95']:7.2f} "
+            f"{row['share']:6.2f} {row['compile_s']:10.1f}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,161 @@
+"""The same networks and the same training step in PyTorch, to be timed beside ours. Needs the extra `torch`.
+
+    twin = Twin(net, channels_last=True)
+    twin.load(variables)                       # of `unshearnet.init`
+    step = training_step(twin, training)       # step(canonical, sheared) -> loss
+
+Layers, losses, regularisation, Adam and the moving averages are those of `unshearnet` and `training`; tests hold outputs and
+gradients of the two together.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from jaxunshear.model.layers import EPSILON, MOMENTUM
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training.settings import Training
+
+
+def _norm(width: int) -> nn.Module:
+    return nn.BatchNorm2d(width, eps=EPSILON, momentum=1 - MOMENTUM)
+
+
+def _down(before: int, width: int) -> nn.Module:
+    return nn.Sequential(nn.Conv2d(before, width, 4, 2, 1, bias=False), _norm(width), nn.ReLU(inplace=True))
+
+
+def _same(before: int, width: int) -> nn.Module:
+    return nn.Sequential(nn.Conv2d(before, width, 3, 1, 1, bias=False), _norm(width), nn.ReLU(inplace=True))
+
+
+def _up(before: int, width: int) -> nn.Module:
+    return nn.Sequential(nn.ConvTranspose2d(before, width, 4, 2, 1, bias=False), _norm(width), nn.ReLU(inplace=True))
+
+
+class Twin(nn.Module):
+    """`unshearnet.Network`, images (B, 1, S, S) in [0, 1]."""
+
+    def __init__(self, net: UnshearNet) -> None:
+        super().__init__()
+        self.net = net
+        widths = net.widths
+        self.E = nn.Sequential(*(_down(before, width) for before, width in zip((1, *widths), widths, strict=False)))
+        codes = widths[-1]
+        if net.disentangled:
+            self.pose = _same(widths[-1], net.pose_channels)
+            codes = net.pose_channels
+            if net.shear_channels:
+                self.shear = _same(widths[-1], net.shear_channels)
+                self.DS = self._decoder(net.pose_channels + net.shear_channels)
+        self.DC = self._decoder(codes)
+
+    def _decoder(self, before: int) -> nn.Module:
+        widths = tuple(reversed(self.net.widths[:-1]))
+        ups = [_up(a, b) for a, b in zip((before, *widths), widths, strict=False)]
+        return nn.Sequential(*ups, nn.ConvTranspose2d(widths[-1], 1, 4, 2, 1))
+
+    def unshear(self, images: Tensor) -> Tensor:
+        z = self.E(images)
+        return torch.sigmoid(self.DC(self.pose(z) if self.net.disentangled else z))
+
+    def forward(self, images: Tensor) -> tuple[Tensor, Tensor | None]:
+        z = self.E(images)
+        if not self.net.disentangled:
+            return self.DC(z), None
+        z_p = self.pose(z)
+        if not self.net.shear_channels:
+            return self.DC(z_p), None
+        return self.DC(z_p), self.DS(torch.cat([z_p, self.shear(z)], 1))
+
+    def load(self, variables: dict[str, Any]) -> None:
+        """Takes the values of our variables."""
+        params, stats = variables["params"], variables["batch_stats"]
+        _load_layers(list(self.E), params["E"], stats["E"], ("First_0", *(f"Down_{i}" for i in range(99))), False)
+        for name in ("DC", "DS"):
+            if name in params:
+                ups = tuple(f"Up_{i}" for i in range(len(self.net.widths) - 1))
+                _load_layers(list(getattr(self, name))[:-1], params[name], stats[name], ups, True)
+                last, ours = getattr(self, name)[-1], params[name]["Last_0"]
+                _set(last.weight, _transposed(ours["kernel"]))
+                _set(last.bias, ours["bias"])
+        for name in ("pose", "shear"):
+            if name in params:
+                _load_layer(getattr(self, name), params[name], stats[name], False)
+
+
+def _load_layers(layers, params, stats, names: tuple[str, ...], transposed: bool) -> None:
+    for layer, name in zip(layers, names, strict=False):
+        _load_layer(layer, params[name], stats[name], transposed)
+
+
+def _load_layer(layer, params, stats, transposed: bool) -> None:
+    kernel = params["kernel"]
+    _set(layer[0].weight, _transposed(kernel) if transposed else np.transpose(kernel, (3, 2, 0, 1)))
+    _set(layer[1].weight, params["norm"]["scale"])
+    _set(layer[1].bias, params["norm"]["bias"])
+    _set(layer[1].running_mean, stats["norm"]["mean"])
+    _set(layer[1].running_var, stats["norm"]["var"])
+
+
+def _transposed(kernel: Any) -> np.ndarray:
+    """Flax' transposed convolutions correlate where PyTorch's convolve."""
+    return np.transpose(np.asarray(kernel)[::-1, ::-1], (2, 3, 0, 1))
+
+
+def _set(tensor: Tensor, value: Any) -> None:
+    with torch.no_grad():
+        tensor.copy_(torch.from_numpy(np.array(value, np.float32)))
+
+
+def losses(twin: Twin, training: Training, canonical: Tensor, sheared: Tensor) -> Tensor:
+    """The sum that is minimised, of images (B, 1, S, S) in [0, 1]."""
+    logits, again = twin(sheared)
+    image = torch.sigmoid(logits)
+    total = torch.mean((image - canonical) ** 2)
+    if training.patch_weight:
+        counts = _coverage(len(image), twin.net.size, training)
+        far = torch.abs(image - canonical)[:, 0]
+        total = total + training.patch_weight * torch.mean((counts * far).sum((1, 2)) / counts.sum((1, 2)))
+    if again is not None:
+        total = total + training.reconstruction_weight * torch.mean((torch.sigmoid(again) - sheared) ** 2)
+    if training.l1 or training.l2:
+        for name, kernel in twin.named_parameters():
+            if name.endswith("weight") and kernel.ndim == 4:
+                total = total + training.l1 * kernel.abs().sum() + training.l2 * (kernel**2).sum()
+    return total
+
+
+def _coverage(images: int, size: int, training: Training) -> Tensor:
+    """As `training.losses.coverage`, of random crops."""
+    start = torch.randint(0, size - training.crop_px + 1, (images, training.crops, 2))[..., None]
+    pixel = torch.arange(size)
+    covered = ((pixel >= start) & (pixel < start + training.crop_px)).float()
+    return torch.einsum("bkr,bkc->brc", covered[:, :, 0], covered[:, :, 1])
+
+
+def training_step(twin: Twin, training: Training, compiled: bool = False) -> Callable[[Tensor, Tensor], Tensor]:
+    """A step of Adam with moving averages of weights and statistics, on images (B, 1, S, S) uint8 of {0, 255}."""
+    kept = [*twin.parameters(), *(b for b in twin.buffers() if b.is_floating_point())]
+    average = [tensor.detach().clone() for tensor in kept]
+    adam = torch.optim.Adam(twin.parameters(), training.learning_rate, (training.beta1, training.beta2), fused=True)
+    loss_of = torch.compile(losses) if compiled else losses
+
+    def step(canonical: Tensor, sheared: Tensor) -> Tensor:
+        canonical, sheared = (_unit(images) for images in (canonical, sheared))
+        adam.zero_grad(set_to_none=True)
+        loss = loss_of(twin, training, canonical, sheared)
+        loss.backward()
+        adam.step()
+        with torch.no_grad():
+            torch._foreach_lerp_(average, kept, 1 - training.averaging)
+        return loss.detach()
+
+    return step
+
+
+def _unit(images: Tensor) -> Tensor:
+    return (images.float() / 255).contiguous(memory_format=torch.channels_last)

@@ -1,0 +1,165 @@
+"""What each decoder makes of codes that are swapped, blanked, shuffled, or another image's: appendix D, and more of it.
+
+    results = ablate(experiment, Path("runs/demo"), Path("datasets"), command)
+
+A cell is a decoder, the codes it is fed, and the image it ought to draw; a code that the decoder does not use can be spoilt
+without harm. "Another image" is one half a batch further on in the test split, at another pose.
+"""
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
+from jaxunshear.evaluation.paper import PAPER
+from jaxunshear.evaluation.score import CELL_METRICS
+from jaxunshear.evaluation.spread import intervals
+from jaxunshear.experiment import Experiment
+from jaxunshear.metrics import ms_ssim, ms_ssim_name, mse, scales_that_fit, ssim
+from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.progress import Progress
+from jaxunshear.storage import write_bytes, write_json
+from jaxunshear.training.checkpoint import load_best, read_net
+
+BATCH = 32
+FIELDS = ("canonical", "sheared", "stimulus", "pose_id")
+SHOWN = 6  # contacts in the picture
+SEED = 0
+
+
+def cell_scores(drawn: dict[str, Array], tap: Array, sheared: Array) -> dict[str, Array]:
+    """`<cell>/<metric>` against the cell's target, and `<cell>/<metric> to the other` where a code of another image went in."""
+    images = {"tap": tap, "sheared": sheared}
+    scales = scales_that_fit(tap.shape[1])
+    metrics = {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
+    scores = {}
+    for cell, image in drawn.items():
+        target = images[target_of(cell)]
+        for metric in CELL_METRICS:
+            scores[f"{cell}/{metric}"] = metrics[metric](image, target)
+            if "another" in cell:
+                scores[f"{cell}/{metric} to the other"] = metrics[metric](
+                    image, jnp.roll(target, len(tap) // 2, axis=0)
+                )
+    return scores
+
+
+def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> dict[str, Any]:
+    """Scores all cells of the disentangled network in `run_dir` on the test split; writes ablation.json and ablation.png there.
+
+    Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled.
+    """
+    from jaxunshear.dataset.reading import open_set
+
+    folder = Path(run_dir) / "disentangled"
+    net = read_net(folder)
+    if not isinstance(net, UnshearNet) or not net.disentangled:
+        raise UserError(f"{folder} holds no disentangled network: there are no codes to swap")
+    variables = load_best(folder)
+    pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
+    total = pairs.length("test")
+
+    @jax.jit
+    def run(tap: Array, sheared: Array, key: Array):
+        tap, sheared = (images.astype(np.float32) / 255 for images in (tap, sheared))
+        drawn = draw_cells(net, variables, sheared, SPOILT, key)
+        return drawn, cell_scores(drawn, tap, sheared)
+
+    found: list[dict[str, np.ndarray]] = []
+    poses: list[np.ndarray] = []
+    shown: dict[str, np.ndarray] = {}
+    with Progress("ablate", total) as progress:
+        for number, (batch, size) in enumerate(_even(pairs.split("test", BATCH, FIELDS))):
+            key = jax.random.fold_in(jax.random.key(SEED), number)
+            drawn, scores = jax.device_get(run(batch["canonical"], batch["sheared"], key))
+            found.append({name: value[:size] for name, value in scores.items()})
+            poses.append(np.stack([batch["stimulus"][:size], batch["pose_id"][:size]], axis=1))
+            if not shown:
+                some = np.linspace(0, size - 1, min(SHOWN, size)).round().astype(int)
+                shown = {name: batch[name][some, ..., 0] / 255 for name in ("sheared", "canonical")}
+                shown |= {name: image[some, ..., 0] for name, image in drawn.items()}
+            progress.advance(size)
+    scores = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+    group = np.unique(np.concatenate(poses), axis=0, return_inverse=True)[1].reshape(-1)
+    results = {
+        "experiment": experiment.name,
+        "simulated": True,
+        "metric": {"ms_ssim": ms_ssim_name(scales_that_fit(net.size))},
+        "rows": rows_of(scores, group),
+        "contacts": total,
+        "seed": SEED,
+        "command": command,
+        "machine": machine(),
+        "versions": versions(),
+    }
+    write_bytes(Path(run_dir) / "ablation.png", picture(shown))
+    write_json(Path(run_dir) / "ablation.json", results)
+    return results
+
+
+def _even(batches: Iterator[dict[str, np.ndarray]]) -> Iterator[tuple[dict[str, np.ndarray], int]]:
+    """Batches filled up to the first one's size by their own contacts in turn, and how many were there."""
+    full = 0
+    for batch in batches:
+        size = len(batch["sheared"])
+        full = full or size + size % 2
+        yield {name: np.resize(values, (full, *values.shape[1:])) for name, values in batch.items()}, size
+
+
+def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[dict[str, Any]]:
+    """A row a cell: means with 95 % bootstrap intervals over poses (N,), and the paper's figures where it has them."""
+    bands = intervals(scores, poses, SEED)
+    rows = []
+    for cell in SPOILT:
+        names = [name for name in scores if name.startswith(f"{cell}/")]
+        if not names:
+            continue
+        row: dict[str, Any] = {"name": cell, "target": target_of(cell), "paper": PAPER["swap"].get(cell)}
+        for name in names:
+            metric = name.removeprefix(f"{cell}/")
+            row[metric] = float(np.mean(scores[name], dtype=np.float64))
+            row[f"{metric} interval"] = bands[name]
+        rows.append(row)
+    return rows
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """For people; the paper's figures, of a real sensor, apart."""
+    width = max(len(row["name"]) for row in rows)
+    lines = [
+        f"{'':{width}}  should draw  MSE     SSIM [95 %]            MS-SSIM  SSIM to the other  paper: MSE, MS-SSIM"
+    ]
+    for row in rows:
+        low, high = row["ssim interval"]
+        other = f"{row['ssim to the other']:.3f}" if "ssim to the other" in row else ""
+        paper = "{mse}, {ms_ssim}".format(**row["paper"]) if row["paper"] else ""
+        lines.append(
+            f"{row['name']:{width}}  {row['target']:11}  {row['mse']:.4f}  {row['ssim']:.3f} [{low:.3f}, {high:.3f}]"
+            f"  {row['ms_ssim']:8.3f}  {other:17}  {paper}"
+        )
+    return "\n".join(lines)
+
+
+def picture(shown: dict[str, np.ndarray]) -> bytes:
+    """PNG: a row a cell, a column a contact; the images (K, S, S) in [0, 1] by name."""
+    from matplotlib.figure import Figure
+
+    count = len(next(iter(shown.values())))
+    figure = Figure(figsize=(1.2 * count + 2.4, 1.2 * len(shown)), layout="constrained", dpi=90)
+    panels = figure.subplots(len(shown), count, squeeze=False)
+    for row, (name, images) in zip(panels, shown.items(), strict=True):
+        for axes, image in zip(row, images, strict=True):
+            axes.imshow(image, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
+            axes.set(xticks=[], yticks=[])
+        row[0].set_ylabel({"canonical": "tap"}.get(name, name), rotation=0, ha="right", va="center", fontsize=8)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()

@@ -1,0 +1,79 @@
+"""One training step as a pure function: gradient, Adam, running statistics and moving averages."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax import Array
+
+from jaxunshear.errors import UserError
+from jaxunshear.training import losses
+from jaxunshear.training.settings import Training
+from jaxunshear.training.tasks import Batch, Task, Tree
+
+
+class State(NamedTuple):
+    """All that a step changes."""
+
+    step: Array
+    params: Tree
+    batch_stats: Tree
+    optimiser: Tree
+    average: dict[str, Tree]  # moving averages of both: the variables that are validated, kept and used
+
+
+def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> Callable[[Array], Array]:
+    """Step -> learning rate. Raises UserError for an unknown schedule."""
+    first = training.learning_rate
+    if training.schedule == "cosine":
+        return optax.cosine_decay_schedule(first, steps)
+    if training.schedule != "steps":
+        raise UserError(f'schedule: "{training.schedule}" is unknown; use "cosine" or "steps"')
+
+    def drop(step):
+        rate = jnp.asarray(first)
+        for epoch, factor in training.drops:
+            rate = jnp.where(step >= epoch * steps_per_epoch, first * factor, rate)
+        return rate
+
+    return drop
+
+
+def optimiser_of(training: Training, steps: int, steps_per_epoch: float) -> optax.GradientTransformation:
+    """Adam with the schedule of `training`."""
+    return optax.adam(learning_rate(training, steps, steps_per_epoch), training.beta1, training.beta2)
+
+
+def fresh(variables: Tree, optimiser: optax.GradientTransformation) -> State:
+    """The state before the first step."""
+    params, batch_stats = variables["params"], variables["batch_stats"]
+    average = {"params": params, "batch_stats": batch_stats}
+    return State(jnp.zeros((), jnp.int32), params, batch_stats, optimiser.init(params), average)
+
+
+def make_step(task: Task, training: Training, optimiser: optax.GradientTransformation, key: Array):
+    """The step: (state, batch) -> (state, mean terms, regularisation and gradient norm by name)."""
+
+    def loss(params, batch_stats, batch, step_key):
+        terms, batch_stats = task.terms({"params": params, "batch_stats": batch_stats}, batch, step_key)
+        metrics = {name: jnp.mean(values) for name, values in terms.items()}
+        kernels = losses.regularisation(params, training.l1, training.l2)
+        total = kernels + sum(task.weights[name] * value for name, value in metrics.items())
+        return total, (metrics | {"regularisation": kernels}, batch_stats)
+
+    def step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
+        step_key = jax.random.fold_in(key, state.step)
+        gradient_of = jax.grad(loss, has_aux=True)
+        gradient, (metrics, batch_stats) = gradient_of(state.params, state.batch_stats, batch, step_key)
+        updates, moments = optimiser.update(gradient, state.optimiser, state.params)
+        params = optax.apply_updates(state.params, updates)
+        # averages start short, else the first weights would linger in them
+        decay = jnp.minimum(training.averaging, (1.0 + state.step) / (10.0 + state.step))
+        new = {"params": params, "batch_stats": batch_stats}
+        average = jax.tree.map(lambda old, now: decay * old + (1 - decay) * now, state.average, new)
+        metrics["gradient"] = jnp.sqrt(sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(gradient)))
+        return State(state.step + 1, params, batch_stats, moments, average), metrics
+
+    return step

@@ -1,0 +1,102 @@
+"""What a training does with a batch: the losses of each network as named terms per example, and what is validated."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.errors import UserError
+from jaxunshear.model import posenet, settings, unshearnet
+from jaxunshear.training import losses
+from jaxunshear.training.settings import Training
+
+Batch = dict[str, Any]
+Tree = Any
+
+
+@dataclass(frozen=True)
+class Task:
+    """What differs between the networks. Terms are losses per example (B,), by name."""
+
+    kind: str
+    init: Callable[[Array], Tree]
+    terms: Callable[[Tree, Batch, Array], tuple[dict[str, Array], Tree]]  # variables, batch, key -> terms, batch_stats
+    weights: dict[str, float]
+    validate: Callable[[Tree, Batch], dict[str, Array]]
+    rank: str  # the validation term that the best model is chosen by
+
+
+def unshear_task(net: settings.UnshearNet, training: Training) -> Task:
+    """Of an entangled or disentangled UnshearNet; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
+
+    Raises UserError where the network cannot be built, or a crop does not fit.
+    """
+    crop = training.crop_px
+    if not 0 < crop <= net.size:
+        raise UserError(f"crop_px: crops of {crop} px do not fit images of {net.size} px")
+
+    def terms(variables, batch, key):
+        canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
+        logits, sheared_logits, batch_stats = unshearnet.reconstruct(net, variables, sheared)
+        image = jax.nn.sigmoid(logits)
+        named = {"supervised": losses.supervised(image, canonical)}
+        if training.patch_weight:
+            corners = losses.random_corners(key, len(image), training.crops, net.size, crop)
+            named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, crop))
+        if sheared_logits is not None:
+            named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
+        return named, batch_stats
+
+    def validate(variables, batch):
+        canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
+        z_p, z_s = unshearnet.encode(net, variables, sheared)
+        image = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
+        named = {"supervised": losses.supervised(image, canonical)}
+        if z_s is not None:
+            again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
+            named["reconstruction"] = losses.reconstruction(again, sheared)
+        return named
+
+    weights = {"supervised": 1.0, "patch": training.patch_weight, "reconstruction": training.reconstruction_weight}
+    _checked(unshearnet.check, net)
+    return Task("unshear", lambda key: unshearnet.init(net, key), terms, weights, validate, "supervised")
+
+
+def posenet_task(net: settings.PoseNet, ranges: Ranges) -> Task:
+    """Of PoseNet; batches {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2) float32."""
+
+    def terms(variables, batch, key):
+        outputs, batch_stats = posenet.predict_training(net, variables, _unit(batch["image"]))
+        targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
+        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)}, batch_stats
+
+    def validate(variables, batch):
+        outputs = posenet.predict(net, variables, _unit(batch["image"]))
+        targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
+        got, true = posenet.pose_from_outputs(outputs, ranges), posenet.pose_from_outputs(targets, ranges)
+        turn = {"edge_deg": 360.0}
+        errors = {name: jnp.abs(_wrapped(got[name] - true[name], turn.get(name))) for name in got}
+        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)} | errors
+
+    _checked(posenet.check, net)
+    return Task("posenet", lambda key: posenet.init(net, key), terms, {"pose": 1.0}, validate, "pose")
+
+
+def _unit(images: Array) -> Array:
+    """uint8 {0, 255} -> float32 [0, 1]; floats are taken as they are."""
+    return images.astype(jnp.float32) / 255.0 if jnp.issubdtype(images.dtype, jnp.integer) else images
+
+
+def _wrapped(difference: Array, turn: float | None) -> Array:
+    return difference if turn is None else (difference + turn / 2) % turn - turn / 2
+
+
+def _checked(check: Callable[[Any], None], net: Any) -> None:
+    try:
+        check(net)
+    except ValueError as error:
+        raise UserError(str(error)) from error

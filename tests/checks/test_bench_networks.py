@@ -1,0 +1,93 @@
+"""The networks' yardsticks: rows, counted multiplications, and a PyTorch twin that computes the same."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.checks import bench_networks
+from jaxunshear.errors import UserError
+from jaxunshear.model import unshearnet
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training.settings import Training
+from jaxunshear.training.tasks import unshear_task
+
+SMALL = UnshearNet(size=32, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    monkeypatch.setattr(bench_networks, "ROUND_S", 0.0)
+
+
+@pytest.mark.parametrize("net", [SMALL, dataclasses.replace(SMALL, disentangled=False)])
+@pytest.mark.parametrize("training", [True, False])
+def test_multiplications_are_those_of_plain_convolutions(net, training):
+    """Against the shapes of the parameters, each used at every place of the coarser of its two grids."""
+    params = jax.eval_shape(lambda: unshearnet.init(net, jax.random.key(0)))["params"]
+    side, expected = net.size, 0
+    for i in range(len(net.widths)):
+        side //= 2
+        name = "First_0" if i == 0 else f"Down_{i - 1}"
+        expected += params["E"][name]["kernel"].size * side**2
+    codes = ["pose"] + (["shear"] if training else []) if net.disentangled else []
+    expected += sum(params[name]["kernel"].size * side**2 for name in codes)
+    for decoder in ["DC"] + (["DS"] if net.disentangled and training else []):
+        names = [f"Up_{i}" for i in range(len(net.widths) - 1)] + ["Last_0"]
+        expected += sum(params[decoder][name]["kernel"].size * (side * 2**i) ** 2 for i, name in enumerate(names))
+    assert bench_networks.multiplications(net, training) == expected
+
+
+@pytest.mark.parametrize("bench", [bench_networks.bench_train, bench_networks.bench_infer])
+def test_rows(bench):
+    rows = bench(size=32, batch=2, rounds=1)
+    ours = rows[0]
+    assert ours["name"] == "jaxunshear" and ours["images_per_s"] > 0 and 0 < ours["share"] < 2
+    assert ours["images_per_s"] == pytest.approx(1e3 / ours["ms_per_image"])
+    for row in rows[1:]:
+        assert row["name"].startswith("pytorch") and (row["failed"] or row["images_per_s"] > 0)
+    assert "jaxunshear" in bench_networks.table(rows)
+
+
+@pytest.mark.parametrize(("size", "batch"), [(100, 1), (128, 0)])
+def test_what_cannot_be_measured_is_refused(size, batch):
+    with pytest.raises(UserError, match=rf"--size {size}:|--batch {batch}:"):
+        bench_networks.bench_train(size, batch)
+
+
+@pytest.mark.parametrize("net", [SMALL, dataclasses.replace(SMALL, disentangled=False)])
+def test_the_twin_computes_the_same(net):
+    torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
+    from jaxunshear.checks import torch_twin
+
+    variables = unshearnet.init(net, jax.random.key(0))
+    twin = torch_twin.Twin(net)
+    twin.load(variables)
+    canonical, sheared = np.random.default_rng(0).integers(0, 2, (2, 3, 32, 32, 1)).astype(np.float32)
+    theirs = [torch.from_numpy(x.transpose(0, 3, 1, 2).copy()) for x in (canonical, sheared)]
+    twin.eval()
+    with torch.no_grad():
+        out = twin.unshear(theirs[1]).numpy()[:, 0]
+    np.testing.assert_allclose(out, unshearnet.unshear(net, variables, jnp.asarray(sheared))[..., 0], atol=1e-5)
+
+    training = Training(patch_weight=0.0, l1=1e-4, l2=1e-3, reconstruction_weight=0.5)
+    task = unshear_task(net, training)
+
+    def loss(params):
+        full = {"params": params, "batch_stats": variables["batch_stats"]}
+        terms, _ = task.terms(full, {"canonical": canonical, "sheared": sheared}, jax.random.key(0))
+        from jaxunshear.training.losses import regularisation
+
+        return sum(task.weights[k] * jnp.mean(v) for k, v in terms.items()) + regularisation(params, 1e-4, 1e-3)
+
+    value, slopes = jax.value_and_grad(loss)(variables["params"])
+    twin.train()
+    found = torch_twin.losses(twin, training, *theirs)
+    found.backward()
+    assert float(found.detach()) == pytest.approx(float(value), rel=1e-5)
+    first = twin.E[0][0].weight.grad.numpy().transpose(2, 3, 1, 0)
+    last = twin.DC[-1].weight.grad.numpy().transpose(2, 3, 0, 1)[::-1, ::-1]
+    np.testing.assert_allclose(first, slopes["E"]["First_0"]["kernel"], rtol=1e-3, atol=1e-6)
+    np.testing.assert_allclose(last, slopes["DC"]["Last_0"]["kernel"], rtol=1e-3, atol=1e-6)

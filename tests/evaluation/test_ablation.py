@@ -1,0 +1,71 @@
+"""Spoilt codes: what goes where, and a network whose decoders need what they are fed."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.evaluation.ablation import cell_scores, picture, rows_of, table
+from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
+from jaxunshear.model import unshearnet
+from jaxunshear.model.settings import UnshearNet
+
+NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    variables = jax.tree.map(lambda x: 20 * x, unshearnet.init(NET, jax.random.key(0)))
+    sheared = (np.random.default_rng(0).random((4, 32, 32, 1)) < 0.3).astype(np.float32)
+    return variables, sheared, draw_cells(NET, variables, sheared, SPOILT, jax.random.key(1))
+
+
+def test_every_cell_is_drawn_from_its_codes(drawn):
+    variables, sheared, images = drawn
+    assert set(images) == set(SPOILT)
+    z_p, z_s = unshearnet.encode(NET, variables, sheared)
+    blank, further = jnp.zeros_like(z_p), [2, 3, 0, 1]
+    for cell, logits in {
+        "DC(0)": unshearnet.decode_canonical(NET, variables, blank),
+        "DC(z_p of another)": unshearnet.decode_canonical(NET, variables, z_p[jnp.array(further)]),
+        "DS(z_p,0)": unshearnet.decode_sheared(NET, variables, z_p, blank),
+        "DS(z_p of another,z_s)": unshearnet.decode_sheared(NET, variables, z_p[jnp.array(further)], z_s),
+    }.items():
+        np.testing.assert_allclose(images[cell], jax.nn.sigmoid(logits), atol=1e-5)
+    shuffled = images["DC(shuffled z_p)"]
+    assert not np.allclose(shuffled, images["DC(z_p)"], atol=1e-3)
+    again = draw_cells(NET, variables, sheared, SPOILT, jax.random.key(1))["DC(shuffled z_p)"]
+    np.testing.assert_array_equal(shuffled, again)
+
+
+def test_codes_of_two_widths_cannot_change_places():
+    net = replace(NET, shear_channels=2)
+    variables = unshearnet.init(net, jax.random.key(0))
+    found = draw_cells(net, variables, jnp.zeros((2, 32, 32, 1)), SPOILT)
+    assert set(SPOILT) - set(found) == {"DC(z_s)", "DS(z_p,z_p)", "DS(z_s,z_s)"}
+
+
+def test_rows_tell_which_image_was_drawn(drawn):
+    _, sheared, images = drawn
+    tap = jnp.asarray(sheared[::-1])
+    # a decoder that draws the image whose shear code it got
+    perfect = {"DS(z_p,z_s of another)": jnp.roll(jnp.asarray(sheared), 2, axis=0), "DS(z_p,z_s)": jnp.asarray(sheared)}
+    big = lambda x: jnp.repeat(jnp.repeat(x, 4, axis=1), 4, axis=2)  # noqa: E731  MS-SSIM wants more pixels
+    scores = cell_scores(jax.tree.map(big, perfect), big(tap), big(jnp.asarray(sheared)))
+    rows = {row["name"]: row for row in rows_of({k: np.asarray(v) for k, v in scores.items()}, np.arange(4))}
+    foreign, own = rows["DS(z_p,z_s of another)"], rows["DS(z_p,z_s)"]
+    assert own["mse"] == 0 and own["ssim"] == pytest.approx(1, abs=1e-5)
+    assert foreign["mse to the other"] == 0 and foreign["ssim"] < 0.5 < foreign["ssim to the other"]
+    assert own["paper"]["mse"] == 0.002 and foreign["paper"] is None
+    assert "DS(z_p,z_s of another)" in table(list(rows.values()))
+
+
+def test_targets():
+    assert {target_of(cell) for cell in SPOILT if cell.startswith("DS")} == {"sheared"}
+    assert {target_of(cell) for cell in SPOILT if cell.startswith("DC")} == {"tap"}
+
+
+def test_the_picture_is_one(drawn):
+    assert picture({name: image[..., 0] for name, image in drawn[2].items()}).startswith(b"\x89PNG")
