@@ -223,15 +223,16 @@ def advance(
     tolerance: float,
     limit: int,
     tilted: bool,
+    lost: jax.Array | bool = False,
 ) -> tuple[Skin, Quality]:
     """Move B skins by one increment, to pose (B, 6); a skin that does not move is left as it is.
 
-    Solved PASSES times, the first time with gaps where the nodes were, then with gaps where they came to lie.
+    Those `lost` (B,), by an increment that did not converge, are no longer waited for. Solved PASSES times, the first time with gaps where the nodes were, then with gaps where they came to lie.
     """
     length = increment_length(skin.pose, pose, system.centre_mm / 4)
     moving = jnp.any(pose != skin.pose, axis=-1)
     goal = (tolerance * jnp.clip(length, LEAST_MM, MOST_MM)).astype(skin.force.dtype)
-    wanted = jnp.where(moving, goal, jnp.inf)
+    wanted = jnp.where(moving & ~jnp.asarray(lost), goal, jnp.inf)
     frame = level_frame(pose) if tilted else None
     force, dual, displacement = skin.force, skin.dual, skin.displacement
     if frame is not None:
@@ -280,8 +281,9 @@ def follow_path(
 
     def step(state):
         number, skin, worst = state
-        skin, now = advance(system, obstacles, which, friction, path[number], skin, tolerance, limit, tilted)
-        # written so that a NaN wins
+        # both are written so that a NaN counts as the worst
+        lost = ~(worst.residual_mm <= worst.tolerance_mm)
+        skin, now = advance(system, obstacles, which, friction, path[number], skin, tolerance, limit, tilted, lost)
         worse = ~(now.residual_mm * worst.tolerance_mm <= worst.residual_mm * now.tolerance_mm)
         pick = lambda new, old: jnp.where(worse, new, old)  # noqa: E731
         residual, goal = pick(now.residual_mm, worst.residual_mm), pick(now.tolerance_mm, worst.tolerance_mm)

@@ -28,7 +28,10 @@ class Obstacles(NamedTuple):
 
 
 def sample(stimuli: tuple[Stimulus, ...]) -> Obstacles:
-    """The stimuli as obstacles, (S, H, H). Raises UserError where a distance is not finite."""
+    """The stimuli as obstacles, (S, H, H). Raises UserError where a distance or a target is not finite."""
+    for stimulus in stimuli:
+        if not np.isfinite(stimulus.target).all():
+            raise UserError(f"stimulus '{stimulus.name}': its target {stimulus.target} is not finite")
     line = jnp.asarray(np.arange(-REACH_MM, REACH_MM + SPACING_MM / 2, SPACING_MM), jnp.float32)
 
     def grid(stimulus: Stimulus) -> jax.Array:
