@@ -20,7 +20,7 @@ def work_precision(rows: Sequence[dict[str, Any]]) -> bytes:
     """PNG. Rows without an error to show (the reference itself) and rows that crashed are left out; failures are named below."""
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     with rc_context(STYLE):
-        figure = Figure(figsize=(6.4 * len(kinds), 5.6), layout="constrained")
+        figure = Figure(figsize=(6.4 * len(kinds), 6.4), layout="constrained")
         panels = figure.subplots(1, len(kinds), squeeze=False)[0]
         for axes, kind in zip(panels, kinds, strict=True):
             _panel(axes, [row for row in rows if row["kind"] == kind])
@@ -49,7 +49,7 @@ def _panel(axes: Any, rows: list[dict[str, Any]]) -> None:
     for number, (name, points) in enumerate(lines.items()):
         points.sort(key=lambda row: row["ratio"])
         x, y, top = ([row[field] for row in points] for field in ("ratio", "rms_px", "p95_px"))
-        colour, mark = COLOURS[number % len(COLOURS)], MARKS[number % len(MARKS)]
+        colour, mark = COLOURS[number % len(COLOURS)], MARKS[(number + number // len(COLOURS)) % len(MARKS)]
         several = "-" if (len(points) > 1 and "auto:" in name) or points[0]["solver"] != OWN else ""
         axes.plot(x, y, linestyle=several, marker=mark, color=colour, markersize=6, label=name, linewidth=1)
         axes.vlines(x, y, np.maximum(top, y), color=colour, linewidth=0.8, alpha=0.5)
@@ -61,7 +61,7 @@ def _panel(axes: Any, rows: list[dict[str, Any]]) -> None:
         product = float(np.median(timed))
         upper = axes.secondary_xaxis("top", functions=(lambda ratio: ratio * product, lambda ms: ms / product))
         upper.set_xlabel("ms a state, here")
-    axes.legend(fontsize=7, loc="upper right")
+    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
     failures = [f"{row['name']}: {row['failed']}" for row in rows if row["failed"]]
     if failures:
         text = "failing (crossed out):\n" + "\n".join(failures)

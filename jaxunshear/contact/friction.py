@@ -227,7 +227,8 @@ def advance(
 ) -> tuple[Skin, Quality]:
     """Move B skins by one increment, to pose (B, 6); a skin that does not move is left as it is.
 
-    Those `lost` (B,), by an increment that did not converge, are no longer waited for. Solved PASSES times, the first time with gaps where the nodes were, then with gaps where they came to lie.
+    Those `lost` (B,), by an increment that did not converge, are no longer waited for. Solved PASSES times, the first time with
+    gaps where the nodes were, then with gaps where they came to lie.
     """
     length = increment_length(skin.pose, pose, system.centre_mm / 4)
     moving = jnp.any(pose != skin.pose, axis=-1)

@@ -8,7 +8,7 @@ import pytest
 from jaxunshear.checks.half_space import HalfSpace, press, trace
 from jaxunshear.checks.normal import SPHERE_MM, depth
 from jaxunshear.checks.shear import FRICTION, slip_distance
-from jaxunshear.contact.friction import RHO, Skin, System, contact_state, follow_path, project, rest
+from jaxunshear.contact.friction import BETWEEN_CHECKS, RHO, Skin, System, contact_state, follow_path, project, rest
 from jaxunshear.contact.obstacle import Obstacles
 
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
@@ -77,6 +77,21 @@ def test_no_contact_needs_no_iteration(system):
     which, mu = jnp.zeros(2, jnp.int32), jnp.full(2, FRICTION)
     skin, quality = follow_path(system, FLAT, which, mu, path[1:], rest(system, path[0]), 1e-3, 4000)
     assert not np.any(skin.force) and not np.any(skin.displacement) and not np.any(quality.iterations)
+
+
+def test_a_scene_that_failed_is_not_waited_for_and_harms_no_other(half_space, system):
+    """One of two cannot converge within the limit: it says so, and costs no more than the increment that failed."""
+    poses = np.repeat(slides(half_space)[:, 1:2], 2, axis=1)
+    poses[1:, 1, 3] = 0.0  # the second one never touches, then is pressed hard in the first of the other's slides
+    poses[2:, 1, 3] = 40 * poses[-1, 0, 3]
+    path, which, mu = jnp.asarray(poses, jnp.float32), jnp.zeros(2, jnp.int32), jnp.full(2, FRICTION)
+    limit = 40
+    skin, quality = follow_path(system, FLAT, which, mu, path[1:], rest(system, path[0]), 1e-3, limit)
+    assert bool(quality.residual_mm[1] > quality.tolerance_mm[1]) and np.all(np.isfinite(skin.force))
+    assert int(quality.iterations[1]) <= 2 * (limit + BETWEEN_CHECKS)
+    alone = follow_path(system, FLAT, which[:1], mu[:1], path[1:, :1], rest(system, path[0, :1]), 1e-3, limit)
+    assert bool(quality.residual_mm[0] <= quality.tolerance_mm[0])
+    np.testing.assert_allclose(skin.force[0].sum(0), alone[0].force[0].sum(0), rtol=0.01, atol=1e-4)
 
 
 def test_projection_and_jit():
