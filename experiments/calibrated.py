@@ -2,8 +2,8 @@
 
     jaxunshear run experiments/calibrated.py
 
-Expected on two cores: as long as the demo. The fitted skin is a hundred times stiffer than its gel and slips at half the pull, so
-that slides drag it less than the demo's.
+Expected on two cores: as long as the demo, with figures of its own: the fitted skin is a hundred times stiffer than its gel and slips
+at half the pull.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
