@@ -33,7 +33,8 @@ Work = Callable[[], object]
 
 def bench_train(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
-    cases = [(size or 128, batch or 32)] if size or batch else list(TRAINED)
+    plain = size is None and batch is None
+    cases = list(TRAINED) if plain else [(128 if size is None else size, 32 if batch is None else batch)]
     rows = []
     with Progress("bench train", len(cases), unit="cases") as progress:
         for px, images in cases:
@@ -44,7 +45,7 @@ def bench_train(size: int | None = None, batch: int | None = None, rounds: int =
 
 def bench_infer(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
     """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
-    cases = [(px, batch or 1) for px in ([size] if size else INFERRED)]
+    cases = [(px, 1 if batch is None else batch) for px in (INFERRED if size is None else (size,))]
     rows = []
     with Progress("bench infer", len(cases), unit="cases") as progress:
         for px, images in cases:

@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.configs import PAIRED, POSE, config_name
+from jaxunshear.dataset.configs import PAIRED, POSE, config_name, sensor_of
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.dataset.shots import LEAST_DEPTH_MM, SPLITS, draw_paired, draw_pose
 from jaxunshear.errors import UserError
@@ -101,7 +101,7 @@ def test_friction_is_the_materials(paired):
         ({"slides": 0}, "slides = 0"),
         ({"taps": 3, "slides": 2}, "taps = 3 exceeds slides = 2"),
         ({"seed": -1}, "seed = -1"),
-        ({"config": "huge"}, "config 'huge'.*tiny, demo, standard, paper"),
+        ({"config": "huge"}, "config 'huge'.*tiny, demo, calibrated, standard, paper"),
         ({"ranges": Ranges(depth_min_mm=0.0)}, "depth_min_mm = 0"),
         ({"ranges": Ranges(depth_min_mm=3, depth_max_mm=2)}, "depth_max_mm = 2"),
     ],
@@ -112,9 +112,12 @@ def test_impossible_settings_are_refused_by_name(change, line):
 
 
 def test_changed_settings_have_a_name_of_their_own():
-    assert [config_name(settings) for settings in (*PAIRED.values(), *POSE.values())] == 2 * [
+    assert [
+        config_name(settings, sensor_of(name)) for known in (PAIRED, POSE) for name, settings in known.items()
+    ] == 2 * [
         "tiny",
         "demo",
+        "calibrated",
         "standard",
         "paper",
     ]
