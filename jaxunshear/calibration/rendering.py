@@ -22,6 +22,7 @@ from jaxunshear.scene.sensor import Sensor, pin_tips
 FRAME_PX = 256  # at least: what a camera sees before it is made smaller
 SOME_IMAGES = 16  # tell the size of pins and housing
 RADIUS_STEPS = 3
+HOUSING_ROUNDS = 3  # the threshold follows the local mean, so that the ring's area is not all
 UNKNOWN_DEPTHS = (0.03, 0.15)  # over the dome's radius, of flat taps that stand in for unlabelled images
 
 
@@ -99,11 +100,13 @@ def fit_housing(groups: list[Group], sensor: Sensor, values: Values, tips: list[
 
     What is white beside the pins is a ring from there to the mask, so that its area tells.
     """
-    excess = []
-    for group, tip in zip(groups, tips, strict=True):
-        camera = values.camera(group.seen.size)
-        images = render(camera, sensor, group.seen.size, tip[:: -(-len(tip) // SOME_IMAGES)])
-        excess.append(
-            (np.mean(images > 127) - np.mean(group.seen.white)) / (np.pi * outer_fraction(camera, sensor) ** 2)
-        )
-    return float(np.sqrt(values.housing**2 + np.mean(excess)))
+    housing = values.housing
+    for _ in range(HOUSING_ROUNDS):
+        excess = []
+        for group, tip in zip(groups, tips, strict=True):
+            camera = replace(values, housing=housing).camera(group.seen.size)
+            images = render(camera, sensor, group.seen.size, tip[:: -(-len(tip) // SOME_IMAGES)])
+            ring = np.pi * outer_fraction(camera, sensor) ** 2
+            excess.append((np.mean(images > 127) - np.mean(group.seen.white)) / ring)
+        housing = float(np.sqrt(housing**2 + np.mean(excess)))
+    return housing

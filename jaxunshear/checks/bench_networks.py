@@ -29,27 +29,29 @@ INFERRED = (256, 128)
 ROUNDS = 7
 ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
 Work = Callable[[], object]
+Sides = Iterator[tuple[str, Callable[[], Work]]]
 
 
 def bench_train(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
     plain = size is None and batch is None
     cases = list(TRAINED) if plain else [(128 if size is None else size, 32 if batch is None else batch)]
-    rows = []
-    with Progress("bench train", len(cases), unit="cases") as progress:
-        for px, images in cases:
-            rows += _compared(_training_sides(px, images), px, images, 3, rounds)
-            progress.advance(1)
-    return rows
+    return _measured("bench train", cases, _training_sides, 3, rounds)
 
 
 def bench_infer(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
     """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
     cases = [(px, 1 if batch is None else batch) for px in (INFERRED if size is None else (size,))]
+    return _measured("bench infer", cases, _inference_sides, 0, rounds)
+
+
+def _measured(
+    title: str, cases: Sequence[tuple[int, int]], sides: Callable[[int, int], Sides], passes: int, rounds: int
+) -> list[dict[str, Any]]:
     rows = []
-    with Progress("bench infer", len(cases), unit="cases") as progress:
+    with Progress(title, len(cases), unit="cases") as progress:
         for px, images in cases:
-            rows += _compared(_inference_sides(px, images), px, images, 0, rounds)
+            rows += _compared(sides(px, images), px, images, passes, rounds)
             progress.advance(1)
     return rows
 
@@ -71,7 +73,7 @@ def _images(size: int, batch: int) -> tuple[np.ndarray, np.ndarray]:
     return canonical, sheared
 
 
-def _training_sides(size: int, batch: int) -> Iterator[tuple[str, Callable[[], Work]]]:
+def _training_sides(size: int, batch: int) -> Sides:
     net, training = _network(size, batch), Training(batch=batch)
     canonical, sheared = _images(size, batch)
 
@@ -104,7 +106,7 @@ def _training_sides(size: int, batch: int) -> Iterator[tuple[str, Callable[[], W
     yield "pytorch, compiled", lambda: theirs(True)
 
 
-def _inference_sides(size: int, batch: int) -> Iterator[tuple[str, Callable[[], Work]]]:
+def _inference_sides(size: int, batch: int) -> Sides:
     net = _network(size, batch)
     _, sheared = _images(size, batch)
 
@@ -135,9 +137,7 @@ def _inference_sides(size: int, batch: int) -> Iterator[tuple[str, Callable[[], 
     yield "pytorch, compiled", lambda: theirs(True)
 
 
-def _compared(
-    sides: Iterator[tuple[str, Callable[[], Work]]], size: int, batch: int, passes: int, rounds: int
-) -> list[dict[str, Any]]:
+def _compared(sides: Sides, size: int, batch: int, passes: int, rounds: int) -> list[dict[str, Any]]:
     """One row a side; a step is worth `passes` forward passes, 0 for inference."""
     ready: dict[str, Work] = {}
     rows: dict[str, dict[str, Any]] = {}

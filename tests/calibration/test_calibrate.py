@@ -8,6 +8,9 @@ import pytest
 
 from jaxunshear.calibration.calibrate import calibrate
 from jaxunshear.errors import UserError
+from jaxunshear.image.camera import outer_fraction
+from jaxunshear.image.settings import Camera
+from jaxunshear.scene.sensor import Sensor
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
 
 
@@ -30,7 +33,9 @@ def test_known_values_are_found(results, simulated):
     assert found["mm_across"]["after"] == pytest.approx(simulated.camera.mm_across, rel=0.01)
     assert found["pin_radius_mm"]["after"] == pytest.approx(simulated.sensor.pin_radius_mm, rel=0.05)
     assert found["friction"]["after"] == pytest.approx(simulated.friction, abs=0.05)
-    assert results[0]["preset"]["camera"]["housing"] == pytest.approx(simulated.camera.housing, abs=0.02)
+    preset, camera = results[0]["preset"], simulated.camera  # a ratio to the outermost pins, whose place is fitted too
+    edge = preset["camera"]["housing"] * outer_fraction(Camera(**preset["camera"]), Sensor(**preset["sensor"]))
+    assert edge == pytest.approx(camera.housing * outer_fraction(camera, simulated.sensor), rel=0.005)
     for name in ("mm_across", "friction", "skin_to_gel"):
         assert found[name]["determined"], name
     surface = next(note for note in results[0]["notes"] if "contact begins" in note)
