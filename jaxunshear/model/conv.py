@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+GROUPS = 8  # of images in a kernel's gradient: products with a long inner side are twice as fast in a few pieces (CPU)
 _NHWC = ("NHWC", "HWIO", "NHWC")
 
 
@@ -75,9 +76,13 @@ def _kernel_gradient(x: Array, dy: Array, k: int) -> Array:
         rows = dy.reshape(-1, n)
         parts = [x[:, i : i + h, j : j + w].reshape(-1, c).T @ rows for i, j in shifts]
         return jnp.stack(parts).reshape(k, k, c, n)
-    moved = [jnp.pad(dy, ((0, 0), (i, k - 1 - i), (j, k - 1 - j), (0, 0))) for i, j in shifts]
-    product = x.reshape(-1, c).T @ jnp.concatenate(moved, -1).reshape(-1, k * k * n)
-    return product.reshape(c, k, k, n).transpose(1, 2, 0, 3)
+    groups = np.gcd(len(x), GROUPS)
+    images = x.reshape(groups, -1, c)
+    parts = []
+    for i, j in shifts:
+        moved = jnp.pad(dy, ((0, 0), (i, k - 1 - i), (j, k - 1 - j), (0, 0))).reshape(groups, -1, n)
+        parts.append(jnp.einsum("gpc,gpn->gnc", images, moved).sum(0).T)
+    return jnp.stack(parts).reshape(k, k, c, n)
 
 
 def down_kernel(w: Array) -> Array:
