@@ -4,20 +4,17 @@ Read `write_report` for the order of the page; each `_part` below it is one sect
 """
 
 import json
-import zipfile
 from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import measurements
 from jaxunshear.progress import duration
-from jaxunshear.report import figures, page, pictures
+from jaxunshear.report import figures, montage, page
 from jaxunshear.report.history import NETWORKS, History, read_history
 from jaxunshear.report.page import number
-from jaxunshear.storage import read_json, write_text
+from jaxunshear.storage import read_json, write_bytes, write_text
 
 LABELS = {
     "tap": "tap (no slide)",
@@ -41,7 +38,7 @@ OVER_TIME = {  # a network's validation figures, drawn over its seconds of train
 
 
 def write_report(run_dir: Path) -> Path:
-    """Writes `report.html` from `results.json`, `montage.npz`, `times.json` and the networks' `log.jsonl` in `run_dir`.
+    """Writes `report.html` and `montage.png` from `results.json`, `montage.npz`, `times.json` and the networks' `log.jsonl` in `run_dir`.
 
     Raises `UserError` where the run has not been evaluated or its files are damaged. Missing logs leave out their curves.
     """
@@ -54,11 +51,12 @@ def write_report(run_dir: Path) -> Path:
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
     summaries = {name: read_json(path) for name, path in endings.items() if path.exists()}
+    shown = montage.read(run_dir / "montage.npz")
     try:
         parts = [
             _heading(results),
             _headlines(results),
-            _montage(run_dir / "montage.npz"),
+            montage.section(shown),
             _similarity(results),
             _poses(results),
             _pins(results),
@@ -70,6 +68,7 @@ def write_report(run_dir: Path) -> Path:
         ]
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
+    write_bytes(run_dir / "montage.png", montage.drawing(shown))
     path = run_dir / "report.html"
     write_text(path, page.page(f"jaxunshear: {results['experiment']}", *parts))
     return path
@@ -117,55 +116,6 @@ def _headlines(results: dict[str, Any]) -> str:
             "Whole run", "", total, f"{results['machine']['cores']} cores, {results['machine']['device'].split(':')[0]}"
         ),
     )
-
-
-def _montage(path: Path) -> str:
-    try:
-        with np.load(path) as file:
-            shown = dict(file)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
-    middle, others = [], []
-    for name in dict.fromkeys(shown["stimulus"].tolist()):
-        inside = np.flatnonzero(shown["stimulus"] == name).tolist()
-        middle.append(inside.pop(len(inside) // 2))
-        others += inside
-    key = "".join(
-        f'<span class=key style="background: rgb{colour}"></span>{text}'
-        for colour, text in ((pictures.MISSING, "missing from the image"), (pictures.SURPLUS, "should not be there"))
-    )
-    body = [
-        _images(shown, middle),
-        f"<figcaption>In the differences:{key}. Numbers are likeness to the tap.</figcaption>",
-    ]
-    if others:
-        more = f"<details><summary>Contacts that went badly, and well (10th and 90th percentile)</summary>{_images(shown, others)}"
-        body.append(more + "</details>")
-    lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
-    return page.section("What it does", lead, *body)
-
-
-def _images(shown: dict[str, np.ndarray], rows: list[int]) -> str:
-    head = ("", "sheared (input)", "unsheared", "tap (truth)", "sheared against tap", "unsheared against tap")
-    lines = []
-    for row in rows:
-        sheared, unsheared, tap = (shown[kind][row] for kind in ("sheared", "disentangled", "tap"))
-        cells = [
-            (sheared, f"{shown['ms_ssim_sheared'][row]:.2f}"),
-            (unsheared, f"<b>{shown['ms_ssim_disentangled'][row]:.2f}</b>"),
-            (tap, ""),
-            (pictures.difference(sheared, tap), ""),
-            (pictures.difference(unsheared, tap), ""),
-        ]
-        slide, depth = float(np.hypot(*shown["move"][row])), float(shown["pose"][row][3])
-        first = f"<b>{escape(str(shown['stimulus'][row]))}</b><br>slide {slide:.1f} mm<br>depth {depth:.1f} mm"
-        pixels = "".join(
-            f'<td><img src="{pictures.png_address(image)}" alt="{escape(title)}">{text}</td>'
-            for (image, text), title in zip(cells, head[1:], strict=True)
-        )
-        lines.append(f"<tr><th>{first}</th>{pixels}</tr>")
-    top = "".join(f"<th>{title}</th>" for title in head)
-    return f'<div class=wide><table class="montage"><tr>{top}</tr>\n' + "\n".join(lines) + "</table></div>"
 
 
 def _similarity(results: dict[str, Any]) -> str:

@@ -1,0 +1,99 @@
+"""Sheared, unsheared and tapped images side by side: for the report, and as one picture."""
+
+import io
+import zipfile
+from html import escape
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxunshear.errors import UserError
+from jaxunshear.report import page, pictures
+
+HEADS = ("sheared (input)", "unsheared", "tap (truth)", "sheared against tap", "unsheared against tap")
+Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
+
+
+def read(path: Path) -> Shown:
+    """Raises `UserError` where montage.npz is missing or damaged."""
+    try:
+        with np.load(path) as file:
+            return dict(file)
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
+
+
+def section(shown: Shown) -> str:
+    """Of the report: one typical contact of each stimulus, and folded away those that went badly and well."""
+    middle, others = _typical(shown)
+    key = "".join(
+        f'<span class=key style="background: rgb{colour}"></span>{text}'
+        for colour, text in ((pictures.MISSING, "missing from the image"), (pictures.SURPLUS, "should not be there"))
+    )
+    body = [
+        _table(shown, middle),
+        f"<figcaption>In the differences:{key}. Numbers are likeness to the tap.</figcaption>",
+    ]
+    if others:
+        more = f"<details><summary>Contacts that went badly, and well (10th and 90th percentile)</summary>{_table(shown, others)}"
+        body.append(more + "</details>")
+    lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
+    return page.section("What it does", lead, *body)
+
+
+def drawing(shown: Shown) -> bytes:
+    """The typical contacts as one PNG; the same contacts give the same bytes."""
+    rows, _ = _typical(shown)
+    figure = Figure(figsize=(8.2, 1.85 * len(rows)), layout="constrained", dpi=100)
+    for line, row in zip(figure.subplots(len(rows), len(HEADS), squeeze=False), rows, strict=True):
+        for axes, (image, text), head in zip(line, _cells(shown, row), HEADS, strict=True):
+            axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
+            axes.set(xticks=[], yticks=[])
+            axes.set_xlabel(text, fontsize=8)
+            if row == rows[0]:
+                axes.set_title(head, fontsize=9)
+        line[0].set_ylabel("\n".join(_words(shown, row)), rotation=0, ha="right", va="center", fontsize=8)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": ""})
+    return buffer.getvalue()
+
+
+def _typical(shown: Shown) -> tuple[list[int], list[int]]:
+    """Rows of the middle contact of every stimulus, and the others."""
+    middle, others = [], []
+    for name in dict.fromkeys(shown["stimulus"].tolist()):
+        inside = np.flatnonzero(shown["stimulus"] == name).tolist()
+        middle.append(inside.pop(len(inside) // 2))
+        others += inside
+    return middle, others
+
+
+def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
+    """Images and likenesses under them, in the order of HEADS."""
+    sheared, unsheared, tap = (shown[kind][row] for kind in ("sheared", "disentangled", "tap"))
+    return [
+        (sheared, f"{shown['ms_ssim_sheared'][row]:.2f}"),
+        (unsheared, f"{shown['ms_ssim_disentangled'][row]:.2f}"),
+        (tap, ""),
+        (pictures.difference(sheared, tap), ""),
+        (pictures.difference(unsheared, tap), ""),
+    ]
+
+
+def _words(shown: Shown, row: int) -> tuple[str, str, str]:
+    slide, depth = float(np.hypot(*shown["move"][row])), float(shown["pose"][row][3])
+    return str(shown["stimulus"][row]), f"slide {slide:.1f} mm", f"depth {depth:.1f} mm"
+
+
+def _table(shown: Shown, rows: list[int]) -> str:
+    lines = []
+    for row in rows:
+        name, *words = map(escape, _words(shown, row))
+        pixels = "".join(
+            f'<td><img src="{pictures.png_address(image)}" alt="{escape(title)}">{text}</td>'
+            for (image, text), title in zip(_cells(shown, row), HEADS, strict=True)
+        )
+        lines.append(f"<tr><th><b>{name}</b><br>{'<br>'.join(words)}</th>{pixels}</tr>")
+    top = "".join(f"<th>{title}</th>" for title in ("", *HEADS))
+    return f'<div class=wide><table class="montage"><tr>{top}</tr>\n' + "\n".join(lines) + "</table></div>"
