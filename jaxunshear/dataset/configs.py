@@ -7,15 +7,15 @@ from pathlib import Path
 
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import FITTED_CAMERA, Camera, Preprocess
-from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, Sensor
+from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Camera, Preprocess
+from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 
-VERSION = "2.1.0"  # of the stored sets; raise it whenever the same settings give other bits
+VERSION = "2.2.0"  # of the stored sets; raise it whenever the same settings give other bits
 PAIRED_SET, POSE_SET = "tactip_paired", "tactip_pose"
 
 PAIRED = {
     "tiny": PairedData(config="tiny", poses=10),
-    "demo": PairedData(),
+    "demo": PairedData(camera=FLUSH_CAMERA),
     "calibrated": PairedData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PairedData(config="standard", poses=400, taps=2, slides=8, tap_depth_jitter_mm=0.5),
     "paper": PairedData(
@@ -30,7 +30,7 @@ PAIRED = {
 }
 POSE = {
     "tiny": PoseData(config="tiny", poses=10),
-    "demo": PoseData(),
+    "demo": PoseData(camera=FLUSH_CAMERA),
     "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PoseData(config="standard", poses=3000),
     "paper": PoseData(config="paper", poses=10_000, camera=Camera(frame_px=256), preprocess=Preprocess(size=256)),
@@ -40,7 +40,7 @@ CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: P
 
 def sensor_of(config: str) -> Sensor:
     """The sensor of a stored configuration."""
-    return TACTIP_331_FITTED if config == "calibrated" else TACTIP_331
+    return {"demo": TACTIP_331_FLUSH, "calibrated": TACTIP_331_FITTED}.get(config, TACTIP_331)
 
 
 def set_name(settings: PairedData | PoseData) -> str:

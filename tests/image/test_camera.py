@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.image.camera import drift, frame, outer_fraction, project, to_image_px
-from jaxunshear.image.settings import FITTED_CAMERA, Camera, Nuisance, Preprocess
-from jaxunshear.scene.sensor import SENSORS, TACTIP_331, TACTIP_331_FITTED, pin_tips
+from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Camera, Nuisance, Preprocess
+from jaxunshear.scene.sensor import SENSORS, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, pin_tips
 
 CLEAN = Nuisance(housing_ring=False, specks=0, blur_px=0.3, noise=0.0, brightness=0.0)
 CAMERA = Camera()
@@ -105,5 +105,5 @@ def test_noise_has_its_deviation_and_the_housing_is_lit():
 
 @pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS.keys())
 def test_every_pin_lies_well_within_the_frame(sensor):
-    camera = FITTED_CAMERA if sensor == TACTIP_331_FITTED else CAMERA
+    camera = {TACTIP_331_FITTED: FITTED_CAMERA, TACTIP_331_FLUSH: FLUSH_CAMERA}.get(sensor, CAMERA)
     assert 0.3 < outer_fraction(camera, sensor) < 0.4
