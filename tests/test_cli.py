@@ -76,7 +76,7 @@ BAD_FIELDS = [
     ("--unshear.widths 8", "two positive numbers"),
     ("--unshear.disentangled false", "train --network"),
     ("--posenet.widths 8,8", "five convolutions"),
-    ("--sensor gelsight", "use one of tactip331, tactip127, tactip331-fitted"),
+    ("--sensor gelsight", "use one of tactip331, tactip127, tactip331-flush, tactip331-fitted"),
     ("--sensor.rings 40", "past the dome's rim"),
     ("--sensor.layout square", "rings, hexagonal"),
     ("--sensor.gel_poisson 0.5", "incompressible"),

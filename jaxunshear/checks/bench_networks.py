@@ -96,7 +96,7 @@ def _training_sides(size: int, batch: int) -> Sides:
         from jaxunshear.checks import torch_twin
 
         torch.manual_seed(0)
-        twin = torch_twin.Twin(net).to(memory_format=torch.channels_last).train()
+        twin = torch_twin.channels_last(torch_twin.Twin(net)).train()
         step = torch_twin.training_step(twin, training, compiled)
         given = [torch.from_numpy(images.transpose(0, 3, 1, 2).copy()) for images in (canonical, sheared)]
         return lambda: float(step(*given)) and None
@@ -121,7 +121,7 @@ def _inference_sides(size: int, batch: int) -> Sides:
 
         from jaxunshear.checks import torch_twin
 
-        twin = torch_twin.Twin(net).to(memory_format=torch.channels_last).eval()
+        twin = torch_twin.channels_last(torch_twin.Twin(net)).eval()
         run = torch.compile(twin.unshear) if compiled else twin.unshear
         given = torch.from_numpy(sheared.transpose(0, 3, 1, 2).astype(np.float32) / 255)
         given = given.contiguous(memory_format=torch.channels_last)

@@ -87,6 +87,12 @@ class Twin(nn.Module):
                 _load_layer(getattr(self, name), params[name], stats[name], False)
 
 
+def channels_last(twin: Twin) -> Twin:
+    """The layout in which PyTorch's convolutions are fastest on a CPU."""
+    module: Any = twin  # PyTorch's types lack the argument
+    return module.to(memory_format=torch.channels_last)
+
+
 def _load_layers(layers, params, stats, names: tuple[str, ...], transposed: bool) -> None:
     for layer, name in zip(layers, names, strict=False):
         _load_layer(layer, params[name], stats[name], transposed)
