@@ -1,9 +1,9 @@
-"""Claim: what the demo shows holds for a sensor, a camera and a friction that were fitted to real recordings, too.
+"""Claim: as in the demo, images lose the slide with a sensor, a camera and a friction that were fitted to real recordings.
 
     jaxunshear run experiments/calibrated.py
 
-Expected on two cores: as long as the demo, with figures of its own: the fitted skin is a hundred times stiffer than its gel and slips
-at half the pull.
+Expected on two cores: as long as the demo; MS-SSIM from about 0.53 to 0.95. No gain in pose after these minutes: the fitted skin slips at half
+the pull, its pins are levers, and a PoseNet that learnt from taps errs by 0.5 mm on sheared images, and as much on unsheared ones.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
