@@ -56,14 +56,14 @@ def _norm_relu_backward(bordered, saved, cotangents):
     images, count = _images(x), _count(x, bordered)
     inverse = jax.lax.rsqrt(variance + EPSILON)
     factor = scale * inverse
-    wide_factor = _wide(factor, bordered)
+    wide_factor, centred = _wide(factor, bordered), images - _wide(mean, bordered)
     active = images * wide_factor + _wide(bias - mean * factor, bordered) > 0
     dy = jnp.where(active, _images(cotangents[0]), 0)
     d_bias = _sums(dy, x, bordered)
-    d_scale = _sums(dy * (images - _wide(mean, bordered)), x, bordered) * inverse
-    slope = factor * inverse * d_scale / count
-    constant = factor * d_bias / count - slope * mean
-    dx = _inside(dy * wide_factor - (_wide(constant, bordered) + images * _wide(slope, bordered)), x, bordered)
+    d_scale = _sums(dy * centred, x, bordered) * inverse
+    constant = _wide(factor * d_bias / count, bordered)
+    slope = _wide(factor * inverse * d_scale / count, bordered)
+    dx = _inside(dy * wide_factor - (constant + centred * slope), x, bordered)
     return dx.reshape(x.shape), d_scale, d_bias
 
 
