@@ -2,7 +2,7 @@
 
 XLA allocates one block for a step's intermediate arrays and frees it after each step; glibc returns such large blocks
 to the kernel, and getting them back, page by page, cost a third of a training step on two cores. What threads allocate is
-returned whatever one asks for; in pages of 2 MB instead of 4 kB that costs little (a training step: 12 to 17 % less).
+returned whatever one asks for; in pages of 2 MB instead of 4 kB that costs little.
 """
 
 import ctypes

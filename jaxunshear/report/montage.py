@@ -86,12 +86,16 @@ def _words(shown: Shown, row: int) -> tuple[str, str, str]:
     return str(shown["stimulus"][row]), f"slide {slide:.1f} mm", f"depth {depth:.1f} mm"
 
 
+def _strong(text: str, title: str) -> str:
+    return f"<b>{text}</b>" if title == "unsheared" else text
+
+
 def _table(shown: Shown, rows: list[int]) -> str:
     lines = []
     for row in rows:
         name, *words = map(escape, _words(shown, row))
         pixels = "".join(
-            f'<td><img src="{pictures.png_address(image)}" alt="{escape(title)}">{text}</td>'
+            f'<td><img src="{pictures.png_address(image)}" alt="{escape(title)}">{_strong(text, title)}</td>'
             for (image, text), title in zip(_cells(shown, row), HEADS, strict=True)
         )
         lines.append(f"<tr><th><b>{name}</b><br>{'<br>'.join(words)}</th>{pixels}</tr>")

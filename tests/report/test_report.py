@@ -86,6 +86,20 @@ def test_the_figures_of_the_results_are_on_it(made_up_run):
     assert "8 min 18 s" in text  # the sum of times.json, which has grown since the evaluation
 
 
+def test_the_montage_is_a_picture_of_every_shape_too(made_up_run):
+    folder, _ = made_up_run
+    write_report(folder)
+    first = (folder / "montage.png").read_bytes()
+    with Image.open(io.BytesIO(first)) as picture:
+        grey = np.asarray(picture.convert("L"))
+    with np.load(folder / "montage.npz") as file:
+        shapes = len(set(file["stimulus"].tolist()))
+    assert abs(len(grey) - 185 * shapes) <= 2  # a row of each
+    assert (grey < 100).mean() > 0.2  # images, not blank paper
+    write_report(folder)
+    assert (folder / "montage.png").read_bytes() == first
+
+
 def test_a_missed_bar_is_shown(made_up_run):
     folder, results = made_up_run
     results["ms_ssim"]["disentangled"]["overall"] = 0.89
