@@ -1,11 +1,16 @@
 """What an experiment file holds: one frozen dataclass for the whole way of the data. Imports no JAX."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 from jaxunshear.training.settings import Training
+
+NETWORKS = ("entangled", "disentangled", "posenet")  # the paper's
+RIVALS = ("entangled_large", "unet", "posenet_sheared")  # entangled with as many parameters; a U-Net; PoseNet on slides
+ALL_NETWORKS = (*NETWORKS, *RIVALS)
+POSENETS = ("posenet", "posenet_sheared")
 
 
 @dataclass(frozen=True)
@@ -15,10 +20,25 @@ class Experiment:
     name: str
     claim: str
     seed: int = 0
+    networks: tuple[str, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
+    unseen: tuple[str, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
+    other_jitters_mm: tuple[float, ...] = ()  # tests of their own, with taps that miss the slide's depth by up to this
     sensor: Sensor = TACTIP_331
     paired: PairedData = field(default_factory=PairedData)
     pose: PoseData = field(default_factory=PoseData)
     unshear: UnshearNet = field(default_factory=UnshearNet)
     posenet: PoseNet = field(default_factory=PoseNet)
-    train: Training = field(default_factory=Training)  # both UnshearNets
-    train_posenet: Training = field(default_factory=Training)
+    train: Training = field(default_factory=Training)  # UnshearNets, and the U-Net of the same widths
+    train_posenet: Training = field(default_factory=Training)  # both PoseNets
+
+
+def further_tests(experiment: Experiment) -> dict[str, PairedData]:
+    """Data sets that are for tests alone, all of their splits: a fifth of the poses, as the test split has."""
+    paired = experiment.paired
+    fifth = replace(paired, poses=max(5, round(0.2 * paired.poses)), seed=paired.seed + 1000)
+    tests = {}
+    if experiment.unseen:
+        tests["unseen"] = replace(fifth, stimuli=experiment.unseen)
+    for jitter in experiment.other_jitters_mm:
+        tests[f"depth_{jitter:g}mm"] = replace(fifth, tap_depth_jitter_mm=jitter)
+    return tests

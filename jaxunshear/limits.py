@@ -5,11 +5,12 @@ A rule is (holds, dotted field name, what is wrong and what to do instead). Late
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import ALL_NETWORKS, Experiment
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import Sensor, sensor_rules
 from jaxunshear.training.settings import Training
@@ -19,6 +20,7 @@ Rule = tuple[bool, str, str]
 # The keys of `scene.stimuli.STIMULI`, which imports JAX; a test holds the two together.
 STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2")
 SCHEDULES = ("cosine", "steps")
+PRECISIONS = ("float32", "bfloat16")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
 FEWEST_POSES = 5  # the smallest number that 60:20:20 splits into three non-empty parts
@@ -32,11 +34,29 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
     yield from _paired(experiment.paired, experiment.sensor)
     yield from _pose(experiment.pose, experiment.sensor)
     yield from _networks(experiment)
+    yield from _tests(experiment)
     paired, pose = experiment.paired, experiment.pose
     pairs = _train_poses(paired) * len(paired.stimuli) * paired.slides
     yield from _training(experiment.train, "train", experiment.unshear.size, pairs)
     taps = _train_poses(pose) * len(pose.stimuli)
     yield from _training(experiment.train_posenet, "train_posenet", experiment.posenet.size, taps)
+
+
+def _tests(experiment: Experiment) -> Iterator[Rule]:
+    unknown = ", ".join(name for name in experiment.networks if name not in ALL_NETWORKS)
+    yield not unknown, "networks", f"network {unknown} is unknown: use {', '.join(ALL_NETWORKS)}"
+    yield len(experiment.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
+    yield len(set(experiment.networks)) == len(experiment.networks), "networks", "name each network once"
+    unknown = ", ".join(name for name in experiment.unseen if name not in STIMULUS_NAMES)
+    yield not unknown, "unseen", f"stimulus {unknown} is unknown: use {', '.join(STIMULUS_NAMES)}"
+    trained = {*experiment.paired.stimuli, *experiment.pose.stimuli}
+    seen = ", ".join(name for name in experiment.unseen if name in trained)
+    yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
+    yield len(set(experiment.unseen)) == len(experiment.unseen), "unseen", "name each stimulus once"
+    for jitter in experiment.other_jitters_mm:
+        data = replace(experiment.paired, tap_depth_jitter_mm=jitter)
+        for holds, _, remedy in _jitter(data, experiment.sensor):
+            yield holds, "other_jitters_mm", remedy
 
 
 def _train_poses(data: PairedData | PoseData) -> int:
@@ -89,6 +109,10 @@ def _paired(data: PairedData, sensor: Sensor) -> Iterator[Rule]:
     yield from _data(data, "paired", sensor)
     yield data.taps >= 1, "paired.taps", "use at least 1: a sheared image needs a tap to pair with"
     yield data.slides >= 1, "paired.slides", "use at least 1: without slides there is nothing to unshear"
+    yield from _jitter(data, sensor)
+
+
+def _jitter(data: PairedData, sensor: Sensor) -> Iterator[Rule]:
     jitter, ranges = data.tap_depth_jitter_mm, data.ranges
     yield (
         0 <= jitter <= ranges.depth_min_mm,
@@ -236,6 +260,7 @@ def _training(training: Training, group: str, size: int, examples: int) -> Itera
         "are pairs epoch:factor, the epoch above 0, the factor above 0 and at most 1",
     )
     epochs = [epoch for epoch, _ in drops]
+    yield training.precision in PRECISIONS, f"{group}.precision", f"use {' or '.join(PRECISIONS)}"
     yield epochs == sorted(set(epochs)), f"{group}.drops", "must be in the order of their epochs"
     for field in ("beta1", "beta2", "averaging"):
         yield 0 <= getattr(training, field) < 1, f"{group}.{field}", "use 0 up to, but not, 1"

@@ -1,4 +1,4 @@
-"""The stages of an experiment, in the order of the data: data, three trainings, evaluation, report.
+"""The stages of an experiment, in the order of the data: data, trainings, evaluation, report.
 
 Every stage leaves its work under one folder and finds it again, so the same command continues a stopped run. Only this file
 knows all stages; none of them knows another.
@@ -13,14 +13,15 @@ from typing import Any
 from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import ALL_NETWORKS, POSENETS, Experiment
+from jaxunshear.model.settings import UNet, UnshearNet
 from jaxunshear.storage import read_json, write_json
 
-NETWORKS = ("entangled", "disentangled", "posenet")
+FIELDS = {"posenet": ("image", "pose", "edge"), "posenet_sheared": ("sheared", "pose", "edge")}  # what a training reads
 
 
 def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str) -> dict[str, Any]:
-    """Run `stages` (of "data", "entangled", "disentangled", "posenet", "evaluate", "report") into out/<name>.
+    """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>.
 
     Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can mend.
     """
@@ -31,7 +32,7 @@ def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data:
         began = time.perf_counter()
         if stage == "data":
             worked = _make_data(experiment, data)
-        elif stage in NETWORKS:
+        elif stage in ALL_NETWORKS:
             worked = _train(experiment, stage, folder, data)
         elif stage == "evaluate":
             from jaxunshear.evaluation.evaluate import evaluate
@@ -63,11 +64,10 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
 
 
 def _make_data(experiment: Experiment, data: Path) -> bool:
-    from jaxunshear.dataset.making import make_sets
+    from jaxunshear.dataset.making import make_sets, sets_of
 
     there = all(
-        configs.set_folder(settings, experiment.sensor, data).exists()
-        for settings in (experiment.paired, experiment.pose)
+        configs.set_folder(settings, experiment.sensor, data).exists() for settings in sets_of(experiment).values()
     )
     for name, metadata in make_sets(experiment, data).items():
         counts = metadata["counts"]
@@ -82,14 +82,15 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     from jaxunshear.dataset.reading import open_set
     from jaxunshear.training.loop import train_posenet, train_unshear
 
-    pose = network == "posenet"
-    settings: Any = experiment.pose if pose else experiment.paired
+    pose = network in POSENETS
+    settings: Any = experiment.pose if network == "posenet" else experiment.paired
     training = experiment.train_posenet if pose else experiment.train
     examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
-    fields = ("image", "pose", "edge") if pose else ("canonical", "sheared")
+    fields = FIELDS.get(network, ("canonical", "sheared"))
+    batches = examples.train_batches(training.batch, experiment.seed, training.shift, fields)
     common: dict[str, Any] = {
         "training": training,
-        "batches": examples.train_batches(training.batch, experiment.seed, training.shift, fields),
+        "batches": lambda start: map(_as_image, batches(start)),
         "validation": _first(examples.split, training.validation_images, fields),
         "seed": experiment.seed,
         "folder": folder / network,
@@ -99,13 +100,28 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     if pose:
         summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
     else:
-        net = dataclasses.replace(experiment.unshear, disentangled=network == "disentangled")
-        summary = train_unshear(net, **common)
+        summary = train_unshear(unshear_net(experiment.unshear, network), **common)
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
     )
     return True
+
+
+def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
+    """The settings of one of the networks that unshear, all derived from `net`."""
+    from jaxunshear.model.unshearnet import as_large_entangled
+
+    if network == "unet":
+        return UNet(net.size, net.widths)
+    if network == "entangled_large":
+        return as_large_entangled(dataclasses.replace(net, disentangled=True))
+    return dataclasses.replace(net, disentangled=network == "disentangled")
+
+
+def _as_image(batch: dict[str, Any]) -> dict[str, Any]:
+    """PoseNet's training names whatever it looks at "image"."""
+    return {"image" if name == "sheared" and "pose" in batch else name: values for name, values in batch.items()}
 
 
 def _first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Any]]:
@@ -117,7 +133,7 @@ def _first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, .
         for examples in split("validation", batch, fields):
             examples = {name: values[: count - taken] for name, values in examples.items()}
             taken += len(examples[fields[0]])
-            yield examples
+            yield _as_image(examples)
             if taken >= count:
                 return
 
@@ -134,7 +150,7 @@ def _keep_time(folder: Path, stage: str, seconds: float) -> None:
 def _tell(results: dict[str, Any]) -> None:
     from jaxunshear.evaluation.measurements import measurements
 
-    for row in measurements(results)["rows"]:
+    for row in measurements(results | {"tests": {}})["rows"]:  # those of further tests fill pages: see the report
         bar = (
             ""
             if row["bar"] is None

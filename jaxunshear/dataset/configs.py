@@ -3,11 +3,12 @@
 import dataclasses
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Camera, Preprocess
+from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 
 VERSION = "2.2.0"  # of the stored sets; raise it whenever the same settings give other bits
@@ -17,14 +18,14 @@ PAIRED = {
     "tiny": PairedData(config="tiny", poses=10),
     "demo": PairedData(camera=FLUSH_CAMERA),
     "calibrated": PairedData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    "standard": PairedData(config="standard", poses=400, taps=2, slides=8, tap_depth_jitter_mm=0.5),
+    "standard": PairedData(config="standard", poses=1200, camera=FLUSH_CAMERA),
     "paper": PairedData(
         config="paper",
         poses=200,
         taps=50,
         slides=150,
         tap_depth_jitter_mm=1.0,
-        camera=Camera(frame_px=256),
+        camera=replace(FLUSH_CAMERA, frame_px=256),
         preprocess=Preprocess(size=256),
     ),
 }
@@ -32,15 +33,18 @@ POSE = {
     "tiny": PoseData(config="tiny", poses=10),
     "demo": PoseData(camera=FLUSH_CAMERA),
     "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    "standard": PoseData(config="standard", poses=3000),
-    "paper": PoseData(config="paper", poses=10_000, camera=Camera(frame_px=256), preprocess=Preprocess(size=256)),
+    "standard": PoseData(config="standard", poses=3000, camera=FLUSH_CAMERA),
+    "paper": PoseData(
+        config="paper", poses=10_000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
+    ),
 }
 CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: PAIRED, POSE_SET: POSE}
 
 
 def sensor_of(config: str) -> Sensor:
     """The sensor of a stored configuration."""
-    return {"demo": TACTIP_331_FLUSH, "calibrated": TACTIP_331_FITTED}.get(config, TACTIP_331)
+    others = {"tiny": TACTIP_331, "calibrated": TACTIP_331_FITTED}
+    return others.get(config, TACTIP_331_FLUSH)
 
 
 def set_name(settings: PairedData | PoseData) -> str:

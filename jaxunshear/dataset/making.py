@@ -10,7 +10,7 @@ from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import check
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import Experiment, further_tests
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import os_error, read_json
 
@@ -73,9 +73,16 @@ def _make(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path, engin
         builder.download_and_prepare()
 
 
+def sets_of(experiment: Experiment) -> dict[str, PairedData | PoseData]:
+    """The settings of all sets that an experiment needs, by the sets' names; those of further tests by the tests'."""
+    sets: dict[str, PairedData | PoseData] = {configs.PAIRED_SET: experiment.paired}
+    if "posenet" in experiment.networks:
+        sets[configs.POSE_SET] = experiment.pose
+    return sets | further_tests(experiment)
+
+
 def make_sets(experiment: Experiment, data_dir: Path, engine: Engine | None = None) -> dict[str, dict]:
-    """Both sets of an experiment; metadata by the sets' names."""
-    made = (
-        make_set(settings, experiment.sensor, data_dir, engine) for settings in (experiment.paired, experiment.pose)
-    )
-    return {metadata["set"]: metadata for metadata in made}
+    """Makes those sets; their metadata by the same names."""
+    return {
+        name: make_set(settings, experiment.sensor, data_dir, engine) for name, settings in sets_of(experiment).items()
+    }

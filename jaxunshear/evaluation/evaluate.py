@@ -6,32 +6,39 @@ The way through: `networks.load` (what the networks say) -> `gather` (one number
 import dataclasses
 import io
 import time
+from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.baselines import training_taps
 from jaxunshear.evaluation.gather import FIELDS, Gathered, gather
 from jaxunshear.evaluation.measurements import BARS
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
-from jaxunshear.evaluation.score import KINDS, chance
+from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, tables, typical
-from jaxunshear.experiment import Experiment
-from jaxunshear.metrics import ms_ssim, ms_ssim_name, scales_that_fit, true_quantities
+from jaxunshear.experiment import Experiment, further_tests
+from jaxunshear.metrics import ms_ssim_name, scales_that_fit, true_quantities
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.storage import read_json, write_bytes, write_json
 
 BATCH = 32
+SPLITS = ("train", "validation", "test")  # all of them serve a further test
 KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
 BOOTSTRAP_SEED = 0
 
 
 def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> dict[str, Any]:
-    """Scores the three networks of `run_dir` on the test split of the paired set; writes and returns the results.
+    """Scores the experiment's networks in `run_dir` on the test split of the paired set, and on its further tests.
 
-    `command` is what a person typed, to stand beside the figures.
+    Writes and returns the results; also writes `montage.npz` and, for who wants to compare runs contact by contact, every score
+    of every contact: `scores.npz`, `scores-<test>.npz`. `command` is what a person typed, to stand beside the figures.
 
     Raises `UserError` where a network or the data set is missing, damaged or empty.
     """
@@ -44,8 +51,16 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     total = pairs.length("test")
     if not total:
         raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
-    gathered = gather(load(run_dir, experiment.pose.ranges), pairs.split("test", BATCH, FIELDS), total, KEPT)
-    results = results_of(experiment, gathered)
+    taps = training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
+    run = load(run_dir, experiment.networks, experiment.pose.ranges, experiment.paired.ranges, taps)
+    gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT)
+    further = {}
+    for name, settings in further_tests(experiment).items():
+        reader = open_set("tactip_paired", settings, data_dir, experiment.sensor)
+        count = sum(reader.length(split) for split in SPLITS)
+        batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
+        further[name] = gather(run, batches, count, 0, f"evaluate {name}")
+    results = results_of(experiment, gathered, further)
     results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
     results["counts"] |= {name: pairs.metadata["counts"][name] for name in ("contacts", "retried", "dropped")}
     times = run_dir / "times.json"
@@ -56,20 +71,32 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         "command": command,
     }
     results = _rounded(results)
+    write_bytes(run_dir / "scores.npz", every_score(gathered))
+    for name, found in further.items():
+        write_bytes(run_dir / f"scores-{name}.npz", every_score(found))
     write_bytes(run_dir / "montage.npz", montage(experiment.paired.stimuli, gathered))
     write_json(run_dir / "results.json", results)
     return results
 
 
-def results_of(experiment: Experiment, gathered: Gathered) -> dict[str, Any]:
-    """All of the results that follow from the scores alone: the same scores give the same bits."""
+def every_score(gathered: Gathered) -> bytes:
+    """An npz of all scores by name, `stimulus` and `pose_id`, (N,) each."""
+    buffer = io.BytesIO()
+    labels = {name: gathered.labels[name] for name in ("stimulus", "pose_id")}
+    np.savez_compressed(buffer, **gathered.scores, **labels)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def results_of(
+    experiment: Experiment, gathered: Gathered, further: Mapping[str, Gathered] = MappingProxyType({})
+) -> dict[str, Any]:
+    """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
     labels, scores = gathered.labels, gathered.scores
     names = experiment.paired.stimuli
     size = experiment.paired.preprocess.size
     scales = scales_that_fit(size)
     true = true_quantities(labels["pose"], labels["edge"])
-    taps = gathered.images["tap"][..., None].astype(np.float32) / 255
-    mean_tap = np.broadcast_to(taps.mean(axis=0), taps.shape)
+    tested = further_tests(experiment)
     return {
         "experiment": experiment.name,
         "claim": experiment.claim,
@@ -81,6 +108,7 @@ def results_of(experiment: Experiment, gathered: Gathered) -> dict[str, Any]:
             "pose_mae": "mean absolute error of a PoseNet trained on taps",
             "pose_ratio": "error over the error on sheared images",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
+            "difference": "disentangled less this network, contact by contact",
             "swap": f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image with its target",
             "pin_error": f"matched centroids of {len(gathered.kept)} images against the tap's true pins",
         },
@@ -91,10 +119,8 @@ def results_of(experiment: Experiment, gathered: Gathered) -> dict[str, Any]:
             gathered.pins["sheared_pins"],
             experiment.paired.camera.mm_across / size,
         ),
-        "baselines": {
-            "pose_chance": chance(true),
-            "ms_ssim_mean_tap": float(np.asarray(ms_ssim(taps, mean_tap, scales)).mean(dtype=np.float64)),
-        },
+        "tests": {name: _further(tested[name], found) for name, found in further.items()},
+        "baselines": {"pose_chance": chance(true)},
         "contact": contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
         "counts": {
             "test_poses": len(np.unique(np.stack([labels["stimulus"], labels["pose_id"]], axis=1), axis=0)),
@@ -113,13 +139,25 @@ def results_of(experiment: Experiment, gathered: Gathered) -> dict[str, Any]:
     }
 
 
+def _further(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
+    """The tables of a test of its own, with what it was made of."""
+    labels = gathered.labels
+    return {
+        "stimuli": settings.stimuli,
+        "tap_depth_jitter_mm": settings.tap_depth_jitter_mm,
+        "contacts": len(labels["stimulus"]),
+        **tables(gathered.scores, settings.stimuli, labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED),
+    }
+
+
 def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:
     """An npz of a few contacts: for every stimulus one of low, one of middling and one of high similarity unsheared.
 
     Images (M, S, S) uint8 by kind, `stimulus` (M,) names, `pose` (M, 4), `move` (M, 2), and `ms_ssim_<kind>` (M,).
     """
     stimulus = gathered.labels["stimulus"][gathered.kept]
-    shown = typical(gathered.scores["ms_ssim/disentangled"][gathered.kept], stimulus)
+    judged = shown_kind(gathered.images)
+    shown = typical(gathered.scores[f"ms_ssim/{judged}"][gathered.kept], stimulus)
     contacts = gathered.kept[shown]
     buffer = io.BytesIO()
     np.savez_compressed(
@@ -127,8 +165,10 @@ def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:
         stimulus=np.array(names)[stimulus[shown]],
         pose=gathered.labels["pose"][contacts],
         move=gathered.labels["move"][contacts],
-        **{kind: gathered.images[kind][shown] for kind in KINDS},
-        **{f"ms_ssim_{kind}": gathered.scores[f"ms_ssim/{kind}"][contacts] for kind in KINDS if kind != "tap"},
+        **{kind: images[shown] for kind, images in gathered.images.items()},
+        **{
+            f"ms_ssim_{kind}": gathered.scores[f"ms_ssim/{kind}"][contacts] for kind in gathered.images if kind != "tap"
+        },
     )
     return buffer.getvalue()
 

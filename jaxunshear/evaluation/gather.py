@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.evaluation.score import KINDS, Outputs, pose_scores
+from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
 from jaxunshear.metrics import true_quantities
 from jaxunshear.progress import Progress
 
@@ -20,7 +20,7 @@ class Gathered(NamedTuple):
     scores: dict[str, np.ndarray]  # (N,) by the names of score.py
     labels: dict[str, np.ndarray]  # (N, ...) by LABELS
     kept: np.ndarray  # (K,) indices of contacts
-    images: dict[str, np.ndarray]  # (K, S, S) uint8 by KINDS
+    images: dict[str, np.ndarray]  # (K, S, S) uint8 by kind, without the baselines
     pins: dict[str, np.ndarray]  # (K, P, 2) px by PINS
 
 
@@ -29,6 +29,7 @@ def gather(
     batches: Iterable[Mapping[str, np.ndarray]],
     total: int,
     keep: int,
+    title: str = "evaluate",
 ) -> Gathered:
     """Feeds (tap, sheared) of every batch to `run` and collects what it scores; keeps `keep` contacts, evenly spaced.
 
@@ -40,7 +41,7 @@ def gather(
     images: list[dict[str, np.ndarray]] = []
     pins: list[dict[str, np.ndarray]] = []
     full = start = 0
-    with Progress("evaluate", total) as progress:
+    with Progress(title, total) as progress:
         for batch in batches:
             size = len(batch["sheared"])
             full = max(full, size)
@@ -50,11 +51,14 @@ def gather(
             scores[-1] |= pose_scores(poses, true_quantities(batch["pose"], batch["edge"]))
             labels.append({name: np.asarray(batch[name]) for name in LABELS})
             inside = kept[(kept >= start) & (kept < start + size)] - start
-            images.append({kind: _eight_bit(np.asarray(outputs.images[kind])[inside]) for kind in KINDS})
+            images.append(
+                {k: _eight_bit(np.asarray(x)[inside]) for k, x in outputs.images.items() if k not in BASELINES}
+            )
             pins.append({name: np.asarray(batch[name])[inside] for name in PINS})
             start += size
             progress.advance(size)
-    return Gathered(_joined(scores), _joined(labels), kept[kept < start], _joined(images), _joined(pins))
+    every = _joined(scores)
+    return Gathered(every | differences(every), _joined(labels), kept[kept < start], _joined(images), _joined(pins))
 
 
 def _filled(images: np.ndarray, size: int) -> np.ndarray:

@@ -8,6 +8,7 @@ BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
     "pose_ratio.disentangled.edge_mm": ("<=", 0.6),
     "pose_ratio.disentangled.edge_deg": ("<=", 0.6),
 }
+TABLES = ("ms_ssim", "pose_mae", "pose_ratio", "pose_recovery", "difference", "swap")
 UNITS = {"_mm": "mm", "_deg": "deg", "_px": "px", "_per_image": "pins/image"}
 
 
@@ -18,14 +19,23 @@ def measurements(results: dict[str, Any]) -> dict[str, Any]:
     numbers), `bar` and its `sense` (">=" or "<="), `ok` (null where no bar is set), and `metric`, the exact quantity.
     """
     rows = []
-    for table in ("ms_ssim", "pose_mae", "pose_ratio", "pose_recovery", "swap", "pin_error"):
-        metric = results["metric"].get(table, table)
-        for kind, columns in results[table].items():
-            for column, value in columns.items():
-                if not isinstance(value, str):
-                    rows.append(_row(f"{table}.{kind}.{column}", value, _unit(table, column), metric))
+    for table in (*TABLES, "pin_error"):
+        rows += _rows(results, table, results["metric"], "")
+    for test, further in results["tests"].items():
+        for table in TABLES:
+            rows += _rows(further, table, results["metric"], f"{test}.")
     rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results["time_s"].items()]
     return {"rows": rows, "machine": results["machine"], "versions": results["versions"]}
+
+
+def _rows(results: dict[str, Any], table: str, metrics: dict[str, Any], prefix: str) -> list[dict[str, Any]]:
+    metric = metrics.get(table, table)
+    return [
+        _row(f"{prefix}{table}.{kind}.{column}", value, _unit(table, column), metric)
+        for kind, columns in results[table].items()
+        for column, value in columns.items()
+        if not isinstance(value, str)
+    ]
 
 
 def reproducible(results: dict[str, Any]) -> dict[str, Any]:

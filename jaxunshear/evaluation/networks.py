@@ -1,6 +1,6 @@
 """The trained networks of a run as one function of a batch of images; knows the models, nothing of data sets."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,32 +10,47 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.dataset.settings import Ranges
+from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import Outputs, image_scores
-from jaxunshear.model import posenet, unshearnet
+from jaxunshear.evaluation.score import LEARNT_SHEARED, UNSHEARED, Outputs, image_scores
+from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.training.checkpoint import load_best, read_net
 
-FOLDERS = ("disentangled", "entangled", "posenet")
+Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
 
 
-def load(run_dir: Path, ranges: Ranges) -> Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]:
+def load(
+    run_dir: Path, names: Sequence[str], ranges: Ranges, sheared_ranges: Ranges, taps: np.ndarray | None = None
+) -> Run:
     """A function (tap, sheared) -> (outputs, image scores), both images (B, S, S, 1) uint8 in {0, 255}; jitted as one.
 
-    Reads the best checkpoints of `disentangled`, `entangled` and `posenet` in `run_dir`; `ranges` are those of the
-    poses that PoseNet was trained on. Raises `UserError` where one is missing or cannot be read.
+    Reads the best checkpoints of the networks `names` in `run_dir` and no others; `ranges` are those of the poses that
+    PoseNet learnt, `sheared_ranges` those of the PoseNet that learnt from slides. With training taps (M, S, S, 1) uint8 the
+    baselines are there too. Raises `UserError` where a network is missing or cannot be read.
     """
-    folders = {name: Path(run_dir) / name for name in FOLDERS}
+    folders = {name: Path(run_dir) / name for name in names}
     nets: dict[str, Any] = {name: read_net(folder) for name, folder in folders.items()}
     variables = {name: load_best(folder) for name, folder in folders.items()}
 
     @jax.jit
-    def run(variables: dict[str, Any], tap: Array, sheared: Array):
-        images = {"tap": tap.astype(np.float32) / 255, "sheared": sheared.astype(np.float32) / 255}
-        images["entangled"] = unshearnet.unshear(nets["entangled"], variables["entangled"], images["sheared"])
-        cells = draw_cells(nets["disentangled"], variables["disentangled"], images["sheared"])
-        images["disentangled"] = cells["DC(z_p)"]
-        answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}
-        poses = {kind: posenet.pose_from_outputs(answer, ranges) for kind, answer in answers.items()}
+    def run(variables: dict[str, Any], taps: Array | None, tap: Array, sheared: Array):
+        tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
+        images, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
+        if taps is not None:
+            images |= baseline_images(taps, tap, sheared)
+        for kind in UNSHEARED:
+            if kind == "disentangled" and kind in nets:
+                cells = draw_cells(nets[kind], variables[kind], sheared)
+                images[kind] = cells["DC(z_p)"]
+            elif kind in nets:
+                module: Any = unet if kind == "unet" else unshearnet
+                images[kind] = module.unshear(nets[kind], variables[kind], sheared)
+        if "posenet" in nets:
+            answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}
+            poses = {kind: posenet.pose_from_outputs(answer, ranges) for kind, answer in answers.items()}
+        if "posenet_sheared" in nets:
+            answer = posenet.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
+            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, sheared_ranges)
         return Outputs(images, cells, poses), image_scores(images, cells)
 
-    return partial(run, variables)
+    return partial(run, variables, taps)

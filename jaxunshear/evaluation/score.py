@@ -3,7 +3,7 @@
 `Outputs` is all that evaluation needs to know of networks; who fills it is `networks.py`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -11,8 +11,11 @@ from jax import Array
 
 from jaxunshear.metrics import ms_ssim, mse, pose_errors, scales_that_fit, ssim
 
-UNSHEARED = ("entangled", "disentangled")
-KINDS = ("tap", "sheared", *UNSHEARED)
+BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
+UNSHEARED = ("entangled", "entangled_large", "unet", "disentangled")
+LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them
+KINDS = ("tap", "sheared", *BASELINES, *UNSHEARED)
+POSE_KINDS = ("tap", "sheared", LEARNT_SHEARED, *BASELINES, *UNSHEARED)
 CELLS = {  # appendix D: which decoder is fed which codes, and what it should draw
     "DC(z_p)": "tap",
     "DC(z_s)": "tap",
@@ -25,9 +28,9 @@ CELL_METRICS = ("mse", "ssim", "ms_ssim")
 class Outputs(NamedTuple):
     """What the networks make of a batch: images (B, S, S, 1) float in [0, 1], and poses by quantity, each (B,)."""
 
-    images: dict[str, Array]  # by kind: KINDS
+    images: dict[str, Array]  # by kind, those of KINDS that the run has
     cells: dict[str, Array]  # by cell: CELLS, or fewer where the network has no shear code or codes of two widths
-    poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # by kind
+    poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # by kind, those of POSE_KINDS that the run has
 
 
 def image_scores(images: dict[str, Array], cells: dict[str, Array]) -> dict[str, Array]:
@@ -37,7 +40,8 @@ def image_scores(images: dict[str, Array], cells: dict[str, Array]) -> dict[str,
     """
     scales = scales_that_fit(images["tap"].shape[1])
     metrics = {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
-    scores = {f"ms_ssim/{kind}": metrics["ms_ssim"](images[kind], images["tap"]) for kind in KINDS if kind != "tap"}
+    kinds = [kind for kind in KINDS if kind in images and kind != "tap"]
+    scores = {f"ms_ssim/{kind}": metrics["ms_ssim"](images[kind], images["tap"]) for kind in kinds}
     for cell, drawn in cells.items():
         for metric in CELL_METRICS:
             scores[f"swap/{cell}/{metric}"] = metrics[metric](drawn, images[CELLS[cell]])
@@ -51,6 +55,25 @@ def pose_scores(poses: Mapping[str, Mapping[str, np.ndarray]], true: Mapping[str
         for quantity, error in pose_errors(predicted, true).items():
             scores[f"pose/{kind}/{quantity}"] = error
     return scores
+
+
+def differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Disentangled less each other network, contact by contact, (N,): `difference/<kind>/<ms_ssim or quantity>`.
+
+    Their means have far narrower intervals than the two means apart: both saw the same contacts.
+    """
+    found = {}
+    for name, score in scores.items():
+        table, kind, *quantity = name.split("/")
+        ours = scores.get("/".join([table, "disentangled", *quantity]))
+        if ours is not None and kind in (*UNSHEARED, LEARNT_SHEARED) and kind != "disentangled":
+            found["/".join(["difference", kind, *(quantity or [table])])] = ours - score
+    return found
+
+
+def shown_kind(kinds: Container[str]) -> str:
+    """The network whose images stand for a run: the disentangled one, or the best known of those there are."""
+    return next((kind for kind in reversed(UNSHEARED) if kind in kinds), "sheared")
 
 
 def chance(true: dict[str, np.ndarray]) -> dict[str, float]:

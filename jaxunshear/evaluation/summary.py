@@ -1,11 +1,12 @@
 """From one number an image to the tables: pure functions of arrays, so they are tested without networks or data."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, UNSHEARED
-from jaxunshear.evaluation.spread import LEVEL, RESAMPLES, intervals
+from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
+from jaxunshear.evaluation.spread import LEVEL, RESAMPLES, interval, redrawn_means
 from jaxunshear.metrics import QUANTITIES
 
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
@@ -14,33 +15,39 @@ CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 def tables(
     scores: dict[str, np.ndarray], names: Sequence[str], stimulus: np.ndarray, pose_id: np.ndarray, seed: int
 ) -> dict[str, dict]:
-    """The tables `ms_ssim`, `pose_mae`, `pose_ratio`, `pose_recovery`, `swap` and their `spread` (95 % intervals).
+    """The tables `ms_ssim`, `pose_mae`, `pose_ratio`, `pose_recovery`, `difference`, `swap` and their `spread` (95 % intervals).
 
-    `scores`: arrays (N,) by the names of `score.py`; `names` of the stimuli, indexed by `stimulus` (N,); `pose_id`
-    (N,). A stimulus without test contacts is null. Ratio: error over that on sheared images. Recovery: the part of the
-    slide's damage undone, (sheared - unsheared) / (sheared - tap); null where the slide does no damage.
+    `scores`: arrays (N,) by the names of `score.py`, of whichever networks there are; `names` of the stimuli, indexed by
+    `stimulus` (N,); `pose_id` (N,). A stimulus without test contacts is null. Ratio: error over that on sheared images.
+    Recovery: the part of the slide's damage undone, (sheared - unsheared) / (sheared - tap); null where the slide does no damage.
+    Difference: disentangled less another network, contact by contact.
     """
     groups = {name: stimulus == index for index, name in enumerate(names)} | {"overall": np.ones(len(stimulus), bool)}
     poses = np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
-    bands: dict[str, dict[str, list[float]]] = {
-        group: intervals({name: score[inside] for name, score in scores.items()}, poses[inside], seed)
+    redrawn = {
+        group: redrawn_means({name: score[inside] for name, score in scores.items()}, poses[inside], seed)
         for group, inside in groups.items()
         if inside.any()
     }
-    similarity = {
-        kind: {group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()}
-        for kind in KINDS
-        if kind != "tap"
-    }
-    pose = {kind: {name: _mean(scores[f"pose/{kind}/{name}"]) for name in QUANTITIES} for kind in KINDS}
+    overall = redrawn["overall"]
+    similar = [kind for kind in KINDS if f"ms_ssim/{kind}" in scores]
+    felt = [kind for kind in POSE_KINDS if f"pose/{kind}/{QUANTITIES[0]}" in scores]
+    pose = {kind: {name: _mean(scores[f"pose/{kind}/{name}"]) for name in QUANTITIES} for kind in felt}
+    redone = {kind: {name: overall[f"pose/{kind}/{name}"] for name in QUANTITIES} for kind in felt}
+    mended = [kind for kind in felt if kind not in ("tap", "sheared")]
+    apart = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
     return {
-        "ms_ssim": similarity,
+        "ms_ssim": {
+            kind: {group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()}
+            for kind in similar
+        },
         "pose_mae": pose,
-        "pose_ratio": {kind: {q: _ratio(pose[kind][q], pose["sheared"][q]) for q in QUANTITIES} for kind in UNSHEARED},
+        "pose_ratio": {kind: {q: _ratio(pose[kind][q], pose["sheared"][q]) for q in QUANTITIES} for kind in mended},
         "pose_recovery": {
             kind: {q: _recovery(pose["sheared"][q], pose[kind][q], pose["tap"][q]) for q in QUANTITIES}
-            for kind in UNSHEARED
+            for kind in mended
         },
+        "difference": _by_kind({place: _mean(scores[name]) for place, name in apart.items()}),
         "swap": {
             cell: {"target": target} | {m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS}
             for cell, target in CELLS.items()
@@ -51,10 +58,17 @@ def tables(
             "resamples": RESAMPLES,
             "seed": seed,
             "ms_ssim": {
-                kind: {group: bands[group][f"ms_ssim/{kind}"] if group in bands else None for group in groups}
-                for kind in similarity
+                kind: {
+                    group: interval(redrawn[group][f"ms_ssim/{kind}"]) if group in redrawn else None for group in groups
+                }
+                for kind in similar
             },
-            "pose_mae": {kind: {q: bands["overall"][f"pose/{kind}/{q}"] for q in QUANTITIES} for kind in KINDS},
+            "pose_mae": {kind: {q: interval(redone[kind][q]) for q in QUANTITIES} for kind in felt},
+            "pose_recovery": {
+                kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in QUANTITIES}
+                for kind in mended
+            },
+            "difference": _by_kind({place: interval(overall[name]) for place, name in apart.items()}),
         },
     }
 
@@ -94,3 +108,17 @@ def _recovery(sheared: float | None, unsheared: float | None, tap: float | None)
     if sheared is None or unsheared is None or tap is None or sheared <= tap:
         return None
     return (sheared - unsheared) / (sheared - tap)
+
+
+def _recovered(sheared: np.ndarray, unsheared: np.ndarray, tap: np.ndarray) -> list[float] | None:
+    """Interval of the recovery; null where in some draw the slide does no damage, as the figure then has no bounds."""
+    return None if np.any(sheared <= tap) else interval((sheared - unsheared) / (sheared - tap))
+
+
+def _by_kind(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """{"<kind>/<column>": ...} as {kind: {column: ...}}."""
+    found: dict[str, dict[str, Any]] = {}
+    for place, figure in figures.items():
+        kind, column = place.split("/")
+        found.setdefault(kind, {})[column] = figure
+    return found

@@ -2,6 +2,9 @@
 
 Batch normalisation is written out, with its own gradient: the variance as the mean squared deviation (never negative), in
 float32 or wider, and scale, shift, ReLU and mask in one pass.
+
+The precision is that of the images given: kernels are rounded to it, so bfloat16 images give bfloat16 products; parameters,
+statistics and gradients stay in float32.
 """
 
 from functools import partial
@@ -64,7 +67,7 @@ def _norm_relu_backward(bordered, saved, cotangents):
     constant = _wide(factor * d_bias / count, bordered)
     slope = _wide(factor * inverse * d_scale / count, bordered)
     dx = _inside(dy * wide_factor - (constant + centred * slope), x, bordered)
-    return dx.reshape(x.shape), d_scale, d_bias
+    return dx.reshape(x.shape).astype(x.dtype), d_scale, d_bias
 
 
 norm_relu.defvjp(_norm_relu, _norm_relu_backward)
@@ -74,12 +77,12 @@ def affine_relu(x: Array, scale: Array, bias: Array, mean: Array, variance: Arra
     """ReLU(batch norm) with given statistics (C,), zero outside the image."""
     factor = scale * jax.lax.rsqrt(variance + EPSILON)
     y = jax.nn.relu(_images(x) * _wide(factor, bordered) + _wide(bias - mean * factor, bordered))
-    return _inside(y, x, bordered).reshape(x.shape)
+    return _inside(y, x, bordered).reshape(x.shape).astype(x.dtype)
 
 
 def _images(x: Array) -> Array:
     b, h, w, c = x.shape
-    return x.reshape(b, h * w, c)
+    return x.reshape(b, h * w, c).astype(jnp.promote_types(x.dtype, jnp.float32))
 
 
 def _count(x: Array, bordered: bool) -> int:
@@ -93,7 +96,7 @@ def _inside(numbers: Array, x: Array, bordered: bool) -> Array:
     if not bordered:
         return numbers
     _, h, w, c = x.shape
-    return numbers * jnp.asarray(np.repeat(inside(h, w).reshape(-1, 4), c // 4, axis=1), x.dtype)
+    return numbers * jnp.asarray(np.repeat(inside(h, w).reshape(-1, 4), c // 4, axis=1), numbers.dtype)
 
 
 def _wide(channels: Array, bordered: bool) -> Array:
@@ -105,7 +108,7 @@ def _sums(images: Array, x: Array, bordered: bool) -> Array:
     """Sums over images and pixels inside, (C,): of `images` (B, H W, C) or (B, H W, 4 C), which has the layout of x."""
     over_images = _inside(jnp.sum(images, 0), x, bordered)
     # two rows of ones: a product with a vector would be fused with all that comes before, into one slow loop
-    columns = _exact(jnp.ones((2, len(over_images)), x.dtype), over_images)[0]
+    columns = _exact(jnp.ones((2, len(over_images)), over_images.dtype), over_images)[0]
     return columns.reshape(4, -1).sum(0) if bordered else columns
 
 
@@ -146,7 +149,7 @@ class First(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width))
+        w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
         blocks = conv.to_blocks(conv.pad(x, 4), 4)
         return NormRelu(bordered=True, name="norm")(conv.conv_valid(blocks, conv.first_kernel(w)), train)
 
@@ -160,7 +163,7 @@ class Down(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         blocks = x if self.from_blocks else conv.to_blocks(conv.pad(x, 1), 2)
-        w = self.param("kernel", INIT, (4, 4, blocks.shape[-1] // 4, self.width))
+        w = self.param("kernel", INIT, (4, 4, blocks.shape[-1] // 4, self.width)).astype(x.dtype)
         return NormRelu(name="norm")(conv.conv_valid(blocks, conv.down_kernel(w)), train)
 
 
@@ -171,7 +174,7 @@ class Same(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        w = self.param("kernel", INIT, (3, 3, x.shape[-1], self.width))
+        w = self.param("kernel", INIT, (3, 3, x.shape[-1], self.width)).astype(x.dtype)
         return NormRelu(name="norm")(conv.conv_valid(conv.pad(x, 1), w), train)
 
 
@@ -183,7 +186,7 @@ class Up(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width))
+        w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
         return NormRelu(bordered=True, name="norm")(conv.conv_valid(x, conv.up_kernel(w)), train)
 
 
@@ -193,6 +196,6 @@ class Last(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array) -> Array:
-        w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, 1))
-        bias = self.param("bias", nn.initializers.zeros, (1,))
+        w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, 1)).astype(x.dtype)
+        bias = self.param("bias", nn.initializers.zeros, (1,)).astype(x.dtype)
         return conv.from_blocks(conv.conv_valid(x, conv.last_kernel(w)), 4) + bias[None, None, None]

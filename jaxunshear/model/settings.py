@@ -21,6 +21,14 @@ class UnshearNet:
 
 
 @dataclass(frozen=True)
+class UNet:
+    """A rival without codes: UnshearNet's encoder and decoder with skip connections between them (Ronneberger et al. 2015)."""
+
+    size: int = 128
+    widths: tuple[int, ...] = (32, 64, 64, 128, 256)
+
+
+@dataclass(frozen=True)
 class PoseNet:
     """Five convolutions, max pooling after the 2nd and 4th, two dense layers, sigmoid output (paper appendix A)."""
 

@@ -9,6 +9,8 @@ E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS both co
 network has one code and DC alone; its z_s is None. Inputs are binary images scaled to [0, 1], decoders return logits.
 """
 
+import dataclasses
+import math
 from typing import Any
 
 import flax.linen as nn
@@ -99,6 +101,33 @@ def check(net: UnshearNet) -> None:
         raise ValueError(f"widths: at least two layers are needed, got {net.widths}")
     if net.size % 2 ** len(net.widths):
         raise ValueError(f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)")
+    if net.disentangled and net.pose_channels < 1:
+        raise ValueError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
+    if net.disentangled and net.shear_channels < 0:
+        raise ValueError(f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS")
+
+
+def parameters(net: UnshearNet) -> int:
+    """How many numbers are trained."""
+    shapes = jax.eval_shape(lambda key: init(net, key)["params"], jax.random.key(0))
+    return sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
+
+
+def as_large_entangled(net: UnshearNet) -> UnshearNet:
+    """The entangled network whose widths are those of `net`, all in one ratio, so that it has as many parameters as `net`,
+    or as near as multiples of 4 allow (other widths are slow). The fair rival of a disentangled one, which has a
+    second decoder and two codes more."""
+    wanted = parameters(net)
+
+    def scaled(ratio: float) -> UnshearNet:
+        widths = tuple(max(4, 4 * round(ratio * width / 4)) for width in net.widths)
+        return dataclasses.replace(net, widths=widths, disentangled=False)
+
+    low, high = 0.25, 4.0
+    for _ in range(12):  # parameters grow with the ratio
+        middle = (low + high) / 2
+        low, high = (middle, high) if parameters(scaled(middle)) < wanted else (low, middle)
+    return min(scaled(low), scaled(high), key=lambda other: abs(parameters(other) - wanted))
 
 
 def encode(net: UnshearNet, variables: Variables, images: Array, train: bool = False) -> tuple[Array, Array | None]:

@@ -10,7 +10,15 @@ from matplotlib.figure import Figure
 from jaxunshear.report.history import History
 
 INK, FAINT = "#1c2330", "#8a93a3"
-COLOURS = {"disentangled": "#1f6feb", "entangled": "#d9822b", "posenet": "#2a9d6f"}
+COLOURS = {
+    "disentangled": "#1f6feb",
+    "entangled": "#d9822b",
+    "entangled_large": "#b3554d",
+    "unet": "#8250df",
+    "posenet": "#2a9d6f",
+    "posenet_sheared": "#7c8b3d",
+}
+ABREAST = 3  # panels of loss curves
 STYLE: Any = {  # the names are a closed list of matplotlib's
     "svg.hashsalt": "jaxunshear",
     "svg.fonttype": "none",  # text stays text: small, and set in the reader's font
@@ -37,9 +45,13 @@ DASHES = ("-", "--", ":")
 def loss_curves(histories: Mapping[str, History]) -> str:
     """Each loss that is both trained and validated, over epochs: one panel a network."""
     with rc_context(STYLE):
-        figure = Figure(figsize=(3.4 * len(histories), 2.8), layout="constrained")
-        panels = figure.subplots(1, len(histories), squeeze=False)[0]
-        for axes, (network, history) in zip(panels, histories.items(), strict=True):
+        across = min(ABREAST, len(histories))
+        down = -(-len(histories) // across)
+        figure = Figure(figsize=(3.4 * across, 2.8 * down), layout="constrained")
+        panels = figure.subplots(down, across, squeeze=False)
+        for axes in panels.ravel()[len(histories) :]:
+            axes.set_axis_off()
+        for axes, (network, history) in zip(panels.ravel(), histories.items(), strict=False):
             colour = COLOURS.get(network, INK)
             names = [name for name in history.validation if name in history.training]
             for name, dash in zip(names, DASHES, strict=False):
@@ -47,7 +59,8 @@ def loss_curves(histories: Mapping[str, History]) -> str:
                 axes.plot(history.epoch, history.validation[name], dash, color=colour, linewidth=2, label=name)
             axes.set(title=network, xlabel="epoch", yscale="log")
             axes.legend()
-        panels[0].set_ylabel("mean squared error")
+        for axes in panels[:, 0]:
+            axes.set_ylabel("mean squared error")
         return _svg(figure)
 
 

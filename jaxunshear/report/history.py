@@ -4,8 +4,6 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
-NETWORKS = ("disentangled", "entangled", "posenet")
-
 
 class History(NamedTuple):
     """V validations of one network; all lists are of length V."""

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, pictures
 
 HEADS = ("sheared (input)", "unsheared", "tap (truth)", "sheared against tap", "unsheared against tap")
@@ -71,10 +72,11 @@ def _typical(shown: Shown) -> tuple[list[int], list[int]]:
 
 def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
     """Images and likenesses under them, in the order of HEADS."""
-    sheared, unsheared, tap = (shown[kind][row] for kind in ("sheared", "disentangled", "tap"))
+    network = shown_kind(shown)
+    sheared, unsheared, tap = (shown[kind][row] for kind in ("sheared", network, "tap"))
     return [
         (sheared, f"{shown['ms_ssim_sheared'][row]:.2f}"),
-        (unsheared, f"{shown['ms_ssim_disentangled'][row]:.2f}"),
+        (unsheared, f"{shown[f'ms_ssim_{network}'][row]:.2f}"),
         (tap, ""),
         (pictures.difference(sheared, tap), ""),
         (pictures.difference(unsheared, tap), ""),

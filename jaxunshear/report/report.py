@@ -10,16 +10,24 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import measurements
+from jaxunshear.evaluation.score import shown_kind
+from jaxunshear.experiment import ALL_NETWORKS
 from jaxunshear.progress import duration
 from jaxunshear.report import figures, montage, page
-from jaxunshear.report.history import NETWORKS, History, read_history
+from jaxunshear.report.history import History, read_history
 from jaxunshear.report.page import number
 from jaxunshear.storage import read_json, write_bytes, write_text
 
 LABELS = {
     "tap": "tap (no slide)",
     "sheared": "sheared, as felt",
+    "sheared_learnt": "sheared, PoseNet that learnt slides",
+    "mean_tap": "mean of the training taps",
+    "nearest_tap": "training tap nearest to the sheared",
+    "translated": "sheared, best translation (knows the tap)",
     "entangled": "unsheared, entangled",
+    "entangled_large": "unsheared, entangled, as many parameters",
+    "unet": "unsheared, U-Net",
     "disentangled": "unsheared, disentangled",
     "true_slide": "sheared, pins known by name",
 }
@@ -47,7 +55,7 @@ def write_report(run_dir: Path) -> Path:
     times = run_dir / "times.json"
     if times.exists():  # it has grown since the evaluation
         results["time_s"] |= read_json(times)
-    logs = {name: read_history(run_dir / name / "log.jsonl") for name in NETWORKS}
+    logs = {name: read_history(run_dir / name / "log.jsonl") for name in ALL_NETWORKS}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
     summaries = {name: read_json(path) for name, path in endings.items() if path.exists()}
@@ -59,6 +67,7 @@ def write_report(run_dir: Path) -> Path:
             montage.section(shown),
             _similarity(results),
             _poses(results),
+            _further(results),
             _pins(results),
             _swap(results),
             _training(histories, summaries),
@@ -87,29 +96,30 @@ def _heading(results: dict[str, Any]) -> str:
 def _headlines(results: dict[str, Any]) -> str:
     rows = {row["name"]: row for row in measurements(results)["rows"]}
     similar, pose, pins = results["ms_ssim"], results["pose_mae"], results["pin_error"]
-    name = results["metric"]["ms_ssim"]
-    shown = []
+    name, kind = results["metric"]["ms_ssim"], shown_kind(similar)
+    row, first = rows[f"ms_ssim.{kind}.overall"], rows["ms_ssim.sheared.overall"]
+    note = f"at least {row['bar']:.2f} unsheared, at most {first['bar']:.2f} sheared" if row["bar"] else ""
+    before, after = number(similar["sheared"]["overall"]), number(similar[kind]["overall"])
+    met = row["ok"] and first["ok"] if row["bar"] else None
+    shown = [page.card(f"Likeness to the tap ({name})", before, after, note, met)]
     for quantity, label, unit in (
         ("edge_mm", "Error in distance to the edge", "mm"),
         ("edge_deg", "Error in edge angle", "deg"),
     ):
-        row = rows[f"pose_ratio.disentangled.{quantity}"]
+        row = rows.get(f"pose_ratio.{kind}.{quantity}", {"bar": None, "ok": None})
+        if kind not in pose:
+            continue
         digits = 2 if unit == "mm" else 1
-        before, after = (number(pose[kind][quantity], digits) for kind in ("sheared", "disentangled"))
-        shown.append(
-            page.card(label, before, f"{after} {unit}", f"at most {row['bar']:g} of the sheared error", row["ok"])
-        )
-    row, first = rows["ms_ssim.disentangled.overall"], rows["ms_ssim.sheared.overall"]
-    note = f"at least {row['bar']:.2f} unsheared, at most {first['bar']:.2f} sheared"
-    before, after = number(similar["sheared"]["overall"]), number(similar["disentangled"]["overall"])
+        before, after = (number(pose[image][quantity], digits) for image in ("sheared", kind))
+        note = f"at most {row['bar']:g} of the sheared error" if row["bar"] else ""
+        shown.append(page.card(label, before, f"{after} {unit}", note, row["ok"]))
     total = duration(sum(results["time_s"].values()))
     return page.cards(
-        page.card(f"Likeness to the tap ({name})", before, after, note, row["ok"] and first["ok"]),
         *shown,
         page.card(
             "Pins away from the tap's",
             number(pins["true_slide"]["rms_px"], 1),
-            f"{number(pins['disentangled']['rms_px'], 2)} px",
+            f"{number(pins[kind]['rms_px'], 2)} px",
             f"of {results['metric']['image_px']} px; root mean square",
         ),
         page.card(
@@ -127,7 +137,7 @@ def _similarity(results: dict[str, Any]) -> str:
         [
             LABELS[kind],
             *(_with_interval(ours[kind][group], spread[kind][group], 3) for group in groups),
-            *(number(paper[kind][group]) for group in known),
+            *(number(paper.get(kind, {}).get(group)) for group in known),
         ]
         for kind in ours
     ]
@@ -135,44 +145,93 @@ def _similarity(results: dict[str, Any]) -> str:
     lead = f"{name} at {size} px, 1 is equal. Brackets: {results['spread']['what']}."
     if name != "ms_ssim":
         lead += " The paper's has five scales at 256 px: near, but not the same quantity."
-    mean = (
-        f"The mean of all taps scores {number(results['baselines']['ms_ssim_mean_tap'])} without looking at its input."
-    )
     real = range(1 + len(groups), len(head))
     return page.section(
-        "How alike the images are", lead, page.table(head, rows, real, [len(rows) - 1]), f"<p class=soft>{mean}</p>"
+        "How alike the images are", lead, page.table(head, rows, real, [len(rows) - 1]), _apart(results)
     )
+
+
+def _apart(results: dict[str, Any]) -> str:
+    """A sentence for each rival of the disentangled network, with the interval of the difference."""
+    said = []
+    for kind, columns in results["difference"].items():
+        if "ms_ssim" not in columns:
+            continue
+        low, high = results["spread"]["difference"][kind]["ms_ssim"]
+        verdict = "no difference can be told" if low <= 0 <= high else "better" if low > 0 else "worse"
+        said.append(
+            f"than {LABELS[kind].removeprefix('unsheared, ')} by {columns['ms_ssim']:+.4f} [{low:+.4f}, {high:+.4f}]: {verdict}"
+        )
+    return f"<p class=soft>Contact by contact, disentangled scores higher {'; '.join(said)}.</p>" if said else ""
 
 
 def _poses(results: dict[str, Any]) -> str:
     ours, spread, paper = results["pose_mae"], results["spread"]["pose_mae"], results["paper"]["pose_mae"]
+    if not ours:
+        return page.section("What a pose network reads", "This run has no PoseNet.")
     known = list(paper["tap"])
     head = ["image given to PoseNet", *QUANTITY.values(), *(f"{QUANTITY[q]}<br>paper" for q in known)]
     rows = [
         [
             LABELS[kind],
             *(_with_interval(ours[kind][q], spread[kind][q], 2) for q in QUANTITY),
-            *(number(paper[kind][q]) for q in known),
+            *(number(paper.get(kind, {}).get(q)) for q in known),
         ]
         for kind in ours
     ]
     chance = results["baselines"]["pose_chance"]
     rows.append(["<i>one answer to every image</i>", *(number(chance[q]) for q in QUANTITY), *("" for _ in known)])
-    recovery = results["pose_recovery"]["disentangled"]
+    kind = shown_kind(results["pose_recovery"])
     undone = ", ".join(
-        f"{QUANTITY[q].split('<')[0]} {recovery[q]:.0%}" for q in ("edge_mm", "edge_deg") if recovery[q] is not None
+        f"{QUANTITY[q].replace('<br>', ' ').rpartition(' ')[0]} {recovery:.0%}{_span(results['spread']['pose_recovery'][kind][q])}"
+        for q, recovery in results["pose_recovery"].get(kind, {}).items()
+        if recovery is not None
     )
     lead = (
         "Mean absolute error of a PoseNet that has only learned from taps. x and yaw are ambiguous along a smooth edge; the "
         "distance to the edge and its local angle are not."
     )
-    note = f"<p class=soft>Of what the slide spoils, the disentangled network wins back: {undone or 'nothing'}.</p>"
+    note = f"<p class=soft>Of what the slide spoils, the {kind} network wins back: {undone or 'nothing'}.</p>"
     return page.section(
         "What a pose network reads",
         lead,
         page.table(head, rows, range(1 + len(QUANTITY), len(head)), [len(ours) - 1]),
         note,
     )
+
+
+def _further(results: dict[str, Any]) -> str:
+    """The tests of their own: shapes that no network has seen, taps at other depths."""
+    parts = []
+    for name, test in results["tests"].items():
+        ours, pose, spread = test["ms_ssim"], test["pose_mae"], test["spread"]
+        groups = list(next(iter(ours.values())))
+        head = ["image", *groups, *(QUANTITY[q] for q in QUANTITY if pose)]
+        rows = [
+            [
+                LABELS[kind],
+                *(_with_interval(ours.get(kind, {}).get(g), spread["ms_ssim"].get(kind, {}).get(g), 3) for g in groups),
+                *(_with_interval(pose[kind][q], spread["pose_mae"][kind][q], 2) for q in QUANTITY if kind in pose),
+            ]
+            for kind in LABELS
+            if kind in pose or kind in ours
+        ]
+        what = "shapes that no network has seen" if name == "unseen" else "the shapes trained on"
+        jitter = test["tap_depth_jitter_mm"]
+        depth = (
+            f"taps as deep as the slide, but for up to {jitter:g} mm either way"
+            if jitter
+            else "taps as deep as the slide"
+        )
+        lead = f"{test['contacts']} slides over {what}, {depth}: likeness of the images, then errors of pose."
+        parts.append(
+            page.section(f"Test of its own: {escape(name)}", lead, page.table(head, rows, (), [len(rows) - 1]))
+        )
+    return "".join(parts)
+
+
+def _span(interval: list[float] | None) -> str:
+    return "" if interval is None else f" [{interval[0]:.0%}, {interval[1]:.0%}]"
 
 
 def _pins(results: dict[str, Any]) -> str:

@@ -21,10 +21,10 @@ import orbax.checkpoint as ocp
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError
-from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
 
 MODEL = "model.json"
-NETS = {"unshear": UnshearNet, "posenet": PoseNet}
+NETS = {"unshear": UnshearNet, "unet": UNet, "posenet": PoseNet}
 
 
 def save(folder: Path, step: int, state: Any, record: dict[str, Any]) -> None:
@@ -108,7 +108,7 @@ def write_settings(folder: Path, settings: dict[str, Any]) -> None:
             raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
 
 
-def read_net(folder: Path) -> UnshearNet | PoseNet:
+def read_net(folder: Path) -> UnshearNet | UNet | PoseNet:
     """The network's settings from model.json. Raises UserError."""
     path = Path(folder) / MODEL
     if not path.exists():

@@ -28,7 +28,7 @@ from jaxunshear.model import settings
 from jaxunshear.progress import Progress
 from jaxunshear.training import checkpoint
 from jaxunshear.training.settings import Training
-from jaxunshear.training.step import fresh, make_step, optimiser_of
+from jaxunshear.training.step import State, fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Batch, Task, Tree, posenet_task, unshear_task
 
 Batches = Callable[[int], Iterator[Batch]]
@@ -51,7 +51,7 @@ class Summary:
 
 
 def train_unshear(
-    net: settings.UnshearNet,
+    net: settings.UnshearNet | settings.UNet,
     training: Training,
     batches: Batches,
     validation: Validation,
@@ -61,12 +61,12 @@ def train_unshear(
     epoch_images: int,
     origin: Any = None,
 ) -> Summary:
-    """Train an entangled or disentangled UnshearNet into `folder`, or go on where it stopped, or return at once if
+    """Train an UnshearNet, entangled or not, or a U-Net into `folder`, or go on where it stopped, or return at once if
     finished.
 
     Batches: {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}. `epoch_images` pairs are one epoch. `origin` is
     any JSON that says where the data come from; a folder trained from another origin or with other settings is refused.
-    Raises UserError (a loss that is not finite, a damaged checkpoint, settings that do not fit).
+    Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
     """
     task = unshear_task(net, training)
     asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
@@ -88,7 +88,7 @@ def train_posenet(
     """Train PoseNet; as `train_unshear`. Batches: {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2)
     float32."""
 
-    task = posenet_task(net, ranges)
+    task = posenet_task(net, training, ranges)
     asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
     return _train(
         task,
@@ -141,10 +141,10 @@ def _train(
 
     with Progress(f"train {folder.name}", steps * batch_size, done=start * batch_size) as progress:
         began = time.perf_counter()
-        waiting: list[tuple[int, dict[str, Array]]] = []
+        waiting: list[tuple[int, dict[str, Array], Batch]] = []
         for done in range(start + 1, steps + 1):
             state, metrics = step(state, batch)
-            waiting.append((done, metrics))
+            waiting.append((done, metrics, batch))
             if done < steps:
                 batch = jax.device_put(next(stream))  # read while the step runs
             at_checkpoint = done % training.validate_every == 0 or done == steps
@@ -154,6 +154,7 @@ def _train(
             if not at_checkpoint:
                 continue
             seconds += time.perf_counter() - began
+            _whole(state, done, batch, folder)
             scores = _mean_terms(validate, state.average, validation())
             if best_step == 0 or _ranked(scores[task.rank]) < best_loss:
                 best_step, best_loss = done, _ranked(scores[task.rank])
@@ -169,6 +170,9 @@ def _train(
             _write_log(folder, history)
             began = time.perf_counter()
 
+    if math.isinf(best_loss):
+        hint = "look for broken data in the validation split, or lower learning_rate, and train in another folder"
+        raise UserError(f"training {folder}: its validation loss ({task.rank}) was never finite; {hint}")
     summary = Summary(
         kind=task.kind,
         steps=steps,
@@ -184,19 +188,46 @@ def _train(
     return summary
 
 
-def _finite(step: int, metrics: dict[str, Array], folder: Path) -> dict[str, float]:
+def _finite(step: int, metrics: dict[str, Array], batch: Batch, folder: Path) -> dict[str, float]:
     """Metrics as floats. Raises UserError where one is not finite: nothing learnt after that is worth keeping."""
     values = {name: float(value) for name, value in jax.device_get(metrics).items()}
     broken = [name for name, value in values.items() if not math.isfinite(value)]
     if broken:
-        named = ", ".join(
-            name for name in broken if name != "gradient" or len(broken) == 1
-        )  # it follows from the others
-        kept = checkpoint.latest(folder)
-        where = f"the checkpoint of step {kept} is kept" if kept else "no checkpoint was written yet"
-        hint = "look for broken data, or lower learning_rate (in another folder)"
-        raise UserError(f"training {folder} stopped: {named} not finite at step {step}; {where}; {hint}")
+        causes = [name for name in broken if name != "gradient"]  # it follows from the others
+        raise _stop(", ".join(causes or broken), step, batch, folder)
     return values
+
+
+def _whole(state: State, step: int, batch: Batch, folder: Path) -> None:
+    """Raises UserError where an array of the state is not finite: a step's terms come from before its update, and running
+    statistics do not enter them at all. What is kept must be usable."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(jax.device_get(state)):
+        if not np.all(np.isfinite(leaf)):
+            raise _stop(jax.tree_util.keystr(path, simple=True, separator="."), step, batch, folder)
+
+
+def _stop(what: str, step: int, batch: Batch, folder: Path) -> UserError:
+    """The line that names the step, the term, the batch, the checkpoint that is left, and what to do."""
+    arrays = {name: np.asarray(values) for name, values in jax.device_get(batch).items()}
+    spoilt = {name: np.flatnonzero(~np.isfinite(x).reshape(len(x), -1).all(1)).tolist() for name, x in arrays.items()}
+    wrong = "; ".join(
+        f"{name} of examples {', '.join(map(str, rows[:8]))}{', ...' if rows[8:] else ''}"
+        for name, rows in spoilt.items()
+        if rows
+    )
+    kept = checkpoint.latest(folder)
+    where = f"the checkpoint of step {kept} is kept" if kept else "no checkpoint was written yet"
+    told, hint = f"with NaN or infinity in {wrong}", "mend the data, then run the same command"
+    if not wrong:
+        low, high = (f([f(x) for x in arrays.values()]) for f in (np.min, np.max))
+        told, hint = (
+            f"whose numbers are {low:g} to {high:g}",
+            "if that is as it should be, lower learning_rate (in another folder)",
+        )
+    return UserError(
+        f"training {folder} stopped: {what} not finite at step {step}, of batch {step - 1} (batches({step - 1}) begins with "
+        f"it again), {told}; {where}; {hint}"
+    )
 
 
 def _mean_terms(validate, variables: Tree, batches: Iterator[Batch]) -> dict[str, float | None]:

@@ -51,9 +51,10 @@ def pose(outputs: Array, targets: Array, weights: tuple[float, ...]) -> Array:
 
 
 def regularisation(params: Any, l1: float, l2: float) -> Array:
-    """l1 sum |w| + l2 sum w^2 over all kernels (no biases, no normalisation)."""
+    """l1 sum |w| + l2 sum w^2 over all kernels (no biases, no normalisation). A weight of zero computes nothing."""
     total = jnp.zeros(())
     for path, leaf in jax.tree_util.tree_leaves_with_path(params):
         if path[-1].key == "kernel":
-            total += l1 * jnp.sum(jnp.abs(leaf)) + l2 * jnp.sum(leaf**2)
+            total += l1 * jnp.sum(jnp.abs(leaf)) if l1 else 0.0
+            total += l2 * jnp.sum(leaf**2) if l2 else 0.0
     return total

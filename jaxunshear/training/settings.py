@@ -20,6 +20,7 @@ class Training:
     crops: int = 100
     crop_px: int = 20
     reconstruction_weight: float = 1.0
+    precision: str = "float32"  # of the convolutions; or "bfloat16"
     averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
     shift: float = 0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
     validate_every: int = 100  # steps; also when a checkpoint is written

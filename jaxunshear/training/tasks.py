@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -10,7 +11,7 @@ from jax import Array
 
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.model import posenet, settings, unshearnet
+from jaxunshear.model import posenet, settings, unet, unshearnet
 from jaxunshear.training import losses
 from jaxunshear.training.settings import Training
 
@@ -30,29 +31,40 @@ class Task:
     rank: str  # the validation term that the best model is chosen by
 
 
-def unshear_task(net: settings.UnshearNet, training: Training) -> Task:
-    """Of an entangled or disentangled UnshearNet; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
+def unshear_task(net: settings.UnshearNet | settings.UNet, training: Training) -> Task:
+    """Of an entangled or disentangled UnshearNet, or a U-Net; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
 
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
     crop = training.crop_px
     if not 0 < crop <= net.size:
         raise UserError(f"crop_px: crops of {crop} px do not fit images of {net.size} px")
+    if training.patch_weight and training.crops < 1:
+        raise UserError(f"crops: {training.crops} of them leave no patch loss: use at least 1, or patch_weight 0")
+
+    kind = "unet" if isinstance(net, settings.UNet) else "unshear"
+    module: Any = unet if kind == "unet" else unshearnet
+    _checked(module.check, net)
+    init, reconstruct = partial(module.init, net), partial(module.reconstruct, net)
 
     def terms(variables, batch, key):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
-        logits, sheared_logits, batch_stats = unshearnet.reconstruct(net, variables, sheared)
-        image = jax.nn.sigmoid(logits)
+        logits, sheared_logits, batch_stats = reconstruct(variables, _rounded(sheared, training))
+        image = jax.nn.sigmoid(logits.astype(sheared.dtype))
         named = {"supervised": losses.supervised(image, canonical)}
         if training.patch_weight:
             corners = losses.random_corners(key, len(image), training.crops, net.size, crop)
             named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, crop))
         if sheared_logits is not None:
-            named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
+            named["reconstruction"] = losses.reconstruction(
+                jax.nn.sigmoid(sheared_logits.astype(sheared.dtype)), sheared
+            )
         return named, batch_stats
 
     def validate(variables, batch):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
+        if isinstance(net, settings.UNet):
+            return {"supervised": losses.supervised(unet.unshear(net, variables, sheared), canonical)}
         z_p, z_s = unshearnet.encode(net, variables, sheared)
         image = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
         named = {"supervised": losses.supervised(image, canonical)}
@@ -62,15 +74,15 @@ def unshear_task(net: settings.UnshearNet, training: Training) -> Task:
         return named
 
     weights = {"supervised": 1.0, "patch": training.patch_weight, "reconstruction": training.reconstruction_weight}
-    _checked(unshearnet.check, net)
-    return Task("unshear", lambda key: unshearnet.init(net, key), terms, weights, validate, "supervised")
+    return Task(kind, init, terms, weights, validate, "supervised")
 
 
-def posenet_task(net: settings.PoseNet, ranges: Ranges) -> Task:
+def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> Task:
     """Of PoseNet; batches {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2) float32."""
 
     def terms(variables, batch, key):
-        outputs, batch_stats = posenet.predict_training(net, variables, _unit(batch["image"]))
+        images = _rounded(_unit(batch["image"]), training)
+        outputs, batch_stats = posenet.predict_training(net, variables, images)
         targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
         return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)}, batch_stats
 
@@ -89,6 +101,11 @@ def posenet_task(net: settings.PoseNet, ranges: Ranges) -> Task:
 def _unit(images: Array) -> Array:
     """uint8 {0, 255} -> float32 [0, 1]; floats are taken as they are."""
     return images.astype(jnp.float32) / 255.0 if jnp.issubdtype(images.dtype, jnp.integer) else images
+
+
+def _rounded(images: Array, training: Training) -> Array:
+    """Images in the precision that a network is trained in: it follows theirs."""
+    return images.astype(jnp.bfloat16) if training.precision == "bfloat16" else images
 
 
 def _wrapped(difference: Array, turn: float | None) -> Array:

@@ -5,20 +5,23 @@ from dataclasses import asdict, replace
 import jax
 import pytest
 
-from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
 from jaxunshear.training import checkpoint
 
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory):
-    """The folder of a run with all three networks at 32 px."""
+    """The folder of a run with all networks at 32 px."""
     folder = tmp_path_factory.mktemp("run")
     net = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
     nets = {
         "disentangled": ("unshear", unshearnet, net),
         "entangled": ("unshear", unshearnet, replace(net, disentangled=False)),
+        "entangled_large": ("unshear", unshearnet, replace(net, widths=(8, 8), disentangled=False)),
+        "unet": ("unet", unet, UNet(size=32, widths=(4, 4, 4))),
         "posenet": ("posenet", posenet, PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)),
+        "posenet_sheared": ("posenet", posenet, PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)),
     }
     for name, (kind, module, settings) in nets.items():
         variables = jax.jit(module.init, static_argnums=0)(settings, jax.random.key(0))

@@ -6,14 +6,15 @@ import json
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.evaluate import montage, results_of
+from jaxunshear.evaluation.evaluate import every_score, montage, results_of
 from jaxunshear.evaluation.gather import FIELDS, gather
 from jaxunshear.evaluation.measurements import measurements, reproducible
-from jaxunshear.evaluation.score import CELLS, KINDS, Outputs, chance, image_scores
+from jaxunshear.evaluation.score import CELLS, Outputs, chance, image_scores
 from jaxunshear.experiment import Experiment
 from jaxunshear.metrics import true_quantities
 
 SIZE, PITCH = 128, 8
+KINDS = ("tap", "sheared", "entangled", "disentangled")  # of a run with the paper's networks
 
 
 def lattice(shift):
@@ -125,6 +126,34 @@ def test_what_is_measured_is_named(results):
 def test_results_are_the_same_bits_again_and_go_into_json(gathered, results):
     again = results_of(Experiment(name="made up", claim="none"), gathered)
     assert json.dumps(reproducible(again)) == json.dumps(reproducible(results))
+
+
+def test_networks_are_compared_contact_by_contact(gathered, results):
+    apart = gathered.scores["ms_ssim/disentangled"] - gathered.scores["ms_ssim/entangled"]
+    found = results["difference"]["entangled"]
+    assert found["ms_ssim"] == pytest.approx(float(apart.mean()))
+    assert found["edge_mm"] == pytest.approx(-3, abs=1e-4)
+    low, high = results["spread"]["difference"]["entangled"]["edge_mm"]
+    assert high - low < 1e-4 < abs(low)  # both err by a fixed amount, so nothing is uncertain about the difference
+    assert results["spread"]["pose_recovery"]["disentangled"]["edge_mm"] == pytest.approx([0.75, 0.75], abs=1e-4)
+
+
+def test_a_test_of_its_own_has_tables_of_its_own(gathered):
+    experiment = Experiment(name="made up", claim="none", unseen=("flower", "leaf", "spiral_1"))
+    found = results_of(experiment, gathered, {"unseen": gathered})
+    test = found["tests"]["unseen"]
+    assert list(test["ms_ssim"]["disentangled"]) == ["flower", "leaf", "spiral_1", "overall"]
+    assert test["contacts"] == 9
+    assert test["pose_mae"] == found["pose_mae"]
+    rows = measurements(found | {"time_s": {}, "machine": {}, "versions": {}})["rows"]
+    assert "unseen.ms_ssim.disentangled.flower" in {row["name"] for row in rows}
+    assert sum(row["ok"] is not None for row in rows) == 4  # the bars are for the test split alone
+
+
+def test_scores_are_kept_contact_by_contact(gathered):
+    with np.load(io.BytesIO(every_score(gathered))) as kept:
+        assert set(kept) == {*gathered.scores, "stimulus", "pose_id"}
+        np.testing.assert_array_equal(kept["ms_ssim/entangled"], gathered.scores["ms_ssim/entangled"])
 
 
 def test_measurements_of_results_have_the_bars(results):

@@ -12,6 +12,8 @@ def results(unsheared=0.95, sheared=0.32, ratio=0.5):
         "pose_mae": {"tap": {"x_mm": 0.4, "yaw_deg": 2.0}},
         "pose_ratio": {"disentangled": {"edge_mm": ratio, "edge_deg": ratio}},
         "pose_recovery": {"disentangled": {"edge_mm": 0.9}},
+        "difference": {"entangled": {"ms_ssim": 0.01, "edge_mm": -0.1}},
+        "tests": {},
         "swap": {"DC(z_p)": {"target": "tap", "mse": 0.02}},
         "pin_error": {"tap": {"rms_px": 0.1, "rms_mm": 0.02, "missed_per_image": 0.5, "extra_per_image": 0.0}},
         "time_s": {"train": 100.0},

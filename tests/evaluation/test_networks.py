@@ -10,11 +10,13 @@ from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import networks
 from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import CELLS, KINDS
+from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_SHEARED, POSE_KINDS
+from jaxunshear.experiment import ALL_NETWORKS, NETWORKS
 from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model import unshearnet
 from jaxunshear.model.settings import UnshearNet
 
+PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 init = jax.jit(unshearnet.init, static_argnums=0)
 swapped = jax.jit(draw_cells, static_argnums=0)
@@ -55,16 +57,16 @@ def test_cells_that_cannot_be_drawn_are_left_out(shear_channels, cells):
 
 
 def test_outputs_and_scores_of_trained_networks(trained):
-    run = networks.load(trained, Ranges())
+    run = networks.load(trained, NETWORKS, Ranges(), Ranges())
     outputs, scores = run(images(), images()[::-1])
-    assert set(outputs.images) == set(KINDS)
+    assert set(outputs.images) == set(PAPER_KINDS)
     assert set(outputs.cells) == set(CELLS)
     for image in (*outputs.images.values(), *outputs.cells.values()):
         assert image.shape == (2, 32, 32, 1)
         assert 0 <= float(image.min()) <= float(image.max()) <= 1
     np.testing.assert_array_equal(outputs.images["tap"] * 255, images())
     np.testing.assert_array_equal(outputs.images["disentangled"], outputs.cells["DC(z_p)"])
-    for kind in KINDS:
+    for kind in PAPER_KINDS:
         assert {name: value.shape for name, value in outputs.poses[kind].items()} == dict.fromkeys(QUANTITIES, (2,))
     assert all(value.shape == (2,) and np.isfinite(value).all() for value in scores.values())
     assert len(scores) == 3 + 4 * 3
@@ -74,4 +76,26 @@ def test_a_missing_network_is_named(trained, tmp_path):
     for name in ("disentangled", "posenet"):
         (tmp_path / name).symlink_to(trained / name)
     with pytest.raises(UserError, match="entangled"):
-        networks.load(tmp_path, Ranges())
+        networks.load(tmp_path, NETWORKS, Ranges(), Ranges())
+
+
+def test_rivals_and_baselines_join_in(trained):
+    run = networks.load(trained, ALL_NETWORKS, Ranges(), Ranges(lateral_mm=10), taps=images(5))
+    outputs, scores = run(images(), images()[::-1])
+    assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
+    assert set(outputs.poses) == set(POSE_KINDS)
+    assert {name.split("/")[1] for name in scores if name.startswith("ms_ssim")} == {*outputs.images} - {"tap"}
+    # a PoseNet that learnt from sheared images is given those, with ranges of its own
+    same = networks.load(trained, ("posenet", "posenet_sheared"), Ranges(), Ranges(lateral_mm=10))(images(), images())[
+        0
+    ]
+    twice = np.asarray(same.poses[LEARNT_SHEARED]["x_mm"])
+    np.testing.assert_allclose(twice, 2 * np.asarray(same.poses["sheared"]["x_mm"]), rtol=1e-5)
+
+
+def test_only_what_is_evaluated_is_read_and_run(trained, tmp_path):
+    (tmp_path / "entangled").symlink_to(trained / "entangled")
+    outputs, scores = networks.load(tmp_path, ("entangled",), Ranges(), Ranges())(images(), images())
+    assert set(outputs.images) == {"tap", "sheared", "entangled"}
+    assert (outputs.cells, outputs.poses) == ({}, {})
+    assert set(scores) == {"ms_ssim/sheared", "ms_ssim/entangled"}

@@ -11,7 +11,7 @@ from jaxunshear.dataset import reading
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import reproducible
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import ALL_NETWORKS, Experiment
 
 SIZE, COUNT = 32, 6
 
@@ -28,22 +28,22 @@ class Reader:
         return {"train": 18, "validation": 6, "test": self.count}[split]
 
     def split(self, name, batch, fields):
-        assert name == "test"
         generator = np.random.default_rng(0)
-        images = (generator.random((2, self.count, SIZE, SIZE, 1)) < 0.2).astype(np.uint8) * 255
+        images = (generator.random((2, self.length(name), SIZE, SIZE, 1)) < 0.2).astype(np.uint8) * 255
         pins = np.stack(np.meshgrid(*[np.arange(8, 24, 4.0)] * 2), axis=-1).reshape(-1, 2).astype(np.float32)
+        count = self.length(name)
         whole = {
             "canonical": images[0],
             "sheared": images[1],
-            "canonical_pins": np.stack([pins] * self.count),
-            "sheared_pins": np.stack([pins + 1] * self.count),
-            "stimulus": np.arange(self.count) % 2,
-            "pose_id": np.arange(self.count),
-            "pose": generator.normal(size=(self.count, 4)).astype(np.float32),
-            "edge": generator.normal(size=(self.count, 2)).astype(np.float32),
-            "move": np.ones((self.count, 2), np.float32),
-        } | {name: np.ones(self.count) for name in ("residual_mm", "iterations", "stuck", "slipping", "free")}
-        for start in range(0, self.count, batch):
+            "canonical_pins": np.stack([pins] * count),
+            "sheared_pins": np.stack([pins + 1] * count),
+            "stimulus": np.arange(count) % 2,
+            "pose_id": np.arange(count),
+            "pose": generator.normal(size=(count, 4)).astype(np.float32),
+            "edge": generator.normal(size=(count, 2)).astype(np.float32),
+            "move": np.ones((count, 2), np.float32),
+        } | {name: np.ones(count) for name in ("residual_mm", "iterations", "stuck", "slipping", "free")}
+        for start in range(0, count, batch):
             yield {field: whole[field][start : start + batch] for field in fields}
 
 
@@ -85,7 +85,19 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
     montage = (run_dir / "montage.npz").read_bytes()
     again = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert reproducible(again) == reproducible(results)
+    assert list(results["ms_ssim"]) == ["sheared", "mean_tap", "nearest_tap", "translated", "entangled", "disentangled"]
     assert (run_dir / "montage.npz").read_bytes() == montage
+
+
+def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experiment, tmp_path):
+    further = replace(experiment, unseen=("flower", "leaf"), other_jitters_mm=(0.5,), networks=ALL_NETWORKS)
+    results = evaluate(further, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
+    assert list(results["tests"]) == ["unseen", "depth_0.5mm"]
+    test = results["tests"]["unseen"]
+    assert test["contacts"] == 18 + 6 + COUNT
+    assert test["ms_ssim"]["unet"]["leaf"] > 0
+    assert test["pose_mae"]["sheared_learnt"]["edge_mm"] > 0
+    assert (run_dir / "scores-unseen.npz").exists()
 
 
 def test_an_empty_test_split_is_refused(run_dir, experiment, tmp_path, monkeypatch):

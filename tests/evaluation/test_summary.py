@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.score import CELLS, KINDS
+from jaxunshear.evaluation.score import CELLS
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.evaluation.summary import contact_quality, tables, typical
 from jaxunshear.metrics import QUANTITIES
 
+KINDS = ("tap", "sheared", "entangled", "disentangled")
 NAMES = ("disk", "clover", "teardrop")
 STIMULUS = np.array([0, 0, 0, 0, 1, 1])  # no teardrop
 POSE_ID = np.array([0, 0, 1, 1, 0, 1])
@@ -46,6 +47,15 @@ def test_no_recovery_where_the_slide_does_no_damage():
     assert tables(made_up(same), NAMES, STIMULUS, POSE_ID, 0)["pose_recovery"]["entangled"]["x_mm"] is None
     none = dict.fromkeys(KINDS, 0.0)
     assert tables(made_up(none), NAMES, STIMULUS, POSE_ID, 0)["pose_ratio"]["entangled"]["x_mm"] is None
+
+
+def test_tables_hold_the_networks_that_there_are():
+    scores = {name: score for name, score in made_up().items() if "/entangled" not in name}
+    found = tables(scores, NAMES, STIMULUS, POSE_ID, seed=0)
+    assert list(found["ms_ssim"]) == ["sheared", "disentangled"]
+    assert list(found["pose_mae"]) == ["tap", "sheared", "disentangled"]
+    images_only = {name: score for name, score in scores.items() if not name.startswith("pose/")}
+    assert tables(images_only, NAMES, STIMULUS, POSE_ID, seed=0)["pose_recovery"] == {}
 
 
 def test_cells_that_could_not_be_drawn_are_left_out():

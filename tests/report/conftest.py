@@ -8,7 +8,7 @@ import pytest
 
 from jaxunshear.evaluation.evaluate import montage, results_of
 from jaxunshear.evaluation.gather import Gathered
-from jaxunshear.evaluation.score import CELLS, KINDS
+from jaxunshear.evaluation.score import CELLS
 from jaxunshear.experiment import Experiment
 from jaxunshear.metrics import QUANTITIES
 
@@ -40,7 +40,7 @@ def made_up_gathered():
     stimulus, pose_id = np.arange(COUNT) % 3, np.arange(COUNT) // 6
     spread = lambda mean, size: np.clip(mean + size * generator.normal(size=COUNT), 0, None).astype(np.float32)  # noqa: E731
     scores = {f"ms_ssim/{kind}": np.minimum(spread(mean, 0.04), 1) for kind, mean in LIKENESS.items()}
-    for kind in KINDS:
+    for kind in POSE:
         scores |= {f"pose/{kind}/{name}": spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name]) for name in QUANTITIES}
     for cell in CELLS:
         scores |= {f"swap/{cell}/{metric}": spread(0.2, 0.05) for metric in ("mse", "ssim", "ms_ssim")}

@@ -1,0 +1,68 @@
+"""The U-Net: shapes, what it shares with UnshearNet, and that its skips carry what a code cannot."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.model import unet, unshearnet
+from jaxunshear.model.settings import UNet, UnshearNet
+
+NET = UNet(size=32, widths=(4, 6, 8))
+
+
+def images(count=3, size=32):
+    return jnp.asarray(np.random.default_rng(0).random((count, size, size, 1)) < 0.2, jnp.float32)
+
+
+@pytest.mark.parametrize("widths", [(4, 6), (4, 6, 8), (5, 5, 5, 5)])
+def test_images_come_out_as_large_as_they_went_in(widths):
+    net = replace(NET, widths=widths)
+    variables = unet.init(net, jax.random.key(0))
+    found = unet.unshear(net, variables, images())
+    assert found.shape == (3, 32, 32, 1)
+    assert 0 < float(found.min()) < float(found.max()) < 1
+    logits, nothing, statistics = unet.reconstruct(net, variables, images())
+    assert logits.shape == found.shape
+    assert nothing is None
+    assert jax.tree.structure(statistics) == jax.tree.structure(variables["batch_stats"])
+
+
+def test_jit_changes_nothing():
+    variables = unet.init(NET, jax.random.key(0))
+    plain = unet.unshear(NET, variables, images())
+    np.testing.assert_allclose(jax.jit(unet.unshear, static_argnums=0)(NET, variables, images()), plain, atol=1e-6)
+
+
+def test_skips_keep_every_pixel_in_its_place():
+    """A dot moves the output only near itself in the last layer's skip: with all other paths cut, far pixels stay."""
+    variables = jax.tree.map(lambda x: 10 * x, unet.init(NET, jax.random.key(1))["params"]) | {}
+    statistics = unet.init(NET, jax.random.key(1))["batch_stats"]
+    cut = {
+        name: jax.tree.map(jnp.zeros_like, part) if name.startswith("Up") else part for name, part in variables.items()
+    }
+    dot = jnp.zeros((1, 32, 32, 1)).at[0, 10, 20].set(1.0)
+    without, with_dot = (
+        unet.unshear(NET, {"params": cut, "batch_stats": statistics}, x) for x in (jnp.zeros_like(dot), dot)
+    )
+    changed = np.argwhere(np.abs(np.asarray(with_dot - without))[0, ..., 0] > 1e-7)
+    assert len(changed)
+    assert np.abs(changed - [10, 20]).max() <= 4
+
+
+def test_a_size_that_cannot_be_halved_is_refused():
+    with pytest.raises(ValueError, match="size"):
+        unet.init(replace(NET, size=36), jax.random.key(0))
+
+
+@pytest.mark.parametrize("widths", [(16, 32, 64, 128, 256), (32, 64, 64, 128, 256)])
+def test_the_large_entangled_network_has_as_many_parameters(widths):
+    net = UnshearNet(widths=widths)
+    large = unshearnet.as_large_entangled(net)
+    assert not large.disentangled
+    variables = unshearnet.init(large, jax.random.key(0))["params"]
+    assert unshearnet.parameters(large) == sum(leaf.size for leaf in jax.tree.leaves(variables))
+    assert unshearnet.parameters(large) == pytest.approx(unshearnet.parameters(net), rel=0.01)
+    assert unshearnet.parameters(replace(net, disentangled=False)) < 0.6 * unshearnet.parameters(net)
