@@ -8,18 +8,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxunshear import __version__, cli_checks
+from jaxunshear import __version__, cli_checks, cli_sweep
 from jaxunshear.errors import UserError
 
 if TYPE_CHECKING:
     from jaxunshear.experiment import Experiment
 
-NETWORKS = ("entangled", "disentangled", "posenet")
+NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
     "data": ("data",),
-    "train": NETWORKS,
+    "train": (NETWORKS,),
     "evaluate": ("evaluate",),
-    "run": ("data", *NETWORKS, "evaluate", "report"),
+    "run": ("data", NETWORKS, "evaluate", "report"),
 }
 OWN_OPTIONS = ("--help", "--out", "--data", "--json", "--network")
 FIELDS_HELP = """
@@ -108,7 +108,7 @@ def _parser() -> _Parser:
         if name in ("run", "evaluate"):
             _add_json(command)
         if name == "train":
-            command.add_argument("--network", choices=NETWORKS, help="only this one (default: all three)")
+            command.add_argument("--network", metavar="NAME", help="only this one of the experiment's (default: all)")
 
     text = "write the HTML page of a finished run"
     command = commands.add_parser("report", help=text, description=text)
@@ -120,17 +120,31 @@ def _parser() -> _Parser:
     command.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
     _add_json(command)
 
+    text = "make weights with a model card of a finished run, for `unshear` and `pose`"
+    command = commands.add_parser("release", help=text, description=text)
+    command.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/standard")
+    command.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="a new folder; its name is the weights'"
+    )
+
     for name, text in (
         ("unshear", "take the slide out of recorded images; also predicts their poses"),
         ("pose", "predict the poses of recorded images, as they are and unsheared"),
     ):
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("path", metavar="PATH", type=Path, help="an image, or a folder of recordings")
-        command.add_argument("--model", metavar="DIR", type=Path, required=True, help="a finished run: runs/demo")
+        command.add_argument(
+            "--model",
+            metavar="DIR",
+            type=Path,
+            required=True,
+            help="a finished run (runs/demo), or released weights by name",
+        )
         if name == "unshear":
             command.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")
         _add_json(command)
 
+    cli_sweep.add_parser(commands)
     cli_checks.add_parsers(commands)
     for name, text in (("sensors", "list or draw the sensors"), ("stimuli", "list or draw the stimuli")):
         command = commands.add_parser(name, help=text, description=text)
@@ -147,10 +161,12 @@ def _add_json(command: argparse.ArgumentParser) -> None:
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words = argv
-    if argv and argv[0] in STAGES:
+    if argv and argv[0] in (*STAGES, "sweep"):
         from jaxunshear.config import parse_overrides, split_overrides
 
-        words, fields = split_overrides(argv, OWN_OPTIONS)
+        words, fields = split_overrides(
+            argv, OWN_OPTIONS if argv[0] in STAGES else cli_sweep.OWN_OPTIONS, cli_sweep.FLAGS
+        )
         parse_overrides(fields)  # before anything is read: a typo is refused at once
     try:
         arguments = _parser().parse_args(cli_checks.joined(list(words)))
@@ -163,8 +179,14 @@ def _run(argv: list[str]) -> int:
         _report(arguments.run)
     elif arguments.command == "ablate":
         _ablate(arguments, command)
+    elif arguments.command == "release":
+        from jaxunshear.release import release
+
+        print(release(arguments.run, arguments.out))
     elif arguments.command in ("unshear", "pose"):
         _infer(arguments)
+    elif arguments.command == "sweep":
+        return cli_sweep.run(arguments, fields, command)
     elif arguments.command in cli_checks.COMMANDS:
         return cli_checks.run(arguments, command)
     else:
@@ -174,14 +196,17 @@ def _run(argv: list[str]) -> int:
 
 def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> None:
     experiment = _experiment(arguments.file, fields)
-    stages = STAGES[arguments.command]
+    networks = experiment.networks
     if getattr(arguments, "network", None):
-        stages = (arguments.network,)
+        if arguments.network not in networks:
+            raise UserError(f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}")
+        networks = (arguments.network,)
+    stages = [name for stage in STAGES[arguments.command] for name in (networks if stage == NETWORKS else (stage,))]
     from jaxunshear.memory import keep_freed_memory
     from jaxunshear.run import run_stages
 
     keep_freed_memory()
-    results = run_stages(experiment, stages, out=arguments.out, data=arguments.data, command=command)
+    results = run_stages(experiment, tuple(stages), out=arguments.out, data=arguments.data, command=command)
     if getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import measurements
         from jaxunshear.storage import write_json

@@ -1,4 +1,4 @@
-"""The commands that examine the simulator: parsers, calls and tables. Everything heavy is imported when it is needed."""
+"""The commands that examine the simulator and the networks: parsers, calls and tables. Everything heavy is imported when it is needed."""
 
 import argparse
 from collections.abc import Callable
@@ -40,14 +40,18 @@ def add_parsers(commands: Any) -> None:
 
     command("verify", "hold the simulator against closed forms, conservation laws and independent solvers")
 
-    parser = command("stability", "run stiff, extreme and senseless contacts, in float32 and float64")
+    parser = command(
+        "stability", "run stiff, extreme and senseless contacts, and networks and trainings at their extremes"
+    )
     parser.add_argument("--only", metavar="NAME", help="only the cases whose name contains this")
 
     parser = command("bench", "error against run time", "folder for the figure")
-    parser.add_argument("what", choices=("sim", "train", "infer"), help="the contact simulator, or the networks")
+    parser.add_argument(
+        "what", choices=("sim", "train", "infer", "needs"), help="the simulator, the networks, or parts left out"
+    )
     parser.add_argument("--level", choices=LEVEL_NAMES, help="sim: only rows of this level")
     parser.add_argument("--batch", metavar="N", type=int, help="only rows with N scenes or images in a batch")
-    parser.add_argument("--size", metavar="PX", type=int, help="train, infer: only images of this size")
+    parser.add_argument("--size", metavar="PX", type=int, help="train, infer, needs: only images of this size")
 
     parser = command("calibrate", "fit camera, pins, friction and stiffness to recordings", "folder for figures")
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
@@ -151,9 +155,23 @@ def _bench_networks(arguments: argparse.Namespace, keep: Keep) -> int:
 
     if arguments.size is not None and arguments.size < 1:
         raise UserError(f"--size {arguments.size}: use at least 1")
+    if arguments.what == "needs":
+        return _bench_needs(arguments, keep)
     measure = bench_networks.bench_train if arguments.what == "train" else bench_networks.bench_infer
     rows = measure(arguments.size, arguments.batch)
     print(bench_networks.table(rows))
+    keep(rows)
+    return 0
+
+
+def _bench_needs(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.checks import bench_needs
+
+    try:
+        rows = bench_needs.bench_needs(128 if arguments.size is None else arguments.size)
+    except ValueError as error:
+        raise UserError(f"--size {arguments.size}: {error}") from error
+    print(bench_needs.table(rows))
     keep(rows)
     return 0
 

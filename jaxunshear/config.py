@@ -23,28 +23,50 @@ from jaxunshear.scene.sensor import Sensor, sensor_named
 
 def load_experiment(path: str | Path) -> Experiment:
     """The variable `experiment` of the Python file `path`, of the right types but not yet validated."""
+    found = load_variable(path, experiment=Experiment)
+    check_types(found)
+    return found
+
+
+def load_variable(path: str | Path, **kinds: type) -> Any:
+    """The first variable named in `kinds` that the Python file `path` defines, of that type. Raises `UserError`."""
     path = Path(path)
     if not path.is_file():
         raise UserError(
             f"experiment file {path} {'is a folder' if path.is_dir() else 'does not exist'}: name a Python file"
         )
     try:
-        found = runpy.run_path(str(path), run_name="jaxunshear_experiment").get("experiment")
+        variables = runpy.run_path(str(path), run_name="jaxunshear_experiment")
     except (Exception, SystemExit) as error:
         raise UserError(f"experiment file {path} {_failure(path, error)}") from error
-    if found is None:
-        raise UserError(f"experiment file {path} defines no variable `experiment`: add experiment = Experiment(...)")
-    if not isinstance(found, Experiment):
-        raise UserError(f"experiment file {path}: `experiment` is of type {type(found).__name__}, not Experiment")
-    check_types(found)
-    return found
+    for name, kind in kinds.items():
+        found = variables.get(name)
+        if found is not None and not isinstance(found, kind):
+            raise UserError(f"experiment file {path}: `{name}` is of type {type(found).__name__}, not {kind.__name__}")
+        if found is not None:
+            return found
+    if "sweep" in variables:
+        raise UserError(f"experiment file {path} defines a sweep: run it with `jaxunshear sweep {path}`")
+    name, kind = next(iter(kinds.items()))
+    raise UserError(f"experiment file {path} defines no variable `{name}`: add {name} = {kind.__name__}(...)")
 
 
 def override(experiment: Experiment, argv: Sequence[str]) -> Experiment:
     """`experiment` with fields replaced: `--train.epochs 5` or `--train.epochs=5`, several at will; the last wins."""
     for name, value in parse_overrides(argv):
-        experiment = _replaced(experiment, name.split("."), value)
+        experiment = replaced(experiment, name, value)
     return experiment
+
+
+def replaced(experiment: Experiment, name: str, value: Any) -> Experiment:
+    """`experiment` with the field of this dotted name replaced; its type is for `check_types` to judge.
+
+    Raises `UserError` where there is no such field.
+    """
+    kinds = dict(field_types())
+    if name not in kinds:
+        raise UserError(f"there is no field --{name}{_suggestion(name, kinds)}")
+    return _replaced(experiment, name.split("."), value)
 
 
 def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Any]]:
@@ -65,15 +87,20 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Any]]:
     return pairs
 
 
-def split_overrides(argv: Sequence[str], own: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Parts a command line: what argparse reads, and every `--name value` where --name is not of `own`."""
+def split_overrides(
+    argv: Sequence[str], own: Iterable[str], flags: Iterable[str] = ("--help", "--version")
+) -> tuple[list[str], list[str]]:
+    """Parts a command line: what argparse reads, and every `--name value` where --name is not of `own`.
+
+    No value follows `flags`.
+    """
     kept: list[str] = []
     fields: list[str] = []
     words = iter(argv)
     for word in words:
         is_field = word.startswith("--") and word.partition("=")[0] not in own
         (fields if is_field else kept).append(word)
-        if word.startswith("--") and "=" not in word and word not in ("--help", "--version"):
+        if word.startswith("--") and "=" not in word and word not in flags:
             (fields if is_field else kept).extend([value] if (value := next(words, None)) is not None else [])
     return kept, fields
 
@@ -111,7 +138,7 @@ def validate(experiment: Experiment) -> None:
     for ok, name, complaint in limits(experiment):
         if not ok:
             value = functools.reduce(getattr, name.split("."), experiment)
-            raise UserError(f"--{name} {_show(value)}: {complaint}")
+            raise UserError(f"--{name} {show(value)}: {complaint}")
 
 
 def _failure(path: Path, error: BaseException) -> str:
@@ -248,7 +275,10 @@ def _tupled(data: Any) -> Any:
     return tuple(_tupled(item) for item in data) if isinstance(data, list) else data
 
 
-def _show(value: Any) -> str:
+def show(value: Any) -> str:
+    """A field's value as it is written on the command line; a sensor by its name."""
+    if isinstance(value, Sensor):
+        return value.name
     if isinstance(value, tuple):
         return ",".join(":".join(map(str, item)) if isinstance(item, tuple) else str(item) for item in value) or "''"
     return str(value).lower() if isinstance(value, bool) else str(value)

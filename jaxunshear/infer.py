@@ -35,6 +35,8 @@ FRAMES = (
     "tell the nearest edge in the sensor frame; recorded_* are the labels that came with the images, in their own work frame."
 )
 
+RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card
+
 Log = Callable[[str], None]
 
 
@@ -52,6 +54,7 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
     Returns what was measured, as rows. Raises `UserError` where the model or every image cannot be read, or where `out` lies
     among the recordings.
     """
+    model = model_folder(model)
     experiment = _settings_for(path, model)
     _check_out(path, out)
     recordings = _read(path, experiment)
@@ -69,7 +72,7 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
     notes = list(recordings.notes)
     if not answers.after:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
-    write_text(out / "NOTE.txt", "\n".join([SIMULATION_ONLY, FRAMES, f"Networks: {model}", *notes]) + "\n")
+    write_text(out / "NOTE.txt", "\n".join([SIMULATION_ONLY, FRAMES, f"Networks: {model.name}", *notes]) + "\n")
     log(f"{len(table)} images unsheared, {len(recordings) - len(table)} left out; see {out / 'poses.csv'}")
     _tell(notes, log)
     return _measured(
@@ -86,6 +89,7 @@ def pose_of_recordings(path: Path, model: Path, log: Log = print, note: Log | No
 
     Notes go to `note` (stderr), so that the CSV can be piped on. Returns the same as rows. Raises as `unshear_recordings`.
     """
+    model = model_folder(model)
     experiment = _settings_for(path, model)
     recordings = _read(path, experiment)
     network = load_networks(model, experiment.pose.ranges, pose_needed=True)
@@ -104,12 +108,22 @@ def pose_of_recordings(path: Path, model: Path, log: Log = print, note: Log | No
     return _measured(rows_out)
 
 
+def model_folder(model: Path) -> Path:
+    """`model` itself where it is a folder, else that of the released weights of this name. Raises `UserError`."""
+    released = {folder.name: folder for folder in sorted(RELEASED.glob("*")) if (folder / "experiment.json").is_file()}
+    if model.exists() or str(model) not in released:
+        return model
+    return released[str(model)]
+
+
 def load_settings(model: Path) -> Experiment:
     """The experiment that the folder of a run was made with. Raises `UserError`."""
     file = model / "experiment.json"
     if not file.is_file():
+        names = ", ".join(sorted(folder.name for folder in RELEASED.glob("*") if folder.is_dir()))
         raise UserError(
-            f"--model {model} holds no experiment.json: name the folder of a finished run, such as runs/demo"
+            f"--model {model} holds no experiment.json: name the folder of a finished run, such as runs/demo, "
+            f"or released weights{f' ({names})' if names else ''}"
         )
     return from_json(read_json(file), str(file))
 
@@ -123,10 +137,10 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
     import jax
 
     from jaxunshear.model import posenet, unshearnet
-    from jaxunshear.training.checkpoint import latest, load_best, read_net
+    from jaxunshear.training.checkpoint import holds_model, load_best, read_net
 
     wanted = ["disentangled"]
-    if pose_needed or latest(model / "posenet") is not None:
+    if pose_needed or holds_model(model / "posenet"):
         wanted.append("posenet")
     nets: dict[str, Any] = {name: read_net(model / name) for name in wanted}
     variables = {name: load_best(model / name) for name in wanted}

@@ -256,7 +256,15 @@ def test_lists_and_drawings(command, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "words", [["--help"], ["run", "--help"], ["unshear", "--help"], ["run", "x", "--train.epoch", "5"], ["unshear"]]
+    "words",
+    [
+        ["--help"],
+        ["run", "--help"],
+        ["unshear", "--help"],
+        ["sweep", "--help"],
+        ["run", "x", "--train.epoch", "5"],
+        ["unshear"],
+    ],
 )
 def test_help_and_refusals_take_half_a_second_and_no_jax(words):
     probe = (

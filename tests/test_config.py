@@ -50,13 +50,13 @@ def test_the_last_of_two_wins_and_negative_numbers_are_values():
 
 
 def test_every_field_can_be_overridden_by_what_it_is_shown_as():
-    from jaxunshear.config import _show
+    from jaxunshear.config import show
 
     for name, _ in field_types():
         value = PLAIN
         for part in name.split("."):
             value = getattr(value, part)
-        text = value.name if name == "sensor" else _show(value).strip("'")
+        text = show(value).strip("'")
         assert changed(f"--{name}={text}") == PLAIN, name
 
 
@@ -148,6 +148,7 @@ def test_train_share_of_the_limits_is_that_of_the_split():
         ),
         ("from jaxunshear.experiment import Experiment\nexperiment = Experiment(name='x')", "missing 1 required"),
         ("setup = 1", "defines no variable `experiment`"),
+        ("sweep = 1", "defines a sweep: run it with `jaxunshear sweep"),
         ("experiment = {'name': 'x'}", "of type dict, not Experiment"),
         ("\0", "is not text"),
     ],

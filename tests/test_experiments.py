@@ -1,16 +1,22 @@
-"""The experiments of the repository are valid, and `paper.py` is appendix B to the letter."""
+"""The experiments and sweeps of the repository are valid, and `paper.py` is appendix B to the letter."""
 
 from pathlib import Path
 
 import pytest
 
 from jaxunshear.config import load_experiment, override, validate
-from jaxunshear.dataset.configs import config_name
+from jaxunshear.dataset.configs import CONFIGS, config_name, set_name
+from jaxunshear.sweep.rows import cells_of, reference_of, rows_of
+from jaxunshear.sweep.settings import check, load_sweep
 
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 
 
-@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.stem)
+FILES = sorted(FOLDER.glob("*.py"))
+SWEEPS = [path for path in FILES if "\nsweep = " in path.read_text()]
+
+
+@pytest.mark.parametrize("path", [path for path in FILES if path not in SWEEPS], ids=lambda path: path.stem)
 def test_valid_and_self_describing(path):
     experiment = load_experiment(path)
     validate(experiment)
@@ -21,6 +27,27 @@ def test_valid_and_self_describing(path):
     assert text.startswith('"""Claim: ')
     assert f"jaxunshear run experiments/{path.name}" in text
     assert "Expected" in text
+
+
+@pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
+def test_sweeps_are_valid_and_self_describing(path):
+    sweep = load_sweep(path)
+    check(sweep, path.name)
+    cells = cells_of(sweep)
+    assert sweep.name == path.stem and reference_of(sweep, cells) is not None
+    for data in (sweep.base.paired, sweep.base.pose):
+        assert config_name(data, sweep.base.sensor) in CONFIGS[set_name(data)]  # a set that an experiment has, too
+    text = path.read_text()
+    assert text.startswith('"""Claim: ') and "Expected" in text
+    assert f"jaxunshear sweep experiments/{path.name}" in text
+
+
+def test_lambda_split_is_five_by_five_by_two():
+    sweep = load_sweep(FOLDER / "lambda_split.py")
+    cells = cells_of(sweep)
+    assert len(cells) == 25 and sweep.seeds == (0, 1)
+    assert len({row.digest for row in rows_of(sweep, cells).values()}) == 50
+    assert all(cell.experiment.unshear.pose_channels + cell.experiment.unshear.shear_channels == 128 for cell in cells)
 
 
 def test_paper_is_appendix_b():

@@ -19,6 +19,12 @@ PAIRED = {
     "demo": PairedData(camera=FLUSH_CAMERA),
     "calibrated": PairedData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PairedData(config="standard", poses=1200, camera=FLUSH_CAMERA),
+    "paper_short": PairedData(
+        config="paper_short",
+        poses=1200,
+        camera=replace(FLUSH_CAMERA, frame_px=256),
+        preprocess=Preprocess(size=256),
+    ),
     "paper": PairedData(
         config="paper",
         poses=200,
@@ -34,6 +40,9 @@ POSE = {
     "demo": PoseData(camera=FLUSH_CAMERA),
     "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PoseData(config="standard", poses=3000, camera=FLUSH_CAMERA),
+    "paper_short": PoseData(
+        config="paper_short", poses=3000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
+    ),
     "paper": PoseData(
         config="paper", poses=10_000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
     ),

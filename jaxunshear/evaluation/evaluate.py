@@ -44,6 +44,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     """
     from jaxunshear.dataset.reading import open_set
     from jaxunshear.evaluation.networks import load
+    from jaxunshear.evaluation.speed import ms_per_image
 
     started = time.perf_counter()
     run_dir = Path(run_dir)
@@ -52,7 +53,8 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     if not total:
         raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
     taps = training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
-    run = load(run_dir, experiment.networks, experiment.pose.ranges, experiment.paired.ranges, taps)
+    ranges, precision = (experiment.pose.ranges, experiment.paired.ranges), experiment.train.precision
+    run = load(run_dir, experiment.networks, *ranges, taps, precision)
     gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT)
     further = {}
     for name, settings in further_tests(experiment).items():
@@ -65,6 +67,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     results["counts"] |= {name: pairs.metadata["counts"][name] for name in ("contacts", "retried", "dropped")}
     times = run_dir / "times.json"
     results |= {
+        "ms_per_image": ms_per_image(run_dir, experiment.networks, precision),
         "time_s": (read_json(times) if times.exists() else {}) | {"evaluate": time.perf_counter() - started},
         "machine": machine(),
         "versions": versions(),

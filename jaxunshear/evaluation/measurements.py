@@ -24,6 +24,8 @@ def measurements(results: dict[str, Any]) -> dict[str, Any]:
     for test, further in results["tests"].items():
         for table in TABLES:
             rows += _rows(further, table, results["metric"], f"{test}.")
+    for network, times in results["ms_per_image"].items():
+        rows.append(_row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"))
     rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results["time_s"].items()]
     return {"rows": rows, "machine": results["machine"], "versions": results["versions"]}
 
@@ -40,7 +42,9 @@ def _rows(results: dict[str, Any], table: str, metrics: dict[str, Any], prefix: 
 
 def reproducible(results: dict[str, Any]) -> dict[str, Any]:
     """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
-    return {name: value for name, value in results.items() if name not in ("time_s", "machine", "command")}
+    return {
+        name: value for name, value in results.items() if name not in ("time_s", "ms_per_image", "machine", "command")
+    }
 
 
 def _row(name: str, value: float | None, unit: str, metric: str) -> dict[str, Any]:

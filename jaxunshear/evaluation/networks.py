@@ -1,6 +1,6 @@
 """The trained networks of a run as one function of a batch of images; knows the models, nothing of data sets."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,13 +14,19 @@ from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import LEARNT_SHEARED, UNSHEARED, Outputs, image_scores
 from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.model.layers import in_precision
 from jaxunshear.training.checkpoint import load_best, read_net
 
 Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
 
 
 def load(
-    run_dir: Path, names: Sequence[str], ranges: Ranges, sheared_ranges: Ranges, taps: np.ndarray | None = None
+    run_dir: Path,
+    names: Sequence[str],
+    ranges: Ranges,
+    sheared_ranges: Ranges,
+    taps: np.ndarray | None = None,
+    precision: str = "float32",
 ) -> Run:
     """A function (tap, sheared) -> (outputs, image scores), both images (B, S, S, 1) uint8 in {0, 255}; jitted as one.
 
@@ -29,22 +35,30 @@ def load(
     baselines are there too. Raises `UserError` where a network is missing or cannot be read.
     """
     folders = {name: Path(run_dir) / name for name in names}
-    nets: dict[str, Any] = {name: read_net(folder) for name, folder in folders.items()}
+    nets = {name: read_net(folder) for name, folder in folders.items()}
     variables = {name: load_best(folder) for name, folder in folders.items()}
+    return partial(jax.jit(run_of(nets, ranges, sheared_ranges, precision)), variables, taps)
 
-    @jax.jit
+
+def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, precision: str = "float32"):
+    """The function (variables, taps or None, tap, sheared) of these networks (settings by name), not yet jitted.
+
+    Networks that unshear are given images in `precision`.
+    """
+
     def run(variables: dict[str, Any], taps: Array | None, tap: Array, sheared: Array):
         tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
         images, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
+        given = in_precision(sheared, precision)
         if taps is not None:
             images |= baseline_images(taps, tap, sheared)
         for kind in UNSHEARED:
             if kind == "disentangled" and kind in nets:
-                cells = draw_cells(nets[kind], variables[kind], sheared)
+                cells = draw_cells(nets[kind], variables[kind], given)
                 images[kind] = cells["DC(z_p)"]
             elif kind in nets:
                 module: Any = unet if kind == "unet" else unshearnet
-                images[kind] = module.unshear(nets[kind], variables[kind], sheared)
+                images[kind] = module.unshear(nets[kind], variables[kind], given)
         if "posenet" in nets:
             answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}
             poses = {kind: posenet.pose_from_outputs(answer, ranges) for kind, answer in answers.items()}
@@ -53,4 +67,4 @@ def load(
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, sheared_ranges)
         return Outputs(images, cells, poses), image_scores(images, cells)
 
-    return partial(run, variables, taps)
+    return run

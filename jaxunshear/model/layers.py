@@ -22,6 +22,11 @@ EPSILON = 1e-5
 MOMENTUM = 0.9  # of the running statistics
 
 
+def in_precision(images: Array, precision: str) -> Array:
+    """Images as a network of this precision ("float32", "bfloat16") is to be given them; wider ones stay as they are in float32."""
+    return images.astype(jnp.bfloat16) if precision == "bfloat16" else images
+
+
 def inside(height: int, width: int) -> np.ndarray:
     """(height, width, 4) 0/1: which of the 2x2 pixels of each bordered block lie inside the image."""
     rows, columns = (np.ones((n, 2)) for n in (height, width))
@@ -192,10 +197,11 @@ class Up(nn.Module):
 
 class Last(nn.Module):
     """4x4 transposed convolution of stride 2, with bias, from bordered blocks (B, H+1, W+1, 4 C) to the image (B, 4H,
-    4W, 1)."""
+    4W, 1), which is in float32 or wider: the bias' gradient is a sum over all pixels, more than bfloat16 can count."""
 
     @nn.compact
     def __call__(self, x: Array) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, 1)).astype(x.dtype)
-        bias = self.param("bias", nn.initializers.zeros, (1,)).astype(x.dtype)
-        return conv.from_blocks(conv.conv_valid(x, conv.last_kernel(w)), 4) + bias[None, None, None]
+        bias = self.param("bias", nn.initializers.zeros, (1,))
+        image = conv.from_blocks(conv.conv_valid(x, conv.last_kernel(w)), 4)
+        return image.astype(jnp.promote_types(x.dtype, jnp.float32)) + bias[None, None, None]

@@ -306,7 +306,12 @@ def _times(results: dict[str, Any], histories: dict[str, History]) -> str:
                 page.drawing(figures.error_over_time(histories, name, label), f"{label} over seconds of training")
             )
     lead = "Wall clock of each stage of the run, and what the seconds of training bought on poses kept out of it."
-    return page.section("Error against run time", lead, f"<div class=row>{''.join(drawn)}</div>")
+    waits = "; ".join(
+        f"{name} {times['median']:.1f} ms (95th percentile {times['p95']:.1f})"
+        for name, times in results["ms_per_image"].items()
+    )
+    note = f"<p class=soft>One image at a time, compilation apart: {waits}.</p>"
+    return page.section("Error against run time", lead, f"<div class=row>{''.join(drawn)}</div>", note)
 
 
 def _contacts(results: dict[str, Any]) -> str:

@@ -4,13 +4,19 @@ FOLDER/model.json                  what is trained, with which settings
 FOLDER/checkpoints/<step>/state    arrays by name (Orbax)
 FOLDER/checkpoints/<step>/record.json   history of the training up to here, the best step, a digest of the arrays
 
+FOLDER/weights.npz                 of a released model, in the place of checkpoints: the arrays that using it takes, and their digest
+
 A checkpoint is written under another name and then renamed, so a killed run leaves whole ones only. The latest and the
 best are kept.
 """
 
 import dataclasses
 import hashlib
+import io
 import shutil
+import zipfile
+import zlib
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,6 +30,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
 
 MODEL = "model.json"
+WEIGHTS, DIGEST = "weights.npz", "digest"
 NETS = {"unshear": UnshearNet, "unet": UNet, "posenet": PoseNet}
 
 
@@ -63,6 +70,12 @@ def latest(folder: Path) -> int | None:
     return max(steps, default=None)
 
 
+def kept(folder: Path) -> list[int]:
+    """Steps of the latest checkpoint in `folder` and, where it is another, of the best. Raises UserError."""
+    step = latest(folder)
+    return [] if step is None else list(dict.fromkeys((step, _record(folder, step)["best_step"])))
+
+
 def restore(folder: Path, step: int, like: Any) -> tuple[Any, dict[str, Any]]:
     """The state of checkpoint `step`, in the form of the tree `like`, and its record. Raises UserError if it is
     damaged."""
@@ -77,21 +90,56 @@ def restore(folder: Path, step: int, like: Any) -> tuple[Any, dict[str, Any]]:
     return jax.tree.unflatten(jax.tree.structure(like), leaves), record
 
 
+def holds_model(folder: Path) -> bool:
+    """Whether `folder` holds a network that `load_best` can read."""
+    return (Path(folder) / WEIGHTS).exists() or latest(folder) is not None
+
+
 def load_best(folder: Path) -> dict[str, Any]:
-    """Variables (averaged weights and statistics) of the best checkpoint by validation loss. Raises UserError."""
+    """Variables (averaged weights and statistics) of the best checkpoint by validation loss, or those released. Raises UserError."""
+    if (Path(folder) / WEIGHTS).exists():
+        return _tree(_read_weights(Path(folder) / WEIGHTS))
     step = latest(folder)
     if step is None:
         raise UserError(f"{folder} holds no trained model (no checkpoints): train first, or name another folder")
-    best = _record(folder, step)["best_step"]
-    arrays, _ = _read(folder, best)
+    arrays, _ = _read(folder, _record(folder, step)["best_step"])
+    kept = {name.partition(".")[2]: array for name, array in arrays.items() if name.startswith("average.")}
+    return _tree(kept)
+
+
+def write_weights(folder: Path, variables: dict[str, Any], modules: Sequence[str] = ()) -> None:
+    """Writes the arrays of `variables` to weights.npz in `folder`; with `modules` named, those of these parts of the network."""
+    arrays = {
+        name: np.asarray(leaf)
+        for name, leaf in _named(jax.device_get(variables)).items()
+        if not modules or name.split(".")[1] in modules
+    }
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **{DIGEST: np.array(_digest(arrays))}, **arrays)  # type: ignore[arg-type]
+    storage.write_bytes(Path(folder) / WEIGHTS, buffer.getvalue())
+
+
+def _read_weights(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path) as file:
+            arrays = dict(file)
+        intact = str(arrays.pop(DIGEST)) == _digest(arrays)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise UserError(f"{path} is damaged ({_line(error)}): install or copy these weights again") from error
+    if not intact:
+        raise UserError(f"{path} is damaged (its digest differs): install or copy these weights again")
+    return arrays
+
+
+def _tree(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """{"params.E.First_0.kernel": ...} as nested dictionaries of arrays on the device."""
     variables: dict[str, Any] = {}
     for name, array in arrays.items():
-        kind, *modules = name.split(".")
-        if kind == "average":
-            place = variables
-            for module in modules[:-1]:
-                place = place.setdefault(module, {})
-            place[modules[-1]] = jax.numpy.asarray(array)
+        *modules, last = name.split(".")
+        place = variables
+        for module in modules:
+            place = place.setdefault(module, {})
+        place[last] = jax.numpy.asarray(array)
     return variables
 
 

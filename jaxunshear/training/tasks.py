@@ -12,6 +12,7 @@ from jax import Array
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, settings, unet, unshearnet
+from jaxunshear.model.layers import in_precision
 from jaxunshear.training import losses
 from jaxunshear.training.settings import Training
 
@@ -49,16 +50,14 @@ def unshear_task(net: settings.UnshearNet | settings.UNet, training: Training) -
 
     def terms(variables, batch, key):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
-        logits, sheared_logits, batch_stats = reconstruct(variables, _rounded(sheared, training))
-        image = jax.nn.sigmoid(logits.astype(sheared.dtype))
+        logits, sheared_logits, batch_stats = reconstruct(variables, in_precision(sheared, training.precision))
+        image = jax.nn.sigmoid(logits)
         named = {"supervised": losses.supervised(image, canonical)}
         if training.patch_weight:
             corners = losses.random_corners(key, len(image), training.crops, net.size, crop)
             named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, crop))
         if sheared_logits is not None:
-            named["reconstruction"] = losses.reconstruction(
-                jax.nn.sigmoid(sheared_logits.astype(sheared.dtype)), sheared
-            )
+            named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
         return named, batch_stats
 
     def validate(variables, batch):
@@ -81,7 +80,7 @@ def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> T
     """Of PoseNet; batches {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2) float32."""
 
     def terms(variables, batch, key):
-        images = _rounded(_unit(batch["image"]), training)
+        images = in_precision(_unit(batch["image"]), training.precision)
         outputs, batch_stats = posenet.predict_training(net, variables, images)
         targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
         return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)}, batch_stats
@@ -101,11 +100,6 @@ def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> T
 def _unit(images: Array) -> Array:
     """uint8 {0, 255} -> float32 [0, 1]; floats are taken as they are."""
     return images.astype(jnp.float32) / 255.0 if jnp.issubdtype(images.dtype, jnp.integer) else images
-
-
-def _rounded(images: Array, training: Training) -> Array:
-    """Images in the precision that a network is trained in: it follows theirs."""
-    return images.astype(jnp.bfloat16) if training.precision == "bfloat16" else images
 
 
 def _wrapped(difference: Array, turn: float | None) -> Array:

@@ -14,6 +14,7 @@ def results(unsheared=0.95, sheared=0.32, ratio=0.5):
         "pose_recovery": {"disentangled": {"edge_mm": 0.9}},
         "difference": {"entangled": {"ms_ssim": 0.01, "edge_mm": -0.1}},
         "tests": {},
+        "ms_per_image": {"unet": {"median": 3.0, "p95": 4.0}},
         "swap": {"DC(z_p)": {"target": "tap", "mse": 0.02}},
         "pin_error": {"tap": {"rms_px": 0.1, "rms_mm": 0.02, "missed_per_image": 0.5, "extra_per_image": 0.0}},
         "time_s": {"train": 100.0},
@@ -48,6 +49,11 @@ def test_a_missed_bar_is_not_ok(case, failed):
     assert {name for name, row in rows.items() if row["ok"] is False} == failed
 
 
+def test_time_per_image_has_a_row():
+    row = by_name(measurements(results()))["ms_per_image.unet"]
+    assert (row["value"], row["unit"]) == (3.0, "ms")
+
+
 def test_units_and_metric():
     rows = by_name(measurements(results()))
     assert rows["ms_ssim.sheared.overall"]["metric"] == "ms_ssim@4"
@@ -63,4 +69,4 @@ def test_units_and_metric():
 
 def test_reproducible_leaves_out_times_and_places_only():
     whole = results()
-    assert set(whole) - set(reproducible(whole)) == {"time_s", "machine", "command"}
+    assert set(whole) - set(reproducible(whole)) == {"time_s", "ms_per_image", "machine", "command"}

@@ -67,6 +67,8 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
     assert results["time_s"]["data"] == 12.5
     assert results["time_s"]["evaluate"] > 0
     assert results["counts"]["test"] == COUNT
+    assert set(results["ms_per_image"]) == set(experiment.networks)
+    assert all(0 < times["median"] <= times["p95"] for times in results["ms_per_image"].values())
     assert results["counts"]["dropped"] == 1
     assert results["ms_ssim"]["disentangled"]["teardrop"] is None
     for name in (

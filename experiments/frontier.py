@@ -1,0 +1,46 @@
+"""Claim: what a longer training, a wider network, larger images, bfloat16 or other poses buy, against what they cost.
+
+    jaxunshear sweep experiments/frontier.py
+
+Expected on two cores: an hour and a half for 20 rows and the data sets of four of the settings. Each row is the demo's
+disentangled network but for what its label says; `runs/sweeps/frontier/sweep.png` draws errors against seconds of training and
+against milliseconds an image, and names the settings that no other one beats. Settings of equal cost in contacts: many poses
+with a slide each, few poses with many.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from jaxunshear.config import load_experiment
+from jaxunshear.sweep.settings import Sweep
+
+DEMO = load_experiment(Path(__file__).with_name("demo.py"))
+IMAGES = [f"{group}.{field}" for group in ("paired", "pose") for field in ("preprocess.size", "camera.frame_px")]
+SIZES = (*IMAGES, "unshear.size", "posenet.size", "train.crop_px")
+
+ROWS = {
+    "base": (),
+    "a quarter of the epochs": (("train.epochs", 1.25),),
+    "half the epochs": (("train.epochs", 2.5),),
+    "twice the epochs": (("train.epochs", 10.0),),
+    "half as wide": (("unshear.widths", (8, 16, 32, 64, 128)),),
+    "twice as wide": (("unshear.widths", (32, 64, 128, 256, 512)),),
+    "bfloat16": (("train.precision", "bfloat16"),),
+    "256 px": ((SIZES, (256, 256, 256, 256, 256, 256, 40)), ("unshear.widths", (16, 32, 64, 128, 256, 256))),
+    "900 poses x 1 slide": ((("paired.poses", "paired.slides"), (900, 1)), ("train.epochs", 6.67)),
+    "200 poses x 8 slides": ((("paired.poses", "paired.slides"), (200, 8)), ("train.epochs", 3.75)),
+}
+
+sweep = Sweep(
+    name="frontier",
+    claim="Longer training buys more than a wider network or larger images do.",
+    base=replace(
+        DEMO,
+        train=replace(DEMO.train, epochs=5, validate_every=270),
+        train_posenet=replace(DEMO.train_posenet, epochs=12),
+    ),
+    rows=tuple(ROWS.values()),
+    labels=tuple(ROWS),
+    seeds=(0, 1),
+    networks=("disentangled", "posenet"),
+)

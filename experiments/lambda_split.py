@@ -1,0 +1,35 @@
+"""Claim: the paper's weight of the patch loss, lambda = 0.1, and its even split of the channels between pose and shear code are a
+fair choice: nothing else on the grid is clearly better.
+
+    jaxunshear sweep experiments/lambda_split.py
+
+Expected on two cores: an hour and a half for 50 rows of about 100 s each, beside the demo's data sets and one PoseNet a seed;
+`runs/sweeps/lambda_split/sweep.png` has a heat map for every figure. The sensor, the images and the settings are the demo's,
+but each network is trained for a quarter of the demo's time: the rows are to be held against each other, not against the demo.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from jaxunshear.config import load_experiment
+from jaxunshear.sweep.settings import Sweep
+
+DEMO = load_experiment(Path(__file__).with_name("demo.py"))
+
+sweep = Sweep(
+    name="lambda_split",
+    claim="The paper's weight of the patch loss and its even split of the channels are a fair choice.",
+    base=replace(
+        DEMO,
+        unshear=replace(DEMO.unshear, pose_channels=64, shear_channels=64),
+        train=replace(DEMO.train, epochs=2.5, validate_every=225),
+        train_posenet=replace(DEMO.train_posenet, epochs=8),
+    ),
+    grid=(
+        ("train.patch_weight", (0.0, 0.01, 0.1, 1.0, 10.0)),
+        (("unshear.pose_channels", "unshear.shear_channels"), ((8, 120), (32, 96), (64, 64), (96, 32), (120, 8))),
+    ),
+    seeds=(0, 1),
+    networks=("disentangled", "posenet"),
+    ablation=True,
+)

@@ -1,0 +1,138 @@
+"""What leaving out saves: operations and seconds of the same work with and without a part that it may not need.
+
+    rows = bench_needs(size=128)
+
+Each case is compiled both ways. `operations` are those of the compiled program, as XLA counts them: a part that is not needed must
+be gone from it, not merely unused. Both ways take turns in being timed.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxunshear.checks.clock import seconds
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.evaluation.networks import run_of
+from jaxunshear.memory import keep_freed_memory
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.progress import Progress
+from jaxunshear.training.settings import Training
+from jaxunshear.training.step import fresh, make_step, optimiser_of
+from jaxunshear.training.tasks import unshear_task
+
+ROUNDS = 15
+BATCH = 8
+
+
+class Way(NamedTuple):
+    """A function of arrays, and its arguments."""
+
+    call: Callable[..., Any]
+    arguments: tuple[Any, ...]
+
+
+def bench_needs(size: int = 128, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+    """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises ValueError for a bad size."""
+    keep_freed_memory()
+    net = UnshearNet(size=size, widths=(16, 32, 64, 128, 256))
+    unshearnet.check(net)
+    cases = list(_cases(net))
+    rows = []
+    with Progress("bench needs", len(cases), unit="cases") as progress:
+        for name, left_out, whole, less in cases:
+            rows.append({"name": name, "left_out": left_out, "size": size} | _measured(whole, less, rounds))
+            progress.advance(1)
+    return rows
+
+
+def _measured(whole: Way, less: Way, rounds: int) -> dict[str, Any]:
+    works: dict[str, Callable[[], Any]] = {}
+    found: dict[str, dict[str, float]] = {}
+    for kind, way in (("with", whole), ("without", less)):
+        lowered, begun = jax.jit(way.call).lower(*way.arguments), time.perf_counter()
+        compiled = lowered.compile()
+        found[kind] = {
+            "operations": (compiled.cost_analysis() or {})["flops"],
+            "compile_s": time.perf_counter() - begun,
+        }
+        works[kind] = partial(_run, compiled, way.arguments)
+        works[kind]()
+    times: dict[str, list[float]] = {kind: [] for kind in works}
+    for _ in range(rounds):
+        for kind, work in works.items():
+            times[kind].append(seconds(work))
+    for kind, spent in times.items():
+        found[kind] |= {"seconds": float(np.median(spent)), "p95": float(np.percentile(spent, 95))}
+    ratios = {f"{name}_ratio": found["without"][name] / found["with"][name] for name in ("operations", "seconds")}
+    return found | ratios
+
+
+def _run(compiled: Any, arguments: tuple[Any, ...]) -> Any:
+    return jax.block_until_ready(compiled(*arguments))
+
+
+def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
+    """Name, what is left out, with it, without it."""
+    variables = jax.jit(unshearnet.init, static_argnums=0)(net, jax.random.key(0))
+    images = np.zeros((1, net.size, net.size, 1), np.float32)
+    yield (
+        "unshear one image",
+        "shear code and DS",
+        Way(lambda v, x: _both_decoders(net, v, x), (variables, images)),
+        Way(lambda v, x: unshearnet.unshear(net, v, x), (variables, images)),
+    )
+    training = Training(batch=BATCH)
+    regular = replace(training, l1=1e-3, l2=1e-3)
+    yield "training step", "crops: lambda 0", _step(net, training), _step(net, replace(training, patch_weight=0.0))
+    yield "training step", "shear channels", _step(net, training), _step(replace(net, shear_channels=0), training)
+    yield "training step", "weights on kernels: l1 and l2 of 0", _step(net, regular), _step(net, training)
+    yield _evaluation(net, variables)
+
+
+def _both_decoders(net: UnshearNet, variables: Any, images: jax.Array) -> Any:
+    z_p, z_s = unshearnet.encode(net, variables, images)
+    sheared = unshearnet.decode_sheared(net, variables, z_p, z_s)  # type: ignore[arg-type]
+    return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
+
+
+def _step(net: UnshearNet, training: Training) -> Way:
+    task, optimiser = unshear_task(net, training), optimiser_of(training, 1000, 100)
+    state = jax.jit(lambda key: fresh(task.init(key), optimiser))(jax.random.key(0))
+    dots = 255 * np.random.default_rng(0).integers(0, 2, (2, training.batch, net.size, net.size, 1), np.uint8)
+    batch = {"canonical": dots[0], "sheared": dots[1]}
+    return Way(make_step(task, training, optimiser, jax.random.key(1)), (state, batch))
+
+
+def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
+    entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
+    nets = {"entangled": entangled, "disentangled": net, "posenet": pose}
+    values = {
+        "entangled": jax.jit(unshearnet.init, static_argnums=0)(entangled, jax.random.key(1)),
+        "disentangled": variables,
+        "posenet": jax.jit(posenet.init, static_argnums=0)(pose, jax.random.key(2)),
+    }
+    images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
+
+    def way(names: tuple[str, ...]) -> Way:
+        run = run_of({name: nets[name] for name in names}, Ranges(), Ranges())
+        return Way(run, ({name: values[name] for name in names}, None, images, images))
+
+    return "evaluation of a batch", "networks that are not asked for", way(tuple(nets)), way(("entangled",))
+
+
+def table(rows: list[dict[str, Any]]) -> str:
+    """For people."""
+    lines = [f"{'':22} {'left out':35} Mflop with   without  ratio    ms with   without  ratio"]
+    for row in rows:
+        operations, times = ([row[kind][name] for kind in ("with", "without")] for name in ("operations", "seconds"))
+        lines.append(
+            f"{row['name']:22} {row['left_out']:35} {operations[0] / 1e6:10.1f} {operations[1] / 1e6:9.1f} {row['operations_ratio']:6.2f} "
+            f"{1e3 * times[0]:10.2f} {1e3 * times[1]:9.2f} {row['seconds_ratio']:6.2f}"
+        )
+    return "\n".join(lines)

@@ -1,0 +1,65 @@
+"""`jaxunshear sweep`: parser and call. Everything heavy is imported when it is needed."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+
+FLAGS = ("--help", "--version", "--retry-failed")  # no value follows
+OWN_OPTIONS = (
+    *FLAGS,
+    *("--out", "--data", "--json", "--seeds", "--engine", "--ray-address", "--ray-cores"),
+)
+
+
+def add_parser(commands: Any) -> None:
+    """Adds `sweep` to an argparse subparsers object."""
+    text = "run an experiment over grids of settings and seeds; continues where a stopped sweep left off"
+    usage = "jaxunshear sweep FILE [options] [--field value ...]"
+    parser = commands.add_parser("sweep", help=text, description=text, usage=usage)
+    parser.takes_fields = True
+    parser.add_argument("file", metavar="FILE", type=Path, help="such as experiments/lambda_split.py, or an experiment")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=Path("runs/sweeps"), help="DIR/<name> (runs/sweeps)")
+    parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+    parser.add_argument("--seeds", metavar="N,N,...", help="instead of those in FILE")
+    parser.add_argument(
+        "--engine", choices=("serial", "ray"), default="serial", help="one row after the other (serial)"
+    )
+    parser.add_argument("--ray-address", metavar="ADDRESS", help="of a Ray cluster (default: one on this machine)")
+    parser.add_argument("--ray-cores", metavar="N", type=int, help="cores that a row takes of the cluster (2)")
+    parser.add_argument("--retry-failed", action="store_true", help="also try rows again that failed")
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write sweep.json here, too")
+
+
+def run(arguments: argparse.Namespace, fields: list[str], command: str) -> int:
+    """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
+    if arguments.json is not None and arguments.json.is_dir():
+        raise UserError(f"--json {arguments.json} is a folder: name a file")
+    if arguments.engine != "ray" and (arguments.ray_address is not None or arguments.ray_cores is not None):
+        raise UserError("--ray-address and --ray-cores go with --engine ray")
+    if arguments.ray_cores is not None and arguments.ray_cores < 1:
+        raise UserError(f"--ray-cores {arguments.ray_cores}: use at least 1")
+    import dataclasses
+
+    from jaxunshear.sweep.settings import check, load_sweep, parse_seeds, with_overrides
+
+    sweep = with_overrides(load_sweep(arguments.file), fields)
+    if arguments.seeds is not None:
+        sweep = dataclasses.replace(sweep, seeds=parse_seeds(arguments.seeds))
+    check(sweep, str(arguments.file))
+
+    from jaxunshear.storage import write_json
+    from jaxunshear.sweep import engines
+    from jaxunshear.sweep.run import run_sweep
+    from jaxunshear.sweep.table import table
+
+    engine: engines.Engine = engines.serial
+    if arguments.engine == "ray":
+        engine = engines.ray_engine(arguments.ray_address, arguments.ray_cores or 2)
+    summary = run_sweep(sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed)
+    print(table(summary))
+    print(arguments.out / sweep.name / "sweep.json")
+    if arguments.json is not None:
+        write_json(arguments.json, summary)
+    return 1 if any(cell["failures"] for cell in summary["cells"]) else 0

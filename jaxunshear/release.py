@@ -1,0 +1,82 @@
+"""A finished run -> weights to hand on: what unshearing and reading poses take, and a model card that says what they are.
+
+>>> release(Path("runs/standard"), Path("weights/standard"))
+"""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+from jaxunshear.storage import read_json, write_json, write_text
+
+PARTS = {"disentangled": ("E", "pose", "DC"), "posenet": ()}  # of each network; all of it where none is named
+CARD = "README.md"
+
+
+def release(run_dir: Path, out: Path) -> Path:
+    """Writes experiment.json, both networks and README.md to `out`, which must not exist. Returns `out`.
+
+    Raises `UserError` where the run is not finished or evaluated.
+    """
+    from jaxunshear.training.checkpoint import MODEL, load_best, write_weights
+
+    run_dir, out = Path(run_dir), Path(out)
+    for name in ("experiment.json", "results.json"):
+        if not (run_dir / name).is_file():
+            raise UserError(f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo")
+    if out.exists():
+        raise UserError(f"--out {out} exists: name a new folder")
+    part = out.with_name(f"{out.name}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    for name, modules in PARTS.items():
+        write_weights(part / name, load_best(run_dir / name), modules)
+        settings = read_json(run_dir / name / MODEL)
+        write_json(part / name / MODEL, {"kind": settings["kind"], "net": settings["net"]})
+    write_json(part / "experiment.json", read_json(run_dir / "experiment.json"))
+    write_text(part / CARD, card(read_json(run_dir / "results.json"), out.name))
+    part.rename(out)
+    return out
+
+
+def card(results: dict[str, Any], name: str) -> str:
+    """The model card, in Markdown, all of it from the run's results."""
+    settings, metric = results["settings"], results["metric"]
+    paired, pose, sensor = settings["paired"], settings["pose"], settings["sensor"]["name"]
+    shapes = ", ".join(paired["stimuli"])
+    lines = [
+        f"# {name}",
+        "",
+        f"{settings['claim']}",
+        "",
+        "Two networks for images of a soft optical tactile sensor: Disentangled UnshearNet (encoder, pose code, canonical decoder), "
+        "which turns a sheared image into the one that a tap would give, and a PoseNet, which learnt from taps alone.",
+        "",
+        f"    jaxunshear unshear RECORDINGS --model {name} --out unsheared",
+        f"    jaxunshear pose RECORDINGS --model {name}",
+        "",
+        f"* **Learnt from** simulated touches only: sensor `{sensor}`, shapes {shapes}; {results['counts']['train']} pairs, "
+        f"{pose['poses'] * len(pose['stimuli'])} taps before a fifth each was put aside to validate and to test; images of "
+        f"{metric['image_px']} px, {paired['camera']['mm_across']:g} mm across, camera noise and drift on.",
+        f"* **Poses** within {paired['ranges']['lateral_mm']:g} mm, {paired['ranges']['yaw_deg']:g} deg, depths "
+        f"{paired['ranges']['depth_min_mm']:g} to {paired['ranges']['depth_max_mm']:g} mm; slides up to "
+        f"{paired['ranges']['move_mm']:g} mm along each axis. Beyond them nothing is known.",
+        "* **Not measured**: any real sensor. Real images differ from simulated ones (see the documentation of the simulator).",
+        f"* **Seed** {results['seeds']['experiment']}; made by `{results['command']}`.",
+        "",
+        f"Measured on {results['counts']['test']} simulated slides at {results['counts']['test_poses']} poses kept out of training:",
+        "",
+        f"| image | {metric['ms_ssim']} to the tap | edge distance, mm | edge angle, deg | x, mm | yaw, deg |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for kind in ("tap", "sheared", "disentangled"):
+        errors = results["pose_mae"].get(kind, {})
+        likeness = results["ms_ssim"].get(kind, {}).get("overall")
+        cells = [likeness, *(errors.get(q) for q in ("edge_mm", "edge_deg", "x_mm", "yaw_deg"))]
+        lines.append(f"| {kind} | " + " | ".join("" if cell is None else f"{cell:.3g}" for cell in cells) + " |")
+    for test, found in results["tests"].items():
+        likeness = found["ms_ssim"]["disentangled"]["overall"]
+        lines += ["", f"Test `{test}` ({', '.join(found['stimuli'])}): {metric['ms_ssim']} {likeness:.3f}."]
+    machine, versions = (json.dumps(results[what]) for what in ("machine", "versions"))
+    return "\n".join([*lines, "", f"Machine: {machine}", "", f"Versions: {versions}", ""])

@@ -1,0 +1,119 @@
+"""What a sweep has yet to do: its unfinished rows, before them the trainings that several of them share. Imports no JAX.
+
+FOLDER/rows/<label>-<digest>/      a row: its run's files, and row.json once it has ended
+FOLDER/shared/<network>-<digest>/  a training that rows share
+FOLDER/data/                       the making of the data sets, which lie elsewhere
+"""
+
+import dataclasses
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+
+from jaxunshear.config import from_json, to_json
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.storage import read_json, write_json
+from jaxunshear.sweep.rows import Row, training_part
+from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
+
+FINISHED = "summary.json"  # of a training
+NOT_FOR_DATA = ("name", "claim", "seed", "unshear", "posenet", "train", "train_posenet")
+
+
+def row_folder(folder: Path, row: Row) -> Path:
+    """Where `row` is or will be; one that an earlier sweep gave another label stays where it is."""
+    there = sorted((folder / "rows").glob(f"*-{row.digest}"))
+    return there[0] if there else folder / "rows" / row.experiment.name
+
+
+def forget_failures(folder: Path, rows: Iterable[Row]) -> None:
+    """Takes failed rows, and the shared trainings that failed, for unfinished: they are tried again."""
+    tried = [(row_folder(folder, row), "row") for row in rows]
+    tried += [(path, "training") for path in (folder / "shared").glob("*/")]
+    for path, kind in tried:
+        outcome = read_outcome(path, kind)
+        if outcome and outcome["status"] == "failed":
+            outcome_file(path, kind).unlink()
+
+
+def unfinished(folder: Path, rows: Iterable[Row]) -> list[Row]:
+    """The rows without an outcome, each once, named as their folders are."""
+    found = {}
+    for row in rows:
+        path = row_folder(folder, row)
+        if not outcome_file(path, "row").exists():
+            found[row.digest] = dataclasses.replace(row, experiment=dataclasses.replace(row.experiment, name=path.name))
+    return list(found.values())
+
+
+def data_task(folder: Path, rows: list[Row], data: Path) -> Task:
+    """Making, or finding made, each data set that `rows` need, once."""
+    experiments = []
+    for row in rows:
+        plain = {field: getattr(Experiment(name="", claim=""), field) for field in NOT_FOR_DATA}
+        experiment = to_json(dataclasses.replace(row.experiment, **plain))
+        if experiment not in experiments:
+            experiments.append(experiment)
+    task = Task(folder / "data", "data")
+    outcome_file(task.folder, task.kind).unlink(missing_ok=True)  # a set may have been deleted since
+    write_json(task.folder / TASK, {"kind": task.kind, "experiments": experiments, "data": str(data)})
+    return task
+
+
+def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: str) -> list[Task]:
+    """The tasks of the unfinished `rows`, the trainings that they share before them; writes each one's task.json."""
+    common = {"data": str(data), "command": command}
+    finished = _finished_trainings(folder)
+    parts = {
+        (row.digest, network): training_part(row.experiment, network)
+        for row in rows
+        for network in row.experiment.networks
+        if not (folder / "rows" / row.experiment.name / network / FINISHED).exists()
+    }
+    users = Counter(part.name for part in parts.values())
+    shared: dict[str, Task] = {}
+    tasks = []
+    for row in rows:
+        sources, needs = {}, []
+        for network in row.experiment.networks:
+            part = parts.get((row.digest, network))
+            if part is None:
+                continue
+            own = Task(folder / "shared" / part.name, "training")
+            if part.name in finished:
+                sources[network] = str(finished[part.name])
+            elif users[part.name] > 1:
+                sources[network] = str(own.folder / network)
+                outcome = read_outcome(own.folder, own.kind)
+                if outcome is None or outcome["status"] == "done":  # done, but its folder was deleted since
+                    outcome_file(own.folder, own.kind).unlink(missing_ok=True)
+                    needs.append(own.folder)
+                    if part.name not in shared:
+                        shared[part.name] = own
+                        write_json(own.folder / TASK, _described(part, own, (network,)) | common)
+        task = Task(folder / "rows" / row.experiment.name, "row", tuple(needs))
+        more = {"ablation": ablation, "sources": sources, "label": row.label, "seed": row.experiment.seed}
+        write_json(task.folder / TASK, _described(row.experiment, task, row.experiment.networks) | more | common)
+        tasks.append(task)
+    return [*shared.values(), *tasks]
+
+
+def _described(experiment: Experiment, task: Task, networks: tuple[str, ...]) -> dict:
+    return {"kind": task.kind, "experiment": to_json(experiment), "networks": networks}
+
+
+def _finished_trainings(folder: Path) -> dict[str, Path]:
+    """Folders of all trainings that were finished in this sweep's folder, by the names of their parts."""
+    found: dict[str, Path] = {}
+    for path in sorted([*(folder / "shared").glob("*/"), *(folder / "rows").glob("*/")]):
+        trained = [network for network in ALL_NETWORKS if (path / network / FINISHED).exists()]
+        if not trained:
+            continue
+        try:
+            experiment = from_json(read_json(path / "experiment.json"))
+        except UserError:
+            continue  # of another version: its trainings are not those of today
+        for network in trained:
+            found.setdefault(training_part(experiment, network).name, path / network)
+    return found

@@ -1,0 +1,174 @@
+"""From a sweep to its cells (points of the grid) and rows (a cell with a seed), each a valid experiment of its own.
+
+A row is known by a digest of all that decides its numbers, so equal rows are one, in the grid and on disk; so is a training,
+which several rows may share. Imports no JAX.
+"""
+
+import dataclasses
+import hashlib
+import itertools
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any
+
+from jaxunshear.config import replaced, show, to_json, validate
+from jaxunshear.dataset.configs import VERSION
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
+
+LONGEST_NAME = 90  # of a folder, before its digest
+TESTS = ("networks", "unseen", "other_jitters_mm")  # what is trained and tested beside a training is not for it
+UNUSED = {"posenet": ("paired", "unshear", "train"), "posenet_sheared": ("pose", "unshear", "train")}
+UNUSED_BY_UNSHEARERS = ("pose", "posenet", "train_posenet")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One point of the grid, or one explicit row, over all seeds."""
+
+    label: str  # "patch_weight=0.1, pose_channels:shear_channels=8:120"; "base" where nothing is changed
+    point: tuple[str, ...] | None  # printed values along the axes; None beside the grid
+    changes: tuple[Change, ...]
+    experiment: Experiment  # with the base's seed
+
+
+@dataclass(frozen=True)
+class Row:
+    """One experiment to be run: `experiment.name` is the row's folder."""
+
+    label: str  # of the first of its cells
+    digest: str
+    experiment: Experiment
+
+
+def cells_of(sweep: Sweep) -> list[Cell]:
+    """The grid in the order of its axes, the last one fastest, then the explicit rows; repeated ones once.
+
+    Raises `UserError` for a cell that no run could work with, and for two different ones of the same label.
+    """
+    cells: dict[str, Cell] = {}
+    for given, point, changes in _changes(sweep):
+        told = ", ".join(f"{name_of(fields, sweep)}={value_label(fields, value)}" for fields, value in changes)
+        label = given or told or "base"
+        cell = Cell(label, point, changes, _changed(sweep, changes, label))
+        if label in cells and cells[label].experiment != cell.experiment:
+            raise UserError(
+                f"sweep {sweep.name}: two different cells are both called '{label}': name their sensors apart"
+            )
+        cells.setdefault(label, cell)
+    return list(cells.values())
+
+
+def rows_of(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
+    """The row of each (cell's label, seed). Cells of equal settings share their rows."""
+    rows: dict[tuple[str, int], Row] = {}
+    made: dict[str, Row] = {}
+    for cell, seed in itertools.product(cells, sweep.seeds):
+        networks = tuple(network for network in ALL_NETWORKS if network in cell.experiment.networks)
+        experiment = dataclasses.replace(cell.experiment, seed=seed, networks=networks)
+        own = row_digest(experiment, sweep.ablation)
+        words = re.sub(r"[^A-Za-z0-9._]+", "-", cell.label.replace(", ", "_"))
+        name = f"{words[: LONGEST_NAME - len(f'_seed-{seed}')]}_seed-{seed}-{own}"
+        made.setdefault(own, Row(cell.label, own, dataclasses.replace(experiment, name=name)))
+        rows[cell.label, seed] = made[own]
+    return rows
+
+
+def row_digest(experiment: Experiment, ablation: bool) -> str:
+    """Eight hexadecimal digits of all that decides a row's numbers; names, claims and the networks' order do not."""
+    networks = tuple(sorted(experiment.networks))
+    whole = dataclasses.replace(experiment, name="", claim="", networks=networks)
+    return _digest({"experiment": to_json(whole), "ablation": ablation})
+
+
+def training_part(experiment: Experiment, network: str) -> Experiment:
+    """`experiment` with all that the training of `network` does not depend on set to a default, its name to that of the part.
+
+    Rows with equal parts share that training.
+    """
+    plain = Experiment(name="", claim="")
+    unused = ("name", "claim", *TESTS, *UNUSED.get(network, UNUSED_BY_UNSHEARERS))
+    part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
+    own = _digest({"experiment": to_json(part), "network": network})
+    return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
+
+
+def reference_of(sweep: Sweep, cells: list[Cell]) -> str | None:
+    """Label of the cell that others are compared with: the one named, else that of the base's own values, else None."""
+    if sweep.reference is not None:
+        if all(cell.label != sweep.reference for cell in cells):
+            raise UserError(
+                f"sweep {sweep.name}: there is no cell '{sweep.reference}' for sweep.reference: {_some(cells)}"
+            )
+        return sweep.reference
+    own = row_digest(base_of(sweep), sweep.ablation)
+    equal = (cell.label for cell in cells if row_digest(cell.experiment, sweep.ablation) == own)
+    return next(equal, None) if len(cells) > 1 else None
+
+
+def axis_values(axis: Axis) -> tuple[str, ...]:
+    """The printed values along an axis, repeated ones once."""
+    fields, values = axis
+    return tuple(dict.fromkeys(value_label(fields, value) for value in values))
+
+
+def name_of(fields: Fields, sweep: Sweep) -> str:
+    """`patch_weight`, or `pose_channels:shear_channels`; dotted where the sweep varies two fields of one name."""
+    varied = {name for fields, _ in sweep.grid for name in names_of(fields)}
+    varied |= {name for row in sweep.rows for fields, _ in row for name in names_of(fields)}
+    shorts = [name.rpartition(".")[2] for name in varied]
+    parts = ((name, name.rpartition(".")[2]) for name in names_of(fields))
+    return ":".join(short if shorts.count(short) == 1 else name for name, short in parts)
+
+
+def value_label(fields: Fields, value: Any) -> str:
+    """`8:120` for fields that vary together."""
+    return show(value) if isinstance(fields, str) else ":".join(show(part) for part in value)
+
+
+def _changes(sweep: Sweep) -> Iterator[tuple[str | None, tuple[str, ...] | None, tuple[Change, ...]]]:
+    """The label that was given, if one was; the point on the grid, if it lies there; what is changed."""
+    names = [fields for fields, _ in sweep.grid]
+    if sweep.grid or not sweep.rows:
+        for values in itertools.product(*(values for _, values in sweep.grid)):
+            changes = tuple(zip(names, values, strict=True))
+            yield None, tuple(value_label(fields, value) for fields, value in changes), changes
+    for label, row in zip_longest(sweep.labels, sweep.rows):
+        yield label, None, row
+
+
+def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experiment:
+    experiment = base_of(sweep)
+    for fields, value in changes:
+        for name, part in zip(names_of(fields), (value,) if isinstance(fields, str) else value, strict=True):
+            experiment = replaced(experiment, name, part)
+    try:
+        validate(experiment)
+    except UserError as error:
+        raise UserError(f"cell {label}: {error}") from error
+    if sweep.ablation and "disentangled" not in experiment.networks:
+        raise UserError(f"cell {label}: sweep.ablation needs the network 'disentangled': only its codes can be swapped")
+    return experiment
+
+
+def _digest(thing: Any) -> str:
+    text = json.dumps(_floats(thing) | {"data": VERSION}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def _floats(thing: Any) -> Any:
+    """Numbers as floats: 1 and 1.0 are the same setting."""
+    if isinstance(thing, dict):
+        return {name: _floats(value) for name, value in thing.items()}
+    if isinstance(thing, list | tuple):
+        return [_floats(value) for value in thing]
+    return float(thing) if isinstance(thing, int) and not isinstance(thing, bool) else thing
+
+
+def _some(cells: list[Cell]) -> str:
+    labels = [f"'{cell.label}'" for cell in cells]
+    return "use one of " + "; ".join(labels[:4]) + ("; ..." if len(labels) > 4 else "")

@@ -1,0 +1,103 @@
+"""A whole sweep: data sets, rows, summary. Whatever is there already is kept, so the same command continues. No JAX here:
+the rows' own processes need the device."""
+
+import itertools
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
+from jaxunshear.report.frontier_figure import frontier_figure
+from jaxunshear.report.sweep_figure import sweep_figure
+from jaxunshear.storage import os_error, write_bytes, write_json
+from jaxunshear.sweep import plan
+from jaxunshear.sweep.engines import Engine, serial
+from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
+from jaxunshear.sweep.settings import Sweep
+from jaxunshear.sweep.summary import Measured, summarise
+from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, locked, read_outcome
+
+SCORES = "scores.npz"  # of the evaluation, beside scores-<test>.npz
+
+
+def run_sweep(
+    sweep: Sweep,
+    out: Path,
+    data: Path,
+    command: str,
+    engine: Engine = serial,
+    retry_failed: bool = False,
+    worker: Sequence[str] = WORKER,
+) -> dict[str, Any]:
+    """Runs the rows of a checked `sweep` that have no outcome yet; returns the summary that it writes to out/<name>/sweep.json.
+
+    Raises `UserError` where a cell cannot work (before any work), the data sets cannot be made, or another sweep is at work there.
+    """
+    cells = cells_of(sweep)
+    rows, reference = rows_of(sweep, cells), reference_of(sweep, cells)
+    folder = Path(out).absolute() / sweep.name
+    with locked(folder / LOCK, wait=False) as free:
+        if not free:
+            raise UserError(f"another sweep is at work in {folder}: wait for it, stop it, or give another --out")
+        if retry_failed:
+            plan.forget_failures(folder, rows.values())
+        _run_rows(sweep, folder, list(rows.values()), Path(data).absolute(), command, engine, worker)
+        measured = {key: _measured(plan.row_folder(folder, row)) for key, row in rows.items()}
+        summary = summarise(sweep, cells, measured, reference) | _made_with(measured, command)
+        picture = sweep_figure(summary) or (None if sweep.grid else frontier_figure(summary))
+        if picture:
+            write_bytes(folder / "sweep.png", picture)
+        write_json(folder / "sweep.json", summary)
+    return summary
+
+
+def _run_rows(
+    sweep: Sweep, folder: Path, rows: list[Row], data: Path, command: str, engine: Engine, worker: Sequence[str]
+) -> None:
+    total = len({row.digest for row in rows})
+    left = plan.unfinished(folder, rows)
+    if not left:
+        return
+    task = plan.data_task(folder, left, data)
+    carry_out(task.folder, task.kind, worker, quiet=False)
+    made = read_outcome(task.folder, task.kind) or {}
+    if made["status"] == "failed":
+        raise UserError(made["reason"])
+    tasks = plan.lay_out(folder, left, sweep.ablation, data, command)
+    with Progress(f"sweep {sweep.name}", total, unit="rows", done=total - len(left)) as progress:
+        for task in engine(tasks, worker):
+            progress.advance(task.kind == "row")
+
+
+def _measured(folder: Path) -> Measured:
+    outcome = read_outcome(folder, "row")
+    if outcome is None:
+        raise UserError(f"{folder} was not finished: run the same command again")
+    if outcome["status"] == "failed":
+        return Measured(outcome, {})
+    paths = [folder / SCORES, *sorted(folder.glob("scores-*.npz"))]
+    return Measured(outcome, {path.stem.removeprefix("scores").removeprefix("-"): _read_scores(path) for path in paths})
+
+
+def _read_scores(path: Path) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path) as scores:
+            return dict(scores)
+    except OSError as error:
+        raise os_error(path, error, "read") from error
+    except (ValueError, zipfile.BadZipFile) as error:
+        raise UserError(f"{path} is damaged ({error}): delete {path.parent} and run the same command") from error
+
+
+def _made_with(measured: dict[tuple[str, int], Measured], command: str) -> dict[str, Any]:
+    """Command, machines and versions: each different one of those that the rows were run on and with."""
+    results = [row.outcome["results"] for row in measured.values() if row.outcome["status"] == "done"]
+    distinct = {
+        name: [found for found, _ in itertools.groupby(sorted((result[name] for result in results), key=str))]
+        for name in ("machine", "versions")
+    }
+    return {"command": command, "machines": distinct["machine"], "versions": distinct["versions"]}

@@ -1,0 +1,212 @@
+"""From the rows of a sweep to one figure a cell, its interval, and its difference from a reference: pure functions."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxunshear.config import show, to_json
+from jaxunshear.evaluation.spread import LEVEL, RESAMPLES
+from jaxunshear.report.frontier_figure import efficient
+from jaxunshear.sweep.bootstrap import SEED, interval
+from jaxunshear.sweep.rows import Cell, axis_values, name_of
+from jaxunshear.sweep.settings import Sweep, base_of, names_of
+
+TABLES = ("pin_error", "pose_recovery")  # of a run's results: figures that are no means over contacts
+COSTS = ("train_seconds", "images_per_second", "ms_per_image", "wall_seconds", "peak_memory_bytes", "device", "host")
+
+
+class Measured(NamedTuple):
+    """A row that has ended: its outcome, and the scores of every test contact where it did not fail.
+
+    `tests` is by test, "" for the main one: arrays (N,) by the names of the scores, which have a slash; `stimulus` and `pose_id`.
+    """
+
+    outcome: dict[str, Any]
+    tests: Mapping[str, Mapping[str, np.ndarray]]
+
+
+def summarise(
+    sweep: Sweep, cells: Sequence[Cell], measured: Mapping[tuple[str, int], Measured], reference: str | None
+) -> dict[str, Any]:
+    """sweep.json, but for command and versions. `measured` by (label of the cell, seed), for all of them."""
+    done = {
+        cell.label: {
+            seed: row for seed in sweep.seeds if (row := measured[cell.label, seed]).outcome["status"] == "done"
+        }
+        for cell in cells
+    }
+    summary = {
+        "sweep": sweep.name,
+        "claim": sweep.claim,
+        "simulated": True,
+        "axes": [
+            {"name": name_of(axis[0], sweep), "fields": names_of(axis[0]), "values": axis_values(axis)}
+            for axis in sweep.grid
+        ],
+        "seeds": sweep.seeds,
+        "networks": list(dict.fromkeys(network for cell in cells for network in cell.experiment.networks)),
+        "spread": {
+            "what": f"{LEVEL:.0%} bootstrap interval of the mean over seeds and test poses, each drawn pose with all its slides "
+            "and with every drawn seed; the same draws in all cells",
+            "resamples": RESAMPLES,
+            "seed": SEED,
+        },
+        "reference": reference,
+        "cells": [_cell(cell, sweep, measured, done, reference) for cell in cells],
+        "base": to_json(base_of(sweep)),
+    }
+    return summary | {"efficient": {} if sweep.grid else efficient(summary)}
+
+
+def reproducible(summary: dict[str, Any]) -> dict[str, Any]:
+    """What must come out equal, bit for bit, from the same sweep on the same machine: all but times, memory and places."""
+    cells = [{name: value for name, value in cell.items() if name != "costs"} for cell in summary["cells"]]
+    return {name: value for name, value in summary.items() if name not in ("command", "machines", "efficient")} | {
+        "cells": cells
+    }
+
+
+def _cell(
+    cell: Cell,
+    sweep: Sweep,
+    measured: Mapping[tuple[str, int], Measured],
+    done: Mapping[str, Mapping[int, Measured]],
+    reference: str | None,
+) -> dict[str, Any]:
+    rows = done[cell.label]
+    other = done[reference] if reference is not None else {}
+    failed = {
+        seed: row.outcome for seed in sweep.seeds if (row := measured[cell.label, seed]).outcome["status"] != "done"
+    }
+    return {
+        "label": cell.label,
+        "point": cell.point,
+        "settings": {name: text for fields, value in cell.changes for name, text in _settings(fields, value)},
+        "seeds": list(rows),
+        "metric": _metric(rows),
+        "metrics": metrics(rows),
+        "difference": differences(rows, other) if cell.label != reference else {},
+        "ablation": ablation(rows),
+        "failures": [{"seed": seed, "reason": outcome["reason"]} for seed, outcome in failed.items()],
+        "costs": {str(seed): {name: row.outcome[name] for name in COSTS} for seed, row in rows.items()},
+    }
+
+
+def _settings(fields: Any, value: Any) -> list[tuple[str, str]]:
+    values = (value,) if isinstance(fields, str) else value
+    return [(name, show(part)) for name, part in zip(names_of(fields), values, strict=True)]
+
+
+def metrics(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
+    """By metric: `mean` over seeds and contacts, its `interval`, and the mean of every seed; figures of `TABLES` without one.
+
+    Those of further tests are called `<test>: <metric>`.
+    """
+    found = {}
+    for test, name in _names(rows):
+        values = _stacked(rows, test, name)
+        means = values.mean(axis=1)
+        found[_called(test, name)] = {
+            "mean": float(values.mean()),
+            "interval": interval(values, _poses(rows, test)),
+            "per_seed": {str(seed): float(mean) for seed, mean in zip(rows, means, strict=True)},
+        }
+    plain = {
+        seed: _flat({table: row.outcome["results"].get(table, {}) for table in TABLES}) for seed, row in rows.items()
+    }
+    return found | _over_seeds(plain)
+
+
+def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
+    """By metric that both have: `mean` and `interval` of this less the other, over the seeds that both have.
+
+    Empty where there is no such seed, or the test contacts are not the same. MS-SSIM of different scales is not compared.
+    """
+    common = [seed for seed in rows if seed in other]
+    rows, other = ({seed: cell[seed] for seed in common} for cell in (rows, other))
+    found = {}
+    one_scale = _metric(rows).get("ms_ssim") == _metric(other).get("ms_ssim")
+    for test, name in _names(rows):
+        if "ms_ssim" in name and not one_scale:
+            continue
+        if (test, name) in _names(other) and np.array_equal(_poses(rows, test), _poses(other, test)):
+            values = _stacked(rows, test, name) - _stacked(other, test, name)
+            found[_called(test, name)] = {
+                "mean": float(values.mean()),
+                "interval": interval(values, _poses(rows, test)),
+            }
+    return found
+
+
+def ablation(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
+    """`<cell of the codes>/<metric>`: mean over seeds and each seed's; empty where it was not asked for."""
+    plain = {
+        seed: {
+            f"{line['name']}/{name}": value
+            for line in row.outcome["ablation"]
+            for name, value in line.items()
+            if _number(value)
+        }
+        for seed, row in rows.items()
+        if row.outcome["ablation"]
+    }
+    return _over_seeds(plain)
+
+
+def _over_seeds(plain: Mapping[int, Mapping[str, float]]) -> dict[str, dict[str, Any]]:
+    """Figures that every seed has."""
+    first, *more = plain.values() or [{}]
+    names = [name for name in first if all(name in others for others in more)]
+    return {
+        name: {
+            "mean": float(np.mean([figures[name] for figures in plain.values()])),
+            "interval": None,
+            "per_seed": {str(seed): figures[name] for seed, figures in plain.items()},
+        }
+        for name in names
+    }
+
+
+def _flat(tree: Any, prefix: str = "") -> dict[str, float]:
+    """Numbers of nested dictionaries by their path."""
+    if _number(tree):
+        return {prefix: tree}
+    if not isinstance(tree, dict):
+        return {}
+    return {
+        path: value
+        for name, entry in tree.items()
+        for path, value in _flat(entry, f"{prefix}/{name}" if prefix else name).items()
+    }
+
+
+def _number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _names(rows: Mapping[int, Measured]) -> list[tuple[str, str]]:
+    """Tests and names of their scores."""
+    tests = next(iter(rows.values())).tests if rows else {}
+    return [(test, name) for test, scores in tests.items() for name in scores if "/" in name]
+
+
+def _metric(rows: Mapping[int, Measured]) -> dict[str, Any]:
+    """What exactly the evaluation calls MS-SSIM, and other such notes."""
+    return next(iter(rows.values())).outcome["results"]["metric"] if rows else {}
+
+
+def _called(test: str, name: str) -> str:
+    return f"{test}: {name}" if test else name
+
+
+def _stacked(rows: Mapping[int, Measured], test: str, name: str) -> np.ndarray:
+    """(seeds, N)"""
+    return np.stack([np.asarray(row.tests[test][name], np.float64) for row in rows.values()])
+
+
+def _poses(rows: Mapping[int, Measured], test: str) -> np.ndarray:
+    """(N,) which pose of which stimulus a contact belongs to."""
+    labels = next(iter(rows.values())).tests[test]
+    pairs = np.stack([labels["stimulus"], labels["pose_id"]], axis=1).astype(np.int64)
+    return pairs[:, 0] * (pairs[:, 1].max() + 1) + pairs[:, 1]

@@ -1,0 +1,60 @@
+"""A sweep's summary as text, for people."""
+
+from typing import Any
+
+MAIN = ("ms_ssim/*", "pose/*/edge_mm", "pose/*/edge_deg", "swap/DS(z_p,z_s)/mse")  # *: each network
+
+
+def table(summary: dict[str, Any]) -> str:
+    """A line a cell: the main figures with their intervals, seconds of training, memory; then the failures with their reasons."""
+    cells = summary["cells"]
+    names = main_metrics(summary)
+    lines = [["", "seeds", *names, "training", "memory"]]
+    for cell in cells:
+        mark = " *" if cell["label"] == summary["reference"] else ""
+        figures = [_figure(cell["metrics"].get(name)) for name in names]
+        lines.append(
+            [cell["label"] + mark, f"{len(cell['seeds'])} of {len(summary['seeds'])}", *figures, *_costs(cell)]
+        )
+    widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
+    text = ["  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    if summary["reference"]:
+        text.append("* what sweep.json has the differences from")
+    for cell in cells:
+        text += [
+            f"failed: {cell['label']}, seed {failure['seed']}: {failure['reason']}" for failure in cell["failures"]
+        ]
+    return "\n".join(text + _frontiers(summary))
+
+
+def _frontiers(summary: dict[str, Any]) -> list[str]:
+    """What no other setting beats, of a sweep that is a list of settings."""
+    return [
+        f"{metric} against {cost}: {' < '.join(labels)}"
+        for metric, costs in summary["efficient"].items()
+        for cost, labels in costs.items()
+        if len(labels) > 1
+    ]
+
+
+def main_metrics(summary: dict[str, Any]) -> list[str]:
+    """The figures that the table has room for, of those that any cell has."""
+    there = {name for cell in summary["cells"] for name in cell["metrics"]}
+    wanted = [pattern.replace("*", network) for pattern in MAIN for network in summary["networks"]]
+    return [name for name in dict.fromkeys(wanted) if name in there]
+
+
+def _figure(figure: dict[str, Any] | None) -> str:
+    if figure is None:
+        return "-"
+    low, high = figure["interval"]
+    return f"{figure['mean']:.3g} [{low:.3g}, {high:.3g}]"
+
+
+def _costs(cell: dict[str, Any]) -> list[str]:
+    """Seconds of training of all networks, and the largest memory, over seeds."""
+    costs = cell["costs"].values()
+    if not costs:
+        return ["-", "-"]
+    seconds = sum(sum(cost["train_seconds"].values()) for cost in costs) / len(costs)
+    return [f"{seconds:.0f} s", f"{max(cost['peak_memory_bytes'] for cost in costs) / 2**30:.1f} GiB"]

@@ -1,0 +1,120 @@
+"""The process of one task: `python -m jaxunshear.sweep.work FOLDER PARENT` does FOLDER/task.json and writes the outcome.
+
+It dies with its parent, and holds FOLDER/lock, so that never two of them work in one folder.
+"""
+
+import ctypes
+import os
+import platform
+import resource
+import shutil
+import signal
+import sys
+import time
+import traceback
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.config import from_json
+from jaxunshear.errors import UserError
+from jaxunshear.memory import keep_freed_memory, restart_with_large_pages
+from jaxunshear.run import run_stages
+from jaxunshear.storage import read_json, write_json
+from jaxunshear.sweep.tasks import LOCK, TASK, failure, locked, outcome_file, read_outcome, repeated
+
+PR_SET_PDEATHSIG = 1  # linux/prctl.h
+
+
+def main(folder: Path, parent: int) -> int:
+    """Does the task in `folder`, unless it has an outcome already."""
+    die_with(parent)
+    with locked(folder / LOCK, wait=True):  # one left over from a killed sweep may still be at its end
+        task = read_json(folder / TASK)
+        outcome = outcome_file(folder, task["kind"])
+        if not outcome.exists():
+            write_json(outcome, attempt(task, folder))
+    return 0
+
+
+def die_with(parent: int) -> None:
+    """Has the system kill this process when `parent` ends, however it ends (Linux; elsewhere this task is finished first)."""
+    if sys.platform.startswith("linux"):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it ended before we could ask
+        sys.exit("the sweep has ended")
+
+
+def attempt(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The outcome of `task`: what it made, or why it failed, and what it took."""
+    began = time.perf_counter()
+    try:
+        made = {"data": _data, "training": _training, "row": _row}[task["kind"]](task, folder)
+        outcome = {"status": "done", "reason": None} | repeated(task) | made
+    except UserError as error:
+        outcome = failure(task, str(error), folder)
+    except Exception as error:  # also a MemoryError, and what XLA makes of one
+        traceback.print_exc()
+        outcome = failure(task, f"{type(error).__name__}: {error}"[:500], folder)
+    kilobyte = 1 if sys.platform == "darwin" else 1024
+    return outcome | {
+        "wall_seconds": time.perf_counter() - began,
+        "peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * kilobyte,
+        "host": platform.node(),
+    }
+
+
+def _data(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+    from jaxunshear.dataset.making import make_sets
+
+    for wanted in task["experiments"]:
+        make_sets(from_json(wanted, str(folder / TASK)), Path(task["data"]))
+    return {}
+
+
+def _training(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+    experiment = from_json(task["experiment"], str(folder / TASK))
+    keep_freed_memory()
+    run_stages(experiment, tuple(task["networks"]), folder.parent, Path(task["data"]), task["command"])
+    return _speeds(task, folder)
+
+
+def _row(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+    experiment = from_json(task["experiment"], str(folder / TASK))
+    for network, source in task["sources"].items():
+        _reuse(Path(source), folder / network)
+    keep_freed_memory()
+    stages, data = (*task["networks"], "evaluate"), Path(task["data"])
+    results = run_stages(experiment, stages, folder.parent, data, task["command"])
+    spoilt = None
+    if task["ablation"]:
+        from jaxunshear.evaluation.ablation import ablate
+
+        spoilt = ablate(experiment, folder, data, task["command"])["rows"]
+    device = results["machine"]["device"]
+    made = {"results": results, "ablation": spoilt, "device": device, "ms_per_image": results["ms_per_image"]}
+    return made | _speeds(task, folder)
+
+
+def _reuse(source: Path, target: Path) -> None:
+    """A copy of the finished training `source` as `target`, whole or not at all."""
+    if (target / "summary.json").exists():
+        return
+    if not (source / "summary.json").exists():
+        outcome = read_outcome(source.parent, "training") or {"reason": "it was not finished"}
+        raise UserError(f"its {target.name}, which other rows share, failed: {outcome['reason']}")
+    part = target.with_name(target.name + ".part")
+    for old in (part, target):
+        shutil.rmtree(old, ignore_errors=True)
+    shutil.copytree(source, part)
+    part.rename(target)
+
+
+def _speeds(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+    summaries = {network: read_json(folder / network / "summary.json") for network in task["networks"]}
+    names = ("train_seconds", "images_per_second")
+    return {name: {network: summary[name] for network, summary in summaries.items()} for name in names}
+
+
+if __name__ == "__main__":
+    restart_with_large_pages()
+    sys.exit(main(Path(sys.argv[1]), int(sys.argv[2])))

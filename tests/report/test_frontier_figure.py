@@ -1,0 +1,58 @@
+"""What is on the frontier, on points laid out by hand."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.report.frontier_figure import ERRORS, efficient, frontier, frontier_figure, points
+
+
+def summary(settings, seeds=("0", "1")):
+    """A sweep's summary with (label, seconds, ms, error) for each cell; likeness is 1 less the error."""
+    cells = []
+    for label, seconds, ms, error in settings:
+        value = {name: {"mean": 1 - error if more else error} for name, (_, more) in ERRORS.items()}
+        costs = {
+            seed: {
+                "train_seconds": {"disentangled": seconds},
+                "ms_per_image": {"disentangled": {"median": ms, "p95": ms}},
+            }
+            for seed in seeds
+        }
+        cells.append({"label": label, "metrics": value, "costs": costs})
+    return {"sweep": "frontier", "seeds": [0, 1], "cells": cells}
+
+
+THREE = [("small", 10, 2, 0.4), ("middling", 100, 4, 0.3), ("wasteful", 200, 3, 0.35), ("large", 400, 9, 0.1)]
+
+
+def test_only_what_nothing_beats_is_on_the_frontier():
+    assert frontier([1, 2, 3, 4], [4, 2, 3, 1]) == [0, 1, 3]
+    assert frontier([1, 1, 2], [3, 2, 2]) == [1]  # as dear and better; dearer and no better
+    assert frontier([], []) == []
+    generator = np.random.default_rng(0)
+    cost, error = generator.random((2, 200))
+    on = frontier(cost, error)
+    beaten = [(cost < cost[i]) & (error < error[i]) for i in range(200)]
+    assert sorted(on) == [i for i in range(200) if not beaten[i].any()]
+
+
+def test_the_frontier_is_named_by_metric_and_cost():
+    found = efficient(summary(THREE))
+    for metric in ERRORS:
+        assert found[metric]["train_seconds"] == ["small", "middling", "large"]
+        assert found[metric]["ms_per_image"] == ["small", "wasteful", "middling", "large"]
+
+
+def test_costs_are_means_over_seeds_and_cells_without_figures_are_left_out():
+    made = summary(THREE)
+    made["cells"][0]["costs"]["1"]["train_seconds"]["disentangled"] = 30
+    made["cells"][1]["metrics"] = {}
+    made["cells"][2]["costs"] = {}  # it failed
+    labels, cost, _ = points(made, "pose/disentangled/edge_mm", "train_seconds")
+    assert labels == ["small", "large"]
+    assert cost == pytest.approx([20, 400])
+
+
+def test_a_picture_is_drawn_where_there_is_something_to_draw():
+    assert frontier_figure(summary(THREE)).startswith(b"\x89PNG")
+    assert frontier_figure(summary(THREE[:1])) is None

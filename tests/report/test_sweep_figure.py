@@ -1,0 +1,75 @@
+"""The picture of a sweep: which panels, which numbers where, and that it can be drawn."""
+
+import io
+import itertools
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.report.sweep_figure import shown_metrics, sweep_figure, values_on_grid
+
+REASON = "training disentangled stopped: supervised not finite at step 300"
+
+
+def figure(mean: float) -> dict:
+    return {"mean": mean, "interval": [mean - 0.1, mean + 0.1], "per_seed": {"0": mean - 0.02, "1": mean + 0.02}}
+
+
+def cell(point, mean: float | None) -> dict:
+    names = ("ms_ssim/disentangled", "pose/disentangled/edge_mm", "swap/DS(z_p,z_s)/mse")
+    metrics = {} if mean is None else {name: figure(mean + n) for n, name in enumerate(names)}
+    metrics |= {} if mean is None else {"ms_ssim/sheared": figure(0.5), "contact/other": figure(mean)}
+    return {
+        "point": point,
+        "seeds": [] if mean is None else [0, 1],
+        "metrics": metrics,
+        "ablation": {}
+        if mean is None
+        else {"DS(z_p,0)/ssim": {"mean": mean, "interval": None, "per_seed": {"0": mean}}},
+        "failures": [{"seed": 0, "reason": REASON}] if mean is None else [],
+    }
+
+
+def summary(axes: int, failing: bool = True) -> dict:
+    """Cells 0, 1, 2, ... over a grid, the last one failed; and a row beside it."""
+    values = (["0.0", "0.1", "1.0"], ["8:120", "64:64"])[:axes]
+    cells = [cell(list(point), float(number)) for number, point in enumerate(itertools.product(*values))]
+    if failing:
+        cells[-1] = cell(cells[-1]["point"], None)
+    return {
+        "sweep": "small",
+        "seeds": [0, 1],
+        "axes": [{"name": f"axis {number}", "values": value} for number, value in enumerate(values)],
+        "cells": [*cells, cell(None, 77.0)],
+    }
+
+
+def test_metrics_that_differ_between_cells_are_shown_in_order():
+    assert shown_metrics(summary(2)) == [
+        "ms_ssim/disentangled",
+        "pose/disentangled/edge_mm",
+        "swap/DS(z_p,z_s)/mse",
+        "ablation/DS(z_p,0)/ssim",
+    ]
+
+
+def test_means_lie_where_their_cell_is():
+    values = values_on_grid(summary(2), "ms_ssim/disentangled")
+    assert np.array_equal(values[:2], [[0, 1], [2, 3]]) and values[2, 0] == 4 and np.isnan(values[2, 1])
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+def test_it_can_be_drawn_and_the_same_again(axes):
+    picture = sweep_figure(summary(axes))
+    assert picture is not None and picture == sweep_figure(summary(axes))
+    assert np.asarray(Image.open(io.BytesIO(picture)).convert("L")).std() > 10
+    assert picture != sweep_figure(summary(axes, failing=False))
+
+
+def test_no_axis_or_nothing_done_is_no_picture():
+    assert sweep_figure(summary(0)) is None
+    nothing = summary(2)
+    for each in nothing["cells"]:
+        each |= {"seeds": [], "metrics": {}, "ablation": {}}
+    assert sweep_figure(nothing) is None

@@ -1,0 +1,128 @@
+"""A worker whose networks, data sets and evaluation are made up: `python stand_in.py FOLDER PARENT`, as sweep/work.py.
+
+And a whole sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray]`. A training takes ten steps of
+`STAND_IN_PAUSE` seconds with a checkpoint each, and writes a line for every step to <data>/steps.txt; learning rates of 1/2, 1/4 and
+1/8 let it fail.
+"""
+
+import json
+import os
+import signal
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from jaxunshear.config import to_json
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.storage import read_json, write_json
+from jaxunshear.sweep import work
+from jaxunshear.sweep.rows import training_part
+from jaxunshear.sweep.settings import Sweep
+
+WORKER = (sys.executable, str(Path(__file__).resolve()))
+STEPS = 10
+CONTACTS, SLIDES = 24, 2
+BASE = Experiment(name="small", claim="none", networks=("disentangled", "posenet"))
+SWEEP = Sweep(
+    name="small",
+    claim="none",
+    base=BASE,
+    grid=(
+        ("train.patch_weight", (0.0, 0.1)),
+        (("unshear.pose_channels", "unshear.shear_channels"), ((8, 120), (128, 128))),
+    ),
+    seeds=(0, 1),
+    ablation=True,
+)
+
+
+def run_stages(experiment, stages, out, data, command):
+    folder = Path(out) / experiment.name
+    write_json(folder / "experiment.json", to_json(experiment))
+    results = {}
+    for stage in stages:
+        if stage in ALL_NETWORKS:
+            train(experiment, stage, folder, Path(data))
+        elif stage == "evaluate":
+            results = evaluate(experiment, folder)
+    return results
+
+
+def train(experiment, network, folder, data):
+    place = folder / network
+    if (place / "summary.json").exists():
+        return
+    place.mkdir(exist_ok=True)
+    part = training_part(experiment, network).name
+    checkpoint = place / "checkpoint.json"
+    state = read_json(checkpoint) if checkpoint.exists() else {"step": 0, "value": int(part[-8:], 16)}
+    while state["step"] < STEPS:
+        time.sleep(float(os.environ.get("STAND_IN_PAUSE", "0")))
+        with (data / "steps.txt").open("a") as steps:
+            steps.write(f"{part} {state['step']}\n")
+        if state["step"] == STEPS // 2 and network == "disentangled":
+            fail(experiment.train.learning_rate, place)
+        state = {"step": state["step"] + 1, "value": (state["value"] * 48271 + 11) % 2147483647}
+        write_json(checkpoint, state)
+    write_json(place / "summary.json", state | {"train_seconds": time.process_time(), "images_per_second": 100.0})
+
+
+def fail(learning_rate, place):
+    if learning_rate == 1 / 2:
+        raise UserError(f"training {place} stopped: supervised not finite at step 5")
+    if learning_rate == 1 / 4:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if learning_rate == 1 / 8:
+        raise ZeroDivisionError("a bug\nof two lines")
+
+
+def evaluate(experiment, folder):
+    values = [read_json(folder / network / "summary.json")["value"] for network in experiment.networks]
+    random = np.random.default_rng(values)
+    names = ("ms_ssim/disentangled", "pose/disentangled/edge_mm", "swap/DS(z_p,z_s)/mse")
+    scores = {name: random.random(CONTACTS) for name in names}
+    pose = np.arange(CONTACTS) // SLIDES
+    np.savez(folder / "scores.npz", **scores, stimulus=pose % 3, pose_id=pose)
+    return {
+        "metric": {"ms_ssim": "ms_ssim@4"},
+        "pin_error": {"disentangled": {"rms_px": float(random.random())}},
+        "ms_per_image": {network: {"median": 1.0, "p95": 2.0} for network in experiment.networks},
+        "machine": {"device": "none"},
+        "versions": {"jaxunshear": "0"},
+    }
+
+
+def ablate(experiment, folder, data, command):
+    value = read_json(folder / "disentangled" / "summary.json")["value"]
+    return {
+        "rows": [
+            {"name": "DS(z_p,0)", "target": "sheared", "paper": None, "ssim": value / 2**31, "ssim interval": [0, 1]}
+        ]
+    }
+
+
+def main():
+    if sys.argv[1] == "sweep":
+        from jaxunshear.sweep import engines
+        from jaxunshear.sweep.run import run_sweep
+
+        out = Path(sys.argv[2])
+        (out / "data").mkdir(parents=True, exist_ok=True)
+        failing = replace(SWEEP, grid=SWEEP.grid[:1], rows=((("train.learning_rate", 0.5),),))
+        more = {"engine": engines.ray_engine(None, 1)} if sys.argv[3:] == ["ray"] else {}
+        summary = run_sweep(failing, out, out / "data", "none", worker=WORKER, **more)
+        print(json.dumps(summary))
+        return 0
+    sys.modules["jaxunshear.evaluation.ablation"] = type(sys)("ablation")
+    sys.modules["jaxunshear.evaluation.ablation"].ablate = ablate
+    work.run_stages = run_stages
+    work._data = lambda task, folder: {}
+    return work.main(Path(sys.argv[1]), int(sys.argv[2]))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

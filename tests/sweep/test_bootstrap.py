@@ -1,0 +1,72 @@
+"""Intervals against closed forms."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.evaluation.spread import RESAMPLES, intervals
+from jaxunshear.sweep.bootstrap import draws, interval, resampled
+
+POSES = np.repeat(np.arange(60), 2)  # two slides each
+
+
+def scores(seeds: int, of_seed: float, of_pose: float, of_slide: float = 0.0) -> np.ndarray:
+    """(seeds, N) sums of an effect of the seed, one of the pose, and one of the slide."""
+    random = np.random.default_rng(3)
+    pose = random.normal(0, of_pose, 60)[POSES]
+    return random.normal(0, of_seed, (seeds, 1)) + pose + random.normal(0, of_slide, len(POSES)) + 5
+
+
+def width_expected(values: np.ndarray) -> float:
+    """Of additive effects: the bootstrap's variance is that of the seeds' means over their number, plus that of the poses'."""
+    of_seeds = values.mean(axis=1)
+    of_poses = values.mean(axis=0).reshape(60, 2).mean(axis=1)
+    return 2 * 1.96 * np.sqrt(of_seeds.var() / len(of_seeds) + of_poses.var() / len(of_poses))
+
+
+@pytest.mark.parametrize(("of_seed", "of_pose"), [(0.0, 1.0), (1.0, 0.0), (0.3, 0.5)])
+def test_the_width_is_that_of_seeds_and_poses_crossed(of_seed, of_pose):
+    values = scores(12, of_seed, of_pose)
+    low, high = interval(values, POSES)
+    assert high - low == pytest.approx(width_expected(values), rel=0.08)  # of 1,000 resamples; quantiles err by 5 %
+    assert low < values.mean() < high
+
+
+def test_the_mean_of_the_resamples_is_the_mean():
+    values = scores(12, 0.3, 0.5)
+    error = width_expected(values) / (2 * 1.96) / np.sqrt(RESAMPLES)
+    assert resampled(values, POSES).mean() == pytest.approx(values.mean(), abs=4 * error)
+
+
+def test_slides_of_a_pose_are_drawn_together():
+    """As independent contacts they would give an interval narrower by the square root of two."""
+    values = scores(1, 0.0, 1.0)
+    low, high = interval(values, POSES)
+    alone = interval(values, np.arange(len(POSES)))
+    assert (high - low) / (alone[1] - alone[0]) == pytest.approx(np.sqrt(2), rel=0.1)
+
+
+def test_one_seed_gives_the_interval_of_the_evaluation():
+    values = scores(1, 0.0, 1.0, 0.5)
+    assert interval(values, POSES) == pytest.approx(intervals({"x": values[0]}, POSES, 0)["x"], rel=1e-12)
+
+
+def test_poses_may_have_different_numbers_of_contacts():
+    values, poses = np.array([[1.0, 1.0, 1.0, 5.0]]), np.array([0, 0, 0, 1])
+    found = set(np.round(resampled(values, poses), 12))
+    assert found == {1.0, 2.0, 5.0}  # both drawn once: the mean over contacts, not over poses
+
+
+def test_a_constant_difference_has_no_width():
+    values = scores(4, 1.0, 1.0, 1.0)
+    assert interval((values + 0.25) - values, POSES) == pytest.approx([0.25, 0.25])
+
+
+def test_draws_depend_on_the_number_alone_and_differ_between_seeds_and_poses():
+    assert np.array_equal(draws(7, 0), draws(7, 0)) and not np.array_equal(draws(7, 0), draws(7, 1))
+    assert set(draws(7, 0).sum(axis=1)) == {7.0}
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    for values, poses in ((np.ones(3), np.ones(3)), (np.ones((0, 3)), np.ones(3)), (np.ones((2, 3)), np.ones(2))):
+        with pytest.raises(ValueError, match="seeds, N"):
+            interval(values, poses)

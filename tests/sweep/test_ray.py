@@ -1,0 +1,63 @@
+"""The same rows over a Ray cluster on this machine, also where its workers die."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.sweep import engines
+from jaxunshear.sweep.summary import reproducible
+
+
+def test_without_ray_it_says_how_to_get_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(UserError, match=r"--engine ray needs Ray: pip install .*\[ray\]"):
+        engines.ray_engine(None, 1)
+
+
+def test_a_cluster_that_is_not_there_is_one_line_at_once():
+    pytest.importorskip("ray")
+    for address in ("127.0.0.1:1", "ray://127.0.0.1:1", "127.0.0.1:port"):
+        with pytest.raises(UserError, match=f"--ray-address {address}: no cluster answers there") as refusal:
+            engines.ray_engine(address, 1)
+        assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.long
+def test_workers_that_are_killed_change_nothing(stand_in, tmp_path):
+    """Two of the rows' Ray workers are killed; the table is that of the serial engine, and no step but theirs is done twice."""
+    pytest.importorskip("ray")
+    serial = subprocess.run([*stand_in.WORKER, "sweep", str(tmp_path / "serial")], capture_output=True, check=True)
+    words = [*stand_in.WORKER, "sweep", str(tmp_path / "ray"), "ray"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, env=os.environ | {"STAND_IN_PAUSE": "0.2"})
+    killed: set[int] = set()
+    while len(killed) < 2 and process.poll() is None:
+        time.sleep(0.5)
+        for worker in ray_workers(tmp_path / "ray" / "small" / "rows") - killed:
+            time.sleep(1)  # amid its training
+            os.kill(worker, signal.SIGKILL)
+            killed.add(worker)
+            break
+    out, _ = process.communicate(timeout=300)
+    assert process.returncode == 0 and len(killed) == 2
+    found = json.loads(out.splitlines()[-1])
+    assert reproducible(found) == reproducible(json.loads(serial.stdout))
+    lines = (tmp_path / "ray" / "data" / "steps.txt").read_text().splitlines()
+    assert len(lines) - len(set(lines)) <= len(killed)
+
+
+def ray_workers(rows: Path) -> set[int]:
+    """The parents of the processes that work on `rows`."""
+    found = set()
+    for path in Path("/proc").glob("[0-9]*"):
+        try:
+            if str(rows).encode() in (path / "cmdline").read_bytes():
+                found.add(int((path / "stat").read_text().rpartition(")")[2].split()[1]))
+        except OSError:
+            continue
+    return found

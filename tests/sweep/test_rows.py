@@ -1,0 +1,174 @@
+"""Cells, rows and shared trainings: what is equal is one, and nothing that differs is taken for equal."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from jaxunshear import run
+from jaxunshear.config import field_types, replaced, validate
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.sweep.rows import cells_of, reference_of, row_digest, rows_of, training_part
+from jaxunshear.sweep.settings import Sweep, check
+
+BASE = Experiment(name="plain", claim="none")
+PLAIN = Sweep(name="plain", claim="none", base=BASE)
+SPLIT = (("unshear.pose_channels", "unshear.shear_channels"), ((8, 120), (64, 64)))
+
+
+def test_a_grid_has_every_value_with_every_other():
+    sweep = replace(PLAIN, grid=(("train.patch_weight", (0.0, 0.1, 1.0)), SPLIT), seeds=(0, 3))
+    cells = cells_of(sweep)
+    assert [cell.label for cell in cells[:3]] == [
+        "patch_weight=0.0, pose_channels:shear_channels=8:120",
+        "patch_weight=0.0, pose_channels:shear_channels=64:64",
+        "patch_weight=0.1, pose_channels:shear_channels=8:120",
+    ]
+    assert cells[2].point == ("0.1", "8:120")
+    assert cells[2].experiment == replace(
+        BASE,
+        train=replace(BASE.train, patch_weight=0.1),
+        unshear=replace(BASE.unshear, pose_channels=8, shear_channels=120),
+    )
+    rows = rows_of(sweep, cells)
+    assert len(rows) == len({row.digest for row in rows.values()}) == 12
+    for (label, seed), row in rows.items():
+        validate(row.experiment)  # its name can be that of a folder
+        assert row.experiment.seed == seed and row.label == label and row.experiment.name.endswith(f"-{row.digest}")
+
+
+def test_short_names_are_dotted_where_two_would_be_the_same():
+    sweep = replace(PLAIN, grid=(("train.batch", (4,)), ("train_posenet.batch", (8,)), ("train.l1", (0.0,))))
+    assert cells_of(sweep)[0].label == "train.batch=4, train_posenet.batch=8, l1=0.0"
+
+
+def test_a_long_label_still_makes_a_folder():
+    names = tuple(
+        f"paired.nuisance.{name}" for name in ("blur_px", "noise", "brightness", "drift_px", "drift_brightness")
+    )
+    sweep = replace(PLAIN, rows=(((names, (0.5, 0.125, 0.125, 0.125, 0.125)),),), seeds=(2**31 - 1,))
+    (row,) = rows_of(sweep, cells_of(sweep)).values()
+    assert row.experiment.name.endswith(f"_seed-2147483647-{row.digest}") and len(row.label) > 75
+    validate(row.experiment)
+
+
+def test_equal_rows_are_one():
+    sweep = replace(
+        PLAIN,
+        grid=(("train.patch_weight", (0.1, 1, 1.0)),),
+        rows=((("train.batch", 16),), (("train.batch", 16),), (("train.patch_weight", 1.0),)),
+    )
+    assert BASE.train.batch == 16 and BASE.train.patch_weight == 0.1
+    cells = cells_of(sweep)
+    assert [cell.label for cell in cells] == ["patch_weight=0.1", "patch_weight=1", "patch_weight=1.0", "batch=16"]
+    digests = [row.digest for row in rows_of(sweep, cells).values()]
+    assert digests[0] == digests[3] and digests[1] == digests[2] and len(set(digests)) == 2
+
+
+def test_rows_can_be_given_labels():
+    rows = ((("train.batch", 4),), ())
+    sweep = replace(PLAIN, rows=rows, labels=("small batch", "as it is"))
+    cells = cells_of(sweep)
+    assert [cell.label for cell in cells] == ["small batch", "as it is"]
+    assert cells[0].experiment.train.batch == 4
+    assert reference_of(sweep, cells) == "as it is"
+    for labels, line in ((("one",), "one for each of the 2 rows"), (("a", "a"), "twice"), (("a", 1), "texts")):
+        with pytest.raises(UserError, match=line):
+            check(replace(sweep, labels=labels), "file.py")
+
+
+def test_different_cells_of_one_label_are_refused():
+    sensors = (TACTIP_331, replace(TACTIP_331, rings=8))
+    with pytest.raises(UserError, match="both called 'sensor=tactip331'"):
+        cells_of(replace(PLAIN, grid=(("sensor", sensors),)))
+
+
+def test_every_setting_decides_the_digest_but_names_and_order():
+    digest = row_digest(BASE, False)
+    assert digest == row_digest(replace(BASE, name="x", claim="y", networks=BASE.networks[::-1]), False)
+    assert digest != row_digest(BASE, True)
+    for name, kind in field_types():
+        if name in ("name", "claim", "sensor"):
+            continue
+        value = BASE
+        for part in name.split("."):
+            value = getattr(value, part)
+        other = {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: v + 0.5, str: lambda v: v + "x"}.get(
+            kind
+        )
+        changed = other(value) if other else ("x",)
+        assert row_digest(replaced(BASE, name, changed), False) != digest, name
+
+
+def test_the_reference_is_the_cell_of_the_bases_own_values():
+    sweep = replace(PLAIN, grid=(("train.patch_weight", (0.0, 0.1, 1.0)),))
+    assert reference_of(sweep, cells_of(sweep)) == "patch_weight=0.1"
+    off = replace(PLAIN, grid=(("train.patch_weight", (0.0, 1.0)),))
+    assert reference_of(off, cells_of(off)) is None
+    named = replace(off, reference="patch_weight=1.0")
+    assert reference_of(named, cells_of(named)) == "patch_weight=1.0"
+    assert reference_of(PLAIN, cells_of(PLAIN)) is None
+
+
+@pytest.fixture
+def asked(monkeypatch, tmp_path):
+    """What `run_stages` asks of a training: its arguments, but for the folder."""
+    from jaxunshear.dataset import reading
+    from jaxunshear.training import loop
+
+    def asked_of(experiment: Experiment, network: str) -> dict:
+        calls = []
+
+        class Reader:
+            def __init__(self, *opened):
+                self.opened = opened
+
+            def train_batches(self, *words):
+                calls.append(words)
+                return lambda start: iter(())
+
+            def split(self, *words):
+                return iter([{name: np.zeros((1, 1)) for name in words[2]}])
+
+            def length(self, split):
+                return 10
+
+        def train(net, **words):
+            words.pop("folder")
+            list(words.pop("batches")(0))
+            calls.append((net, [sorted(batch) for batch in words.pop("validation")()], words))
+            return loop.Summary("x", 1, 1, 1, 1, 1.0, 1.0, 1.0, 1.0)
+
+        monkeypatch.setattr(reading, "open_set", lambda name, *words: calls.append((name, words)) or Reader())
+        monkeypatch.setattr(loop, "train_unshear", train)
+        monkeypatch.setattr(loop, "train_posenet", train)
+        run.run_stages(experiment, (network,), tmp_path / str(len(list(tmp_path.iterdir()))), tmp_path, "none")
+        return {"calls": calls}
+
+    return asked_of
+
+
+@pytest.mark.parametrize("network", ALL_NETWORKS)
+def test_equal_parts_are_equal_trainings(asked, network):
+    """The part of an experiment asks for the very training that the whole one does, so rows that share a part may share it."""
+    whole = Experiment(
+        name="whole",
+        claim="none",
+        seed=5,
+        networks=ALL_NETWORKS,
+        unseen=("flower",),
+        sensor=replace(TACTIP_331, rings=8),
+        paired=replace(BASE.paired, poses=50),
+        pose=replace(BASE.pose, poses=60),
+        unshear=replace(BASE.unshear, pose_channels=7),
+        posenet=replace(BASE.posenet, hidden=7),
+        train=replace(BASE.train, epochs=7.0),
+        train_posenet=replace(BASE.train_posenet, epochs=9.0),
+    )
+    part = training_part(whole, network)
+    assert asked(part, network) == asked(whole, network)
+    changed = {field.name: getattr(whole, field.name) != getattr(part, field.name) for field in fields(Experiment)}
+    assert changed["unseen"] and changed["networks"] and (changed["train"] != changed["train_posenet"])
+    assert training_part(replace(whole, seed=6), network).name != part.name

@@ -1,0 +1,221 @@
+"""Whole sweeps of made-up networks in real processes: nothing is done twice, nothing is lost, and a failure is one row's."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.storage import read_json
+from jaxunshear.sweep.summary import reproducible
+from jaxunshear.sweep.table import table
+from jaxunshear.sweep.tasks import LOCK, locked
+
+
+def rows(tmp_path: Path) -> dict[str, dict]:
+    return {path.parent.name: read_json(path) for path in (tmp_path / "small" / "rows").glob("*/row.json")}
+
+
+def test_every_row_is_done_once_and_what_rows_share_is_trained_once(stand_in, swept, steps, tmp_path):
+    summary = swept(stand_in.SWEEP)
+    assert [len(cell["seeds"]) for cell in summary["cells"]] == [2, 2, 2, 2]
+    assert read_json(tmp_path / "small" / "sweep.json") == json.loads(json.dumps(summary))
+    assert (tmp_path / "small" / "sweep.png").exists()
+    assert set(steps().values()) == {1}
+    trained = {name for name, _ in steps()}
+    assert sum(name.startswith("posenet") for name in trained) == 2  # a seed each
+    assert sum(name.startswith("disentangled") for name in trained) == 8
+    (row,) = (row for name, row in rows(tmp_path).items() if "patch_weight-0.1" in name and "8-120_seed-1" in name)
+    assert (row["status"], row["reason"], row["seed"]) == ("done", None, 1)
+    assert row["label"] == "patch_weight=0.1, pose_channels:shear_channels=8:120"
+    assert row["settings"]["train"]["patch_weight"] == 0.1 and row["settings"]["seed"] == 1
+    assert set(row["train_seconds"]) == set(row["images_per_second"]) == {"disentangled", "posenet"}
+    assert row["results"]["metric"] and row["ablation"][0]["name"] == "DS(z_p,0)"
+    assert row["wall_seconds"] > 0 and 1e6 < row["peak_memory_bytes"] < 1e11 and row["host"]
+
+
+def test_a_second_time_nothing_is_done(stand_in, swept, steps, tmp_path):
+    sweep = replace(stand_in.SWEEP, grid=stand_in.SWEEP.grid[:1], seeds=(0,))
+    first = swept(sweep)
+    done, times = steps(), {path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")}
+    again = swept(sweep)
+    assert again == first and steps() == done
+    assert times == {path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")}
+
+
+def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(stand_in, swept, steps):
+    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
+    swept(sweep)  # trains its PoseNet in the row: no other needs it yet
+    assert sum(steps().values()) == 20
+    swept(replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),)))
+    assert sum(steps().values()) == 30  # the new cell's disentangled network
+    swept(
+        replace(sweep, grid=(), rows=((), (("train.batch", 8),)), seeds=(0, 1))
+    )  # () is the base: 0.1 by another label
+    assert set(steps().values()) == {1}
+    assert sum(steps().values()) == 30 + 10 + (10 + 10) + 10
+
+
+def test_a_failed_row_is_told_left_alone_and_tried_again_when_asked(stand_in, swept, steps, tmp_path):
+    rates = {
+        0.5: "training disentangled stopped: supervised not finite at step 5",
+        0.25: "killed by signal 9",
+        0.125: "ZeroDivisionError: a bug of two lines",
+    }
+    sweep = replace(stand_in.SWEEP, grid=(("train.learning_rate", (0.001, *rates)),), seeds=(0,))
+    summary = swept(sweep)
+    assert [len(cell["failures"]) for cell in summary["cells"]] == [0, 1, 1, 1]
+    for cell, reason in zip(summary["cells"][1:], rates.values(), strict=True):
+        assert cell["failures"][0]["reason"].startswith(reason) and cell["metrics"] == {}
+        assert f"failed: {cell['label']}, seed 0: {reason}" in table(summary)
+    assert {row["status"] for row in rows(tmp_path).values()} == {"done", "failed"}
+    assert all(row["settings"]["seed"] == row["seed"] == 0 for row in rows(tmp_path).values())
+    log = next((tmp_path / "small" / "rows").glob("learning_rate-0.125*")) / "log.txt"
+    assert "ZeroDivisionError" in log.read_text()
+    done = steps()
+    assert swept(sweep) == summary and steps() == done
+    assert swept(sweep, retry_failed=True)["cells"][1:] == summary["cells"][1:]
+    tried = steps() - done
+    assert sum(tried.values()) == 3 and {step for _, step in tried} == {"5"}  # each from its checkpoint
+
+
+def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, swept, steps):
+    base = replace(stand_in.BASE, train=replace(stand_in.BASE.train, learning_rate=0.5))
+    sweep = replace(stand_in.SWEEP, base=base, grid=(("posenet.hidden", (8, 16)),), seeds=(0,))
+    summary = swept(sweep)
+    reasons = [cell["failures"][0]["reason"] for cell in summary["cells"]]
+    assert (
+        reasons
+        == [
+            "its disentangled, which other rows share, failed: training disentangled stopped: supervised not finite at step 5"
+        ]
+        * 2
+    )
+    assert sum(steps().values()) == 6
+    swept(sweep, retry_failed=True)
+    assert sum(steps().values()) == 7
+
+
+def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
+    import shutil
+
+    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 1.0)),), seeds=(0,))
+    first = swept(sweep)
+    for path in [*(tmp_path / "small" / "rows").iterdir(), *(tmp_path / "small" / "shared").glob("*/posenet")]:
+        shutil.rmtree(path)
+    assert reproducible(swept(sweep)) == reproducible(first)
+
+
+def test_two_sweeps_in_one_folder_are_refused(stand_in, swept, tmp_path):
+    with locked(tmp_path / "small" / LOCK, wait=False) as free:
+        assert free
+        with pytest.raises(UserError, match="another sweep is at work"):
+            swept(stand_in.SWEEP)
+
+
+def test_a_worker_waits_for_the_one_before_it_and_does_nothing_twice(stand_in, swept, steps, tmp_path):
+    sweep = replace(stand_in.SWEEP, grid=(), seeds=(0,))
+    swept(sweep)
+    (folder,) = (tmp_path / "small" / "rows").iterdir()
+    (folder / "row.json").rename(tmp_path / "kept.json")
+    done = steps()
+    with locked(folder / LOCK, wait=False) as free:
+        assert free
+        process = subprocess.Popen([*stand_in.WORKER, str(folder), str(os.getpid())])
+        time.sleep(1)
+        assert process.poll() is None
+        (tmp_path / "kept.json").rename(folder / "row.json")
+    assert process.wait(timeout=20) == 0 and steps() == done
+
+
+def test_a_worker_whose_sweep_has_ended_does_nothing(stand_in, tmp_path):
+    done = subprocess.run([*stand_in.WORKER, str(tmp_path), "1"], capture_output=True, text=True)
+    assert done.returncode != 0 and "the sweep has ended" in done.stderr
+
+
+def test_data_sets_that_cannot_be_made_stop_the_sweep(stand_in, tmp_path):
+    from jaxunshear.sweep.run import run_sweep
+
+    bad = "import sys; from jaxunshear.sweep import work; from jaxunshear.errors import UserError; from pathlib import Path\n"
+    bad += "def make(*_): raise UserError('no room')\nwork._data = make\nwork.main(Path(sys.argv[1]), int(sys.argv[2]))"
+    with pytest.raises(UserError, match="no room"):
+        run_sweep(stand_in.SWEEP, tmp_path, tmp_path, "none", worker=(sys.executable, "-c", bad))
+    assert rows(tmp_path) == {}
+
+
+def test_scores_that_are_missing_or_damaged_are_one_line(stand_in, swept, tmp_path):
+    sweep = replace(stand_in.SWEEP, grid=(), seeds=(0,))
+    swept(sweep)
+    (path,) = (tmp_path / "small" / "rows").glob("*/scores.npz")
+    path.write_bytes(b"nonsense")
+    with pytest.raises(UserError, match=r"scores\.npz is damaged"):
+        swept(sweep)
+    path.unlink()
+    with pytest.raises(UserError, match=r"cannot read .*scores\.npz"):
+        swept(sweep)
+
+
+def workers_of(folder: Path) -> list[int]:
+    """Processes whose command line names something in `folder`."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            if str(folder).encode() in path.read_bytes():
+                found.append(int(path.parent.name))
+        except OSError:
+            continue  # it has just ended
+    return found
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
+def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill):
+    def start(folder: Path, pause: float) -> subprocess.Popen:
+        words = [*stand_in.WORKER, "sweep", str(folder)]
+        return subprocess.Popen(
+            words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=os.environ | {"STAND_IN_PAUSE": str(pause)}
+        )
+
+    undisturbed = start(tmp_path / "whole", 0)
+    whole, _ = undisturbed.communicate()
+    assert undisturbed.returncode == 0
+    moments = random.Random(int(kill))
+    kills = 0
+    while kills < 5:
+        process = start(tmp_path / "killed", 0.1)
+        time.sleep(moments.uniform(1.0, 1.8))
+        if process.poll() is not None:
+            break
+        process.send_signal(kill)
+        process.communicate()
+        kills += 1
+        gone = time.monotonic() + 5
+        while workers_of(tmp_path / "killed") and time.monotonic() < gone:
+            time.sleep(0.02)
+        assert workers_of(tmp_path / "killed") == []  # no row runs on by itself
+    assert kills == 5
+    last = start(tmp_path / "killed", 0)
+    killed, _ = last.communicate()
+    assert last.returncode == 0
+    assert reproducible(json.loads(killed)) == reproducible(json.loads(whole))
+    assert (tmp_path / "killed" / "small" / "sweep.png").read_bytes() == (
+        tmp_path / "whole" / "small" / "sweep.png"
+    ).read_bytes()
+    lines = (tmp_path / "killed" / "data" / "steps.txt").read_text().splitlines()
+    assert 0 <= len(lines) - len(set(lines)) <= kills  # at most the step that each kill interrupted is done again
+
+
+def test_figures_of_equal_settings_are_equal_numbers(stand_in, swept):
+    """Bit for bit: with a shared training, with one reused from a row, or with its own."""
+    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 0.1)),), seeds=(0,))
+    grid, alone = swept(sweep), swept(replace(sweep, name="alone", grid=(), rows=((("train.patch_weight", 0.0),),)))
+    assert alone["cells"][0]["metrics"] == grid["cells"][0]["metrics"]
+    assert np.isfinite(alone["cells"][0]["metrics"]["ms_ssim/disentangled"]["mean"])

@@ -1,0 +1,175 @@
+"""The summary of rows whose scores are known."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxunshear.experiment import Experiment
+from jaxunshear.sweep.bootstrap import interval
+from jaxunshear.sweep.rows import cells_of, reference_of
+from jaxunshear.sweep.settings import Sweep
+from jaxunshear.sweep.summary import Measured, ablation, differences, metrics, reproducible, summarise
+from jaxunshear.sweep.table import table
+
+SWEEP = Sweep(
+    name="small",
+    claim="none",
+    base=Experiment(name="small", claim="none", networks=("disentangled",)),
+    grid=(("train.patch_weight", (0.0, 0.1, 1.0)),),
+    seeds=(0, 1),
+)
+POSES = np.arange(12) // 2
+LABELS = {"stimulus": POSES % 3, "pose_id": POSES}
+GROUPS = 6 * (POSES % 3) + POSES  # in the order of stimuli, then poses
+NAME = "ms_ssim/disentangled"
+
+
+def done(values: np.ndarray, **more) -> Measured:
+    outcome = {
+        "status": "done",
+        "results": {
+            "metric": {"ms_ssim": "ms_ssim@4"},
+            "pin_error": {"disentangled": {"rms_px": float(values[0]), "note": "text"}, "missing": None},
+        },
+        "ablation": [
+            {"name": "DS(z_p,0)", "target": "tap", "ssim": float(values[1]), "ssim interval": [0, 1], "paper": None}
+        ],
+        "train_seconds": {"disentangled": 50.0},
+        "images_per_second": {"disentangled": 100.0},
+        "ms_per_image": {"disentangled": {"median": 5.0, "p95": 6.0}},
+        "wall_seconds": 99.0,
+        "peak_memory_bytes": 2**30,
+        "device": "cpu",
+        "host": "here",
+    }
+    unseen = {NAME: 2 * values[:4], "stimulus": np.zeros(4, int), "pose_id": np.arange(4)}
+    return Measured(outcome | more, {"": {NAME: values} | LABELS, "unseen": unseen})
+
+
+def failed(reason: str) -> Measured:
+    return Measured({"status": "failed", "reason": reason}, {})
+
+
+def random(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).random(12)
+
+
+@pytest.fixture
+def summary():
+    cells = cells_of(SWEEP)
+    rows = {
+        (cell.label, seed): done(random(10 * number + seed)) for number, cell in enumerate(cells) for seed in (0, 1)
+    }
+    rows[cells[2].label, 1] = failed("killed by signal 9")
+    return summarise(SWEEP, cells, rows, reference_of(SWEEP, cells))
+
+
+def test_means_are_over_seeds_and_contacts_and_each_seed_is_told(summary):
+    figure = summary["cells"][0]["metrics"][NAME]
+    both = np.stack([random(0), random(1)])
+    assert figure["mean"] == pytest.approx(both.mean())
+    assert figure["per_seed"] == pytest.approx({"0": both[0].mean(), "1": both[1].mean()})
+    assert figure["interval"] == interval(both, GROUPS)
+    unseen = summary["cells"][0]["metrics"][f"unseen: {NAME}"]
+    assert unseen["mean"] == pytest.approx(2 * both[:, :4].mean()) and unseen["interval"] == interval(
+        2 * both[:, :4], np.arange(4)
+    )
+    plain = summary["cells"][0]["metrics"]["pin_error/disentangled/rms_px"]
+    assert plain == {"mean": both[:, 0].mean(), "interval": None, "per_seed": {"0": both[0, 0], "1": both[1, 0]}}
+    assert "pin_error/disentangled/note" not in summary["cells"][0]["metrics"]
+    spoilt = summary["cells"][0]["ablation"]
+    assert list(spoilt) == ["DS(z_p,0)/ssim"] and spoilt["DS(z_p,0)/ssim"]["mean"] == pytest.approx(both[:, 1].mean())
+
+
+def test_differences_are_paired_over_the_seeds_that_both_have(summary):
+    assert summary["reference"] == "patch_weight=0.1" and summary["cells"][1]["difference"] == {}
+    pairs = np.stack([random(0) - random(10), random(1) - random(11)])
+    assert summary["cells"][0]["difference"][NAME] == {
+        "mean": pytest.approx(pairs.mean()),
+        "interval": interval(pairs, GROUPS),
+    }
+    one = (random(20) - random(10))[None]
+    assert summary["cells"][2]["difference"][NAME] == {
+        "mean": pytest.approx(one.mean()),
+        "interval": interval(one, GROUPS),
+    }
+
+
+def test_noise_that_two_cells_share_does_not_widen_their_difference():
+    rows = {seed: done(random(seed)) for seed in (0, 1)}
+    other = {seed: done(random(seed) - 0.5) for seed in (0, 1)}
+    found = differences(rows, other)[NAME]
+    assert found["interval"] == pytest.approx([0.5, 0.5])
+
+
+def test_other_test_contacts_have_no_difference():
+    elsewhere = done(random(0))
+    elsewhere.tests[""]["pose_id"] = POSES + 1
+    assert list(differences({0: done(random(0))}, {0: elsewhere})) == [f"unseen: {NAME}"]
+    assert differences({0: done(random(0))}, {1: done(random(0))}) == {}
+
+
+def test_ms_ssim_of_other_scales_is_not_compared():
+    larger = done(random(1))
+    larger.outcome["results"]["metric"] = {"ms_ssim": "ms_ssim@5"}
+    assert differences({0: done(random(0))}, {0: larger}) == {}
+
+
+def test_a_failure_is_told_with_its_reason_and_the_other_seed_counts(summary):
+    cell = summary["cells"][2]
+    assert cell["seeds"] == [0] and cell["failures"] == [{"seed": 1, "reason": "killed by signal 9"}]
+    assert cell["metrics"][NAME]["mean"] == pytest.approx(random(20).mean())
+    assert list(cell["costs"]) == ["0"] and cell["costs"]["0"]["peak_memory_bytes"] == 2**30
+
+
+def test_nothing_done_is_a_summary_too():
+    cells = cells_of(SWEEP)
+    rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
+    found = summarise(SWEEP, cells, rows, reference_of(SWEEP, cells))
+    assert all(cell["metrics"] == cell["difference"] == cell["ablation"] == {} for cell in found["cells"])
+    assert table(found).count("failed: ") == 6
+
+
+def test_it_is_json_and_costs_are_all_that_may_differ(summary):
+    again = json.loads(json.dumps(summary))
+    assert again["axes"] == [
+        {"name": "patch_weight", "fields": ["train.patch_weight"], "values": ["0.0", "0.1", "1.0"]}
+    ]
+    assert again["networks"] == ["disentangled"] and again["base"]["networks"] == ["disentangled"]
+    assert "costs" not in json.dumps(reproducible(again)) and reproducible(again)["cells"][0]["metrics"]
+
+
+def test_a_seed_without_the_ablation_and_a_figure_that_one_seed_lacks_are_left_out():
+    rows = {0: done(random(0)), 1: done(random(1), ablation=None)}
+    assert list(ablation(rows)["DS(z_p,0)/ssim"]["per_seed"]) == ["0"]
+    lacking = done(random(1))
+    lacking.outcome["results"] = {"pin_error": {"disentangled": {"rms_px": None}}}
+    assert "pin_error/disentangled/rms_px" not in metrics({0: done(random(0)), 1: lacking})
+
+
+def test_the_table_shows_figures_reference_and_failures(summary):
+    lines = table(summary).splitlines()
+    assert lines[0].split() == ["seeds", NAME, "training", "memory"]
+    assert lines[2].startswith("patch_weight=0.1 *") and "50 s" in lines[2] and "1.0 GiB" in lines[2]
+    assert "1 of 2" in lines[3] and lines[-1] == "failed: patch_weight=1.0, seed 1: killed by signal 9"
+    low, high = interval(np.stack([random(0), random(1)]), GROUPS)
+    assert f"[{low:.3g}, {high:.3g}]" in lines[1]
+    assert "*" not in table(replace_reference(summary)).splitlines()[2]
+
+
+def replace_reference(summary: dict) -> dict:
+    return summary | {"reference": None}
+
+
+def test_cells_of_different_networks():
+    sweep = replace(SWEEP, grid=(("networks", (("disentangled",), ("unet",))),), seeds=(0,))
+    cells = cells_of(sweep)
+    assert [cell.label for cell in cells] == ["networks=disentangled", "networks=unet"]
+    other = done(random(1))
+    other = other._replace(tests={"": {"ms_ssim/unet": random(1)} | LABELS})
+    found = summarise(sweep, cells, {(cells[0].label, 0): done(random(0)), (cells[1].label, 0): other}, cells[0].label)
+    assert found["networks"] == ["disentangled", "unet"]
+    assert not any(name.startswith("ms_ssim") for name in found["cells"][1]["difference"])
+    assert "-" in table(found).splitlines()[1].split()

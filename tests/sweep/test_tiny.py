@@ -1,0 +1,62 @@
+"""A sweep of real networks, at their smallest: killed, it ends with the very table of an undisturbed one."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jaxunshear.sweep.summary import reproducible
+
+ROOT = Path(__file__).resolve().parents[2]
+TEXT = f"""
+from jaxunshear.config import load_experiment
+from jaxunshear.sweep.settings import Sweep
+
+sweep = Sweep(
+    name="small",
+    claim="none",
+    base=load_experiment({str(ROOT / "experiments" / "tiny.py")!r}),
+    grid=(("train.patch_weight", (0.0, 0.1)),),
+    networks=("disentangled", "posenet"),
+    ablation=True,
+)
+"""
+
+
+def start(folder: Path) -> subprocess.Popen:
+    (folder.parent / "small.py").write_text(TEXT)
+    words = ["sweep", str(folder.parent / "small.py"), "--out", str(folder), "--data", str(folder.parent / "datasets")]
+    return subprocess.Popen([sys.executable, "-m", "jaxunshear", *words], stdout=subprocess.DEVNULL)
+
+
+def summary(folder: Path) -> dict:
+    return json.loads((folder / "small" / "sweep.json").read_text())
+
+
+@pytest.mark.long
+def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
+    assert start(tmp_path / "whole").wait() == 0
+    whole = summary(tmp_path / "whole")
+    assert [cell["seeds"] for cell in whole["cells"][:2]] == [[0], [0]]
+    assert whole["reference"] == "patch_weight=0.1"
+    assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(whole["cells"][0]["difference"])
+    assert len(list((tmp_path / "whole" / "small" / "shared").glob("posenet*/posenet/summary.json"))) == 1
+    moments = random.Random(0)
+    kills = 0
+    while kills < 5:
+        process = start(tmp_path / "killed")
+        try:
+            process.wait(timeout=moments.uniform(8, 30))
+            break
+        except subprocess.TimeoutExpired:
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+            kills += 1
+    assert start(tmp_path / "killed").wait() == 0
+    assert kills >= 2
+    assert reproducible(summary(tmp_path / "killed")) == reproducible(whole)

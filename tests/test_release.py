@@ -1,0 +1,135 @@
+"""Weights made of a run: enough to unshear and to read poses, nothing more; found by name; damage is told."""
+
+from dataclasses import asdict
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear import infer
+from jaxunshear.config import from_json, to_json, validate
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.release import release
+from jaxunshear.storage import read_json, write_json
+from jaxunshear.training import checkpoint
+
+SIZE = 32
+NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
+POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
+SEEN = Preprocess(size=SIZE)
+EXPERIMENT = Experiment(
+    "small",
+    "A claim.",
+    unshear=NET,
+    posenet=POSENET,
+    paired=PairedData(preprocess=SEEN),
+    pose=PoseData(preprocess=SEEN),
+)
+RESULTS = {
+    "settings": asdict(EXPERIMENT),
+    "metric": {"ms_ssim": "ms_ssim@2", "image_px": SIZE},
+    "counts": {"train": 40, "test": 8, "test_poses": 4},
+    "seeds": {"experiment": 0},
+    "command": "jaxunshear run small.py",
+    "pose_mae": {"tap": {"edge_mm": 0.123, "edge_deg": 4.0, "x_mm": 1.0, "yaw_deg": 2.0}},
+    "ms_ssim": {"sheared": {"overall": 0.3}, "disentangled": {"overall": 0.9}},
+    "tests": {"unseen": {"stimuli": ["leaf"], "ms_ssim": {"disentangled": {"overall": 0.8}}}},
+    "machine": {"cores": 2},
+    "versions": {"jax": "0"},
+}
+
+
+@pytest.fixture
+def run(tmp_path):
+    folder = tmp_path / "runs" / "small"
+    for name, kind, module, net in (
+        ("disentangled", "unshear", unshearnet, NET),
+        ("posenet", "posenet", posenet, POSENET),
+    ):
+        variables = jax.jit(module.init, static_argnums=0)(net, jax.random.key(1))
+        variables["params"] = jax.tree.map(lambda x: 8 * x, variables["params"])
+        checkpoint.write_settings(folder / name, {"kind": kind, "net": asdict(net), "training": "long", "seed": 0})
+        checkpoint.save(folder / name, 1, {"average": variables}, {"history": [], "best_step": 1})
+    write_json(folder / "experiment.json", to_json(EXPERIMENT))
+    write_json(folder / "results.json", RESULTS)
+    return folder
+
+
+def image_in(folder):
+    folder.mkdir()
+    dots = (np.random.default_rng(0).random((SIZE, SIZE)) < 0.3).astype(np.uint8) * 255
+    Image.fromarray(dots).save(folder / "a.png")
+    return folder
+
+
+def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(infer, "RELEASED", tmp_path / "weights")
+    made = release(run, tmp_path / "weights" / "mine")
+    frames = image_in(tmp_path / "frames")
+    for model, out in ((run, "by_run"), ("mine", "by_name")):
+        infer.unshear_recordings(frames, infer.Path(model), tmp_path / out, log=lambda text: None)
+    assert (tmp_path / "by_run" / "a.png").read_bytes() == (tmp_path / "by_name" / "a.png").read_bytes()
+    assert (tmp_path / "by_run" / "poses.csv").read_text() == (tmp_path / "by_name" / "poses.csv").read_text()
+    arrays = np.load(made / "disentangled" / "weights.npz").files
+    assert not any("DS" in name or "shear" in name for name in arrays)
+    card = (made / "README.md").read_text()
+    assert "--model mine" in card and "0.123" in card and "simulated" in card and "`unseen` (leaf)" in card
+
+
+def test_nothing_is_overwritten_and_nothing_unfinished_is_released(run, tmp_path):
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(UserError, match="exists"):
+        release(run, tmp_path / "taken")
+    (run / "results.json").unlink()
+    with pytest.raises(UserError, match=r"no results\.json"):
+        release(run, tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    "spoil", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"x" * len(data)]
+)
+def test_damaged_weights_are_told(run, tmp_path, spoil):
+    file = release(run, tmp_path / "new") / "posenet" / "weights.npz"
+    file.write_bytes(spoil(file.read_bytes()))
+    with pytest.raises(UserError, match="damaged"):
+        checkpoint.load_best(file.parent)
+
+
+def test_weights_of_another_network_under_a_true_digest_are_told_apart(run, tmp_path):
+    file = release(run, tmp_path / "new") / "posenet" / "weights.npz"
+    with np.load(file) as kept:
+        arrays = dict(kept)
+    name = next(name for name in arrays if name.endswith("kernel"))
+    np.savez(file, **(arrays | {name: arrays[name] + 1}))
+    with pytest.raises(UserError, match="digest"):
+        checkpoint.load_best(file.parent)
+
+
+def test_an_unknown_name_lists_those_there_are(tmp_path, monkeypatch):
+    monkeypatch.setattr(infer, "RELEASED", tmp_path)
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(UserError, match=r"released weights \(mine\)"):
+        infer.load_settings(infer.model_folder(infer.Path("yours")))
+
+
+RELEASED = sorted(path.parent for path in infer.RELEASED.glob("*/experiment.json"))
+
+
+@pytest.mark.parametrize("folder", RELEASED, ids=lambda folder: folder.name)
+def test_what_is_released_with_the_package_can_be_used(folder):
+    validate(from_json(read_json(folder / "experiment.json")))
+    for name in ("disentangled", "posenet"):
+        assert checkpoint.load_best(folder / name)["params"]
+        checkpoint.read_net(folder / name)
+    assert (folder / "README.md").read_text().startswith(f"# {folder.name}\n")
+
+
+def test_all_released_weights_are_small():
+    assert sum(path.stat().st_size for path in infer.RELEASED.rglob("*") if path.is_file()) <= 20e6
