@@ -9,7 +9,7 @@ import functools
 
 import numpy as np
 
-from jaxunshear.evaluation.spread import LEVEL, RESAMPLES
+from jaxunshear.evaluation import spread
 
 SEED = 0
 
@@ -21,8 +21,7 @@ def interval(values: np.ndarray, poses: np.ndarray) -> list[float]:
     """
     if values.ndim != 2 or not values.size or values.shape[1:] != poses.shape:
         raise ValueError("values must be an array (seeds, N), poses (N,), neither of them empty")
-    means = resampled(values, poses)
-    return np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]).tolist()
+    return spread.interval(resampled(values, poses))
 
 
 def resampled(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
@@ -38,4 +37,4 @@ def resampled(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
 def draws(things: int, seed: int) -> np.ndarray:
     """How often each of `things` is drawn, with replacement, in each resample: (resamples, things)."""
     equal = np.full(things, 1 / things)
-    return np.random.default_rng(seed).multinomial(things, equal, size=RESAMPLES).astype(np.float64)
+    return np.random.default_rng(seed).multinomial(things, equal, size=spread.RESAMPLES).astype(np.float64)

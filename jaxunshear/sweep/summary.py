@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxunshear.config import show, to_json
-from jaxunshear.evaluation.spread import LEVEL, RESAMPLES
+from jaxunshear.evaluation import spread
 from jaxunshear.report.frontier_figure import efficient
-from jaxunshear.sweep.bootstrap import SEED, interval
+from jaxunshear.sweep.bootstrap import SEED, interval, resampled
 from jaxunshear.sweep.rows import Cell, axis_values, name_of
 from jaxunshear.sweep.settings import Sweep, base_of, names_of
 
-TABLES = ("pin_error", "pose_recovery")  # of a run's results: figures that are no means over contacts
+TABLES = ("pin_error",)  # of a run's results: figures that are no means over contacts
 COSTS = ("train_seconds", "images_per_second", "ms_per_image", "wall_seconds", "peak_memory_bytes", "device", "host")
 
 
@@ -47,9 +47,9 @@ def summarise(
         "seeds": sweep.seeds,
         "networks": list(dict.fromkeys(network for cell in cells for network in cell.experiment.networks)),
         "spread": {
-            "what": f"{LEVEL:.0%} bootstrap interval of the mean over seeds and test poses, each drawn pose with all its slides "
+            "what": f"{spread.LEVEL:.0%} bootstrap interval of the mean over seeds and test poses, each drawn pose with all its slides "
             "and with every drawn seed; the same draws in all cells",
-            "resamples": RESAMPLES,
+            "resamples": spread.RESAMPLES,
             "seed": SEED,
         },
         "reference": reference,
@@ -101,21 +101,58 @@ def _settings(fields: Any, value: Any) -> list[tuple[str, str]]:
 def metrics(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
     """By metric: `mean` over seeds and contacts, its `interval`, and the mean of every seed; figures of `TABLES` without one.
 
-    Those of further tests are called `<test>: <metric>`.
+    Those of further tests are called `<test>: <metric>`, likeness on one shape `<shape>: ms_ssim/<kind>`.
     """
     found = {}
     for test, name in _names(rows):
-        values = _stacked(rows, test, name)
-        means = values.mean(axis=1)
-        found[_called(test, name)] = {
-            "mean": float(values.mean()),
-            "interval": interval(values, _poses(rows, test)),
-            "per_seed": {str(seed): float(mean) for seed, mean in zip(rows, means, strict=True)},
-        }
+        values, poses = _stacked(rows, test, name), _poses(rows, test)
+        found[_called(test, name)] = _figure(rows, values, poses)
+        for shape, inside in _shapes(rows, test).items() if name.startswith("ms_ssim/") else ():
+            found[_called(f"{test}, {shape}" if test else shape, name)] = _figure(
+                rows, values[:, inside], poses[inside]
+            )
+    found |= recoveries(rows)
     plain = {
         seed: _flat({table: row.outcome["results"].get(table, {}) for table in TABLES}) for seed, row in rows.items()
     }
     return found | _over_seeds(plain)
+
+
+def _figure(rows: Mapping[int, Measured], values: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
+    """Of values (seeds, N) at poses (N,)."""
+    return {
+        "mean": float(values.mean()),
+        "interval": interval(values, poses),
+        "per_seed": {str(seed): float(mean) for seed, mean in zip(rows, values.mean(axis=1), strict=True)},
+    }
+
+
+def recoveries(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
+    """`pose_recovery/<kind>/<quantity>`: (sheared - unsheared) / (sheared - tap) of the mean errors, and its interval.
+
+    Left out where the slide does no damage; without an interval where it does none in some of the resamples.
+    """
+    found = {}
+    for test, name in _names(rows):
+        table, kind, *quantity = name.split("/")
+        ends = [f"pose/{other}/{'/'.join(quantity)}" for other in ("tap", "sheared")]
+        if table != "pose" or name in ends or any((test, end) not in _names(rows) for end in ends):
+            continue
+        values = [_stacked(rows, test, each) for each in (*ends, name)]
+        tap, sheared, unsheared = (value.mean() for value in values)
+        if sheared <= tap:
+            continue
+        redrawn = [resampled(value, _poses(rows, test)) for value in values]
+        bounded = bool(np.all(redrawn[1] > redrawn[0]))
+        found[_called(test, f"pose_recovery/{kind}/{'/'.join(quantity)}")] = {
+            "mean": float((sheared - unsheared) / (sheared - tap)),
+            "interval": spread.interval((redrawn[1] - redrawn[2]) / (redrawn[1] - redrawn[0])) if bounded else None,
+            "per_seed": {
+                str(seed): float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
+                for seed, row in zip(rows, np.stack([value.mean(axis=1) for value in values], 1), strict=True)
+            },
+        }
+    return found
 
 
 def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
@@ -203,6 +240,15 @@ def _called(test: str, name: str) -> str:
 def _stacked(rows: Mapping[int, Measured], test: str, name: str) -> np.ndarray:
     """(seeds, N)"""
     return np.stack([np.asarray(row.tests[test][name], np.float64) for row in rows.values()])
+
+
+def _shapes(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
+    """Which contacts (N,) of a test are with which shape."""
+    first = next(iter(rows.values()))
+    results = first.outcome["results"]
+    names = results["tests"][test]["stimuli"] if test else results["settings"]["paired"]["stimuli"]
+    stimulus = np.asarray(first.tests[test]["stimulus"])
+    return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
 
 
 def _poses(rows: Mapping[int, Measured], test: str) -> np.ndarray:

@@ -89,6 +89,8 @@ def evaluate(experiment, folder):
     np.savez(folder / "scores.npz", **scores, stimulus=pose % 3, pose_id=pose)
     return {
         "metric": {"ms_ssim": "ms_ssim@4"},
+        "settings": {"paired": {"stimuli": experiment.paired.stimuli}},
+        "tests": {},
         "pin_error": {"disentangled": {"rms_px": float(random.random())}},
         "ms_per_image": {network: {"median": 1.0, "p95": 2.0} for network in experiment.networks},
         "machine": {"device": "none"},

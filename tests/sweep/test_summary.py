@@ -31,6 +31,8 @@ def done(values: np.ndarray, **more) -> Measured:
         "status": "done",
         "results": {
             "metric": {"ms_ssim": "ms_ssim@4"},
+            "settings": {"paired": {"stimuli": ["disk", "clover", "teardrop"]}},
+            "tests": {"unseen": {"stimuli": ["flower", "leaf"]}},
             "pin_error": {"disentangled": {"rms_px": float(values[0]), "note": "text"}, "missing": None},
         },
         "ablation": [
@@ -64,6 +66,34 @@ def summary():
     }
     rows[cells[2].label, 1] = failed("killed by signal 9")
     return summarise(SWEEP, cells, rows, reference_of(SWEEP, cells))
+
+
+def test_likeness_is_told_for_every_shape_too(summary):
+    found = summary["cells"][0]["metrics"]
+    both = np.stack([random(0), random(1)])
+    assert found[f"clover: {NAME}"]["mean"] == pytest.approx(both[:, POSES % 3 == 1].mean())
+    low, high = found[f"clover: {NAME}"]["interval"]
+    assert low < found[f"clover: {NAME}"]["mean"] < high
+    assert f"unseen, flower: {NAME}" in found and f"unseen, leaf: {NAME}" not in found  # no contact with it
+
+
+def test_recovery_is_of_the_means_with_an_interval_of_its_own():
+    generator = np.random.default_rng(0)
+    errors = {kind: generator.uniform(0.9, 1.1, (2, 12)) * size for kind, size in (("tap", 1), ("sheared", 5), ("unet", 2))}
+
+    def recovered(errors):
+        scores = [{f"pose/{kind}/x_mm": values[seed] for kind, values in errors.items()} for seed in (0, 1)]
+        rows = {seed: done(random(0)) for seed in (0, 1)}
+        return metrics({seed: row._replace(tests={"": scores[seed] | LABELS}) for seed, row in rows.items()})
+
+    figure = recovered(errors)["pose_recovery/unet/x_mm"]
+    tap, sheared, unet = (values.mean() for values in errors.values())
+    assert figure["mean"] == pytest.approx((sheared - unet) / (sheared - tap))
+    low, high = figure["interval"]
+    assert low < figure["mean"] < high and high - low < 0.1
+    assert set(figure["per_seed"]) == {"0", "1"}
+    assert "pose_recovery/sheared/x_mm" not in recovered(errors)
+    assert "pose_recovery/unet/x_mm" not in recovered(errors | {"sheared": errors["tap"] / 2})  # no damage to undo
 
 
 def test_means_are_over_seeds_and_contacts_and_each_seed_is_told(summary):
