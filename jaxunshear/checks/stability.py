@@ -1,10 +1,11 @@
-"""Every case of `cases` in a table: solved, refused, or given up with a report; never silently wrong.
+"""Contacts and networks at their extremes, in a table: solved, refused, or given up with a report; never silently wrong.
 
     rows = stability()
     failed(rows)
 
 Each contact is solved as a user would (`auto`, again at a stronger level where that does not converge), and twice more, in
-float32 and in float64, to a tolerance so small that how the solver stops is no part of the difference.
+float32 and in float64, to a tolerance so small that how the solver stops is no part of the difference. Networks are judged in
+`stability_networks.py`.
 """
 
 import time
@@ -14,8 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from jaxunshear.checks import stability_networks
 from jaxunshear.checks.cases import Case, all_cases
+from jaxunshear.checks.network_trainings import training_cases
+from jaxunshear.checks.network_values import value_cases
 from jaxunshear.checks.px import PinError, pin_error
+from jaxunshear.checks.stability_networks import NetworkCase, NetworkRow
 from jaxunshear.contact.plan import LEVELS
 from jaxunshear.contact.simulate import Contacts
 from jaxunshear.errors import UserError
@@ -51,12 +56,13 @@ class Row:
     scene: str = ""  # Python that runs it again
 
 
-def stability(only: str | None = None, cases: Sequence[Case] | None = None) -> list[Row]:
+def stability(only: str | None = None, cases: Sequence[Case | NetworkCase] | None = None) -> list[Row | NetworkRow]:
     """Rows of all cases, or of those whose name contains `only`. Raises `UserError` where there is none."""
-    found = [case for case in (all_cases() if cases is None else cases) if only is None or only in case.name]
+    every: Sequence[Case | NetworkCase] = [*all_cases(), *training_cases(), *value_cases()] if cases is None else cases
+    found = [case for case in every if only is None or only in case.name]
     if not found:
         raise UserError(f"--only '{only}': no case's name contains this; `jaxunshear stability` lists them")
-    rows = []
+    rows: list[Row | NetworkRow] = []
     with Progress("stability", len(found), unit="cases") as progress:
         for case in found:
             rows.append(examine(case))
@@ -64,7 +70,7 @@ def stability(only: str | None = None, cases: Sequence[Case] | None = None) -> l
     return rows
 
 
-def failed(rows: Sequence[Row]) -> list[Row]:
+def failed(rows: Sequence[Row | NetworkRow]) -> list[Row | NetworkRow]:
     """Those that break the promise."""
     return [row for row in rows if not row.holds]
 
@@ -73,8 +79,10 @@ def given_up(rows: Sequence[Row]) -> list[Row]:
     return [row for row in rows if row.outcome == UNSOLVED]
 
 
-def examine(case: Case) -> Row:
+def examine(case: Case | NetworkCase) -> Row | NetworkRow:
     """One case, run and judged; a traceback is a judgement too, and no reason to leave the other cases out."""
+    if isinstance(case, NetworkCase):
+        return stability_networks.examine(case)
     try:
         return _examine(case)
     except Exception as error:
@@ -143,16 +151,24 @@ def _refused(case: Case, said: str) -> Row:
     return Row(case.name, REFUSED, True, said=said, scene=case.line)
 
 
-def as_dicts(rows: Sequence[Row]) -> list[dict[str, Any]]:
+def as_dicts(rows: Sequence[Row | NetworkRow]) -> list[dict[str, Any]]:
     return [asdict(row) for row in rows]
 
 
-def table(rows: Sequence[Row]) -> str:
-    """For people: a line a case, then what was given up or went wrong, and how to run it again."""
+def table(rows: Sequence[Row | NetworkRow]) -> str:
+    """For people: a line a case, then what was given up or went wrong, and how to run it again; contacts, then networks."""
+    networks = [row for row in rows if isinstance(row, NetworkRow)]
+    contacts = [row for row in rows if isinstance(row, Row)]
+    parts = [_table(contacts)] if contacts else []
+    return "\n\n".join(parts + ([stability_networks.table(networks)] if networks else []))
+
+
+def _table(rows: Sequence[Row]) -> str:
     width = max(len(row.case) for row in rows)
     head = f"{'case':{width}}  finite conv.  residual   f32-f64  twin     tight    iter.  nodes  ms       outcome"
     lines = [head, *(_line(row, width) for row in rows)]
-    for title, some in (("GIVEN UP", given_up(rows)), ("FAILED", failed(rows))):
+    broken = [row for row in rows if not row.holds]
+    for title, some in (("GIVEN UP", given_up(rows)), ("FAILED", broken)):
         for row in some:
             lines += [
                 f"\n{title}: {row.case}: {row.outcome}",
@@ -161,7 +177,7 @@ def table(rows: Sequence[Row]) -> str:
             ]
     counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)
     widest = max((row.float_px for row in rows if not np.isnan(row.float_px)), default=0.0)
-    lines.append(f"\n{len(rows)} cases: {counted}; {len(failed(rows))} break the promise")
+    lines.append(f"\n{len(rows)} cases: {counted}; {len(broken)} break the promise")
     lines.append(f"float32 against float64: at most {widest:.2g} px")
     return "\n".join(lines)
 

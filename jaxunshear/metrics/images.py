@@ -44,8 +44,8 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Array:
     Contrast-structure at all scales but the coarsest, full SSIM there; each is averaged over its image, clamped at 0
     and raised to its weight. With fewer than five scales the first weights are used, made to sum to 1: another
     quantity, to be reported under another name (`ms_ssim_name`). Images of odd size repeat their last row or column
-    before a 2x2 mean. Values and gradients are finite everywhere; where a clamped factor makes the value 0, so is the
-    gradient.
+    before a 2x2 mean. Values and gradients of finite images are finite; where a clamped factor makes the value 0, so is the
+    gradient. An image with a NaN scores NaN.
 
     Raises `ValueError` for shapes that differ, integers, or an image too small for `scales`.
     """
@@ -120,9 +120,9 @@ def _local(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _power(x: Array, weight: float) -> Array:
-    """max(x, 0) ** weight, whose gradient at and below 0 is 0 rather than infinite or NaN."""
-    positive = x > _NOTHING
-    return jnp.where(positive, jnp.where(positive, x, 1) ** weight, 0)
+    """max(x, 0) ** weight, whose gradient at and below 0 is 0 rather than infinite or NaN. A NaN stays one."""
+    nothing = x <= _NOTHING
+    return jnp.where(nothing, 0, jnp.where(nothing, 1, x) ** weight)
 
 
 def _both_sides(matrix, images: Array) -> Array:

@@ -27,8 +27,9 @@ from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import settings
 from jaxunshear.progress import Progress
 from jaxunshear.training import checkpoint
+from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.settings import Training
-from jaxunshear.training.step import State, fresh, make_step, optimiser_of
+from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Batch, Task, Tree, posenet_task, unshear_task
 
 Batches = Callable[[int], Iterator[Batch]]
@@ -121,7 +122,7 @@ def _train(
     optimiser = optimiser_of(training, steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
 
-    state = jax.jit(lambda key: fresh(task.init(key), optimiser))(key_init)
+    state = jax.jit(lambda key: fresh(task.init(key), optimiser), compiler_options=run_once())(key_init)
     history: list[dict[str, Any]] = []
     best_step, best_loss, seconds, compile_seconds = 0, math.inf, 0.0, 0.0
     start = checkpoint.latest(folder) or 0
@@ -149,12 +150,13 @@ def _train(
                 batch = jax.device_put(next(stream))  # read while the step runs
             at_checkpoint = done % training.validate_every == 0 or done == steps
             while len(waiting) > (0 if at_checkpoint else 1):
-                last = _finite(*waiting.pop(0), folder)
+                ready = waiting.pop(0)
+                last = check_terms(*ready, folder)
             progress.advance(batch_size)
             if not at_checkpoint:
                 continue
             seconds += time.perf_counter() - began
-            _whole(state, done, batch, folder)
+            check_state(state, done, ready[2], folder)
             scores = _mean_terms(validate, state.average, validation())
             if best_step == 0 or _ranked(scores[task.rank]) < best_loss:
                 best_step, best_loss = done, _ranked(scores[task.rank])
@@ -188,46 +190,10 @@ def _train(
     return summary
 
 
-def _finite(step: int, metrics: dict[str, Array], batch: Batch, folder: Path) -> dict[str, float]:
-    """Metrics as floats. Raises UserError where one is not finite: nothing learnt after that is worth keeping."""
-    values = {name: float(value) for name, value in jax.device_get(metrics).items()}
-    broken = [name for name, value in values.items() if not math.isfinite(value)]
-    if broken:
-        causes = [name for name in broken if name != "gradient"]  # it follows from the others
-        raise _stop(", ".join(causes or broken), step, batch, folder)
-    return values
-
-
-def _whole(state: State, step: int, batch: Batch, folder: Path) -> None:
-    """Raises UserError where an array of the state is not finite: a step's terms come from before its update, and running
-    statistics do not enter them at all. What is kept must be usable."""
-    for path, leaf in jax.tree_util.tree_leaves_with_path(jax.device_get(state)):
-        if not np.all(np.isfinite(leaf)):
-            raise _stop(jax.tree_util.keystr(path, simple=True, separator="."), step, batch, folder)
-
-
-def _stop(what: str, step: int, batch: Batch, folder: Path) -> UserError:
-    """The line that names the step, the term, the batch, the checkpoint that is left, and what to do."""
-    arrays = {name: np.asarray(values) for name, values in jax.device_get(batch).items()}
-    spoilt = {name: np.flatnonzero(~np.isfinite(x).reshape(len(x), -1).all(1)).tolist() for name, x in arrays.items()}
-    wrong = "; ".join(
-        f"{name} of examples {', '.join(map(str, rows[:8]))}{', ...' if rows[8:] else ''}"
-        for name, rows in spoilt.items()
-        if rows
-    )
-    kept = checkpoint.latest(folder)
-    where = f"the checkpoint of step {kept} is kept" if kept else "no checkpoint was written yet"
-    told, hint = f"with NaN or infinity in {wrong}", "mend the data, then run the same command"
-    if not wrong:
-        low, high = (f([f(x) for x in arrays.values()]) for f in (np.min, np.max))
-        told, hint = (
-            f"whose numbers are {low:g} to {high:g}",
-            "if that is as it should be, lower learning_rate (in another folder)",
-        )
-    return UserError(
-        f"training {folder} stopped: {what} not finite at step {step}, of batch {step - 1} (batches({step - 1}) begins with "
-        f"it again), {told}; {where}; {hint}"
-    )
+def run_once() -> dict[str, int] | None:
+    """Options to compile first states with: random numbers for every kernel are much code, which took a CPU longer to optimise than
+    the step. The bits are the same."""
+    return {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
 
 
 def _mean_terms(validate, variables: Tree, batches: Iterator[Batch]) -> dict[str, float | None]:

@@ -12,8 +12,10 @@ import pytest
 from jaxunshear.metrics import images
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden"
-PAIRS = runpy.run_path(str(GOLDEN / "make_ms_ssim.py"))["pairs"]
+MADE = runpy.run_path(str(GOLDEN / "make_ms_ssim.py"))
+PAIRS = MADE["pairs"]
 VALUES = json.loads((GOLDEN / "ms_ssim.json").read_text())
+RANDOM = json.loads((GOLDEN / "ms_ssim_random.json").read_text())
 
 
 def stacked(size):
@@ -29,6 +31,50 @@ def test_golden_values(metric):
     assert found.dtype == np.float32
     expected = [VALUES[name][metric] for name in names]
     np.testing.assert_allclose(found, expected, atol=1e-4, err_msg=str(names))
+
+
+@pytest.fixture(scope="module")
+def random_pairs():
+    return [images[..., None] for images in MADE["random_pairs"]()]
+
+
+@pytest.mark.parametrize("metric", ["ms_ssim", "ssim"])
+def test_a_hundred_random_pairs_score_as_stored(metric, random_pairs):
+    found = np.asarray(getattr(images, metric)(*random_pairs))
+    np.testing.assert_allclose(found, RANDOM[metric], atol=1e-4)
+    assert len(found) == 100 and min(RANDOM[metric]) < 0.1 and max(RANDOM[metric]) > 0.9
+
+
+@pytest.mark.parametrize("metric", ["ms_ssim", "ssim"])
+def test_a_hundred_random_pairs_score_as_in_the_other_library(metric, random_pairs):
+    """Values; and gradients of the first twenty, where the score is not clamped. Ours are finite in any case."""
+    torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
+    theirs = pytest.importorskip("pytorch_msssim", reason="pip install pytorch-msssim to compare with it")
+    ours, score = getattr(images, metric), getattr(theirs, metric)
+    a, b = random_pairs
+    values, slopes = np.asarray(ours(a, b)), np.asarray(jax.grad(lambda x: jnp.sum(ours(x, b)))(jnp.asarray(a)))
+    assert np.isfinite(slopes).all()
+    given, other = (torch.from_numpy(side.transpose(0, 3, 1, 2).copy()) for side in (a, b))
+    with torch.no_grad():
+        expected = torch.cat([score(given[i : i + 20], other[i : i + 20], 1.0, False) for i in range(0, 100, 20)])
+    np.testing.assert_allclose(values, expected.numpy(), atol=1e-4)
+    given = given[:20].requires_grad_()
+    score(given, other[:20], 1.0, False).sum().backward()
+    free = values[:20] > 0.01  # nearer to zero the slopes of powers magnify rounding
+    mine, its = slopes[:20, ..., 0][free], given.grad.numpy()[:, 0][free]
+    apart, size = (np.linalg.norm(x, axis=(1, 2)) for x in (mine - its, mine))
+    assert (apart < 1e-2 * size).all() and free.sum() >= 15
+
+
+@pytest.mark.parametrize("metric", [lambda a, b: images.ms_ssim(a, b, 2), images.ssim, images.mse])
+def test_a_nan_is_not_hidden(metric):
+    """Nor does it reach the other images."""
+    _, a, b = stacked(48)
+    spoilt = a.copy()
+    spoilt[1, 20, 30] = np.nan
+    for found, clean in ((metric(spoilt, b), metric(a, b)), (metric(b, spoilt), metric(b, a))):
+        assert np.isnan(found[1])
+        np.testing.assert_array_equal(np.delete(found, 1), np.delete(clean, 1))
 
 
 def test_the_golden_pairs_span_the_range():

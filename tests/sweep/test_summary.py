@@ -79,7 +79,9 @@ def test_likeness_is_told_for_every_shape_too(summary):
 
 def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     generator = np.random.default_rng(0)
-    errors = {kind: generator.uniform(0.9, 1.1, (2, 12)) * size for kind, size in (("tap", 1), ("sheared", 5), ("unet", 2))}
+    errors = {
+        kind: generator.uniform(0.9, 1.1, (2, 12)) * size for kind, size in (("tap", 1), ("sheared", 5), ("unet", 2))
+    }
 
     def recovered(errors):
         scores = [{f"pose/{kind}/x_mm": values[seed] for kind, values in errors.items()} for seed in (0, 1)]

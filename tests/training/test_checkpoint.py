@@ -44,6 +44,13 @@ def test_the_latest_and_the_best_are_kept(folder):
     assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == ["00000005", "00000007"]
 
 
+def test_what_is_kept_is_told_latest_first(folder):
+    assert checkpoint.kept(folder / "nothing") == []
+    assert checkpoint.kept(folder) == [5]
+    checkpoint.save(folder, 7, STATE, RECORD)
+    assert checkpoint.kept(folder) == [7, 5]
+
+
 def files(folder):
     root = folder / "checkpoints" / "00000005"
     return sorted(path for path in root.rglob("*") if path.is_file() and path.stat().st_size)

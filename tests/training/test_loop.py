@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import os
 import signal
 import subprocess
@@ -166,6 +167,57 @@ def test_nan_in_a_batch_stops_with_step_and_term_and_keeps_the_last_good_checkpo
     assert (tmp_path / "summary.json").exists()
 
 
+def test_the_line_names_the_batch_and_its_broken_examples(tmp_path):
+    with pytest.raises(UserError) as stop:
+        unshear(tmp_path, broken_from(6))
+    line = str(stop.value)
+    assert "of batch 6 (batches(6) begins with it again) with NaN or infinity in canonical of examples 0;" in line
+    assert "mend the data" in line and "learning_rate" not in line and "\n" not in line
+    assert (
+        np.isnan(next(broken_from(6)(6))["canonical"][0, 3, 3])
+        and not np.isnan(next(broken_from(6)(5))["canonical"]).any()
+    )
+
+
+DIVERGING = dataclasses.replace(small.TRAINING, schedule="steps", drops=((1.5, 1e30),))  # from step 7 on
+
+
+def test_a_diverging_training_leaves_the_checkpoint_of_an_undisturbed_one(tmp_path):
+    """The batch is sound and the line says so; what is kept is, bit for bit, what a training that was stopped there holds."""
+    with pytest.raises(UserError) as stop:
+        unshear(tmp_path / "diverged", training=DIVERGING)
+    line = str(stop.value)
+    assert "step 4 is kept" in line and "whose numbers are 0 to 255" in line and "lower learning_rate" in line
+    with pytest.raises(Stop):
+        unshear(tmp_path / "sound", lambda start: stopped(small.pair, start, 6), training=DIVERGING)
+    assert checkpoint.latest(tmp_path / "diverged") == checkpoint.latest(tmp_path / "sound") == 4
+    assert bits(tmp_path / "diverged") == bits(tmp_path / "sound")
+    variables = checkpoint.load_best(tmp_path / "diverged")
+    images = jnp.asarray(small.dots(0, 2) / 255, jnp.float32)
+    assert np.isfinite(unshearnet.unshear(small.NET, variables, images)).all()
+    assert losses_of(tmp_path / "diverged") == losses_of(tmp_path / "sound")
+
+
+def test_weights_thrown_away_by_the_step_before_a_checkpoint_are_not_kept(tmp_path):
+    """The terms of that step come from before its update, and are finite."""
+    overflowing = dataclasses.replace(small.TRAINING, schedule="steps", drops=((1.75, math.inf),))  # from step 8 on
+    with pytest.raises(UserError, match=r"stopped: params\S+ not finite at step 8, of batch 7 .*step 4 is kept"):
+        unshear(tmp_path, training=overflowing)
+    assert checkpoint.latest(tmp_path) == 4 and [line["step"] for line in lines(tmp_path)] == [4]
+
+
+def test_a_validation_that_is_never_finite_is_no_result(tmp_path):
+    def validation():
+        broken = {name: value / np.float32(255) for name, value in small.pair(1000, 4).items()}
+        broken["canonical"][0] = np.nan
+        return iter([broken])
+
+    for _ in range(2):  # also when the same command is given again
+        with pytest.raises(UserError, match=r"validation loss \(supervised\) was never finite"):
+            unshear(tmp_path, validation=validation)
+        assert not (tmp_path / "summary.json").exists()
+
+
 def test_nan_in_the_step_before_a_checkpoint_is_not_kept(tmp_path):
     with pytest.raises(UserError, match="not finite at step 8"):
         unshear(tmp_path, broken_from(7))
@@ -201,7 +253,10 @@ def test_other_settings_in_the_same_folder_are_refused(straight):
     ("net", "training", "word"),
     [
         (dataclasses.replace(small.NET, size=18), small.TRAINING, "size"),
+        (dataclasses.replace(small.NET, pose_channels=0), small.TRAINING, "pose_channels: 0"),
+        (dataclasses.replace(small.NET, shear_channels=-1), small.TRAINING, "shear_channels: -1"),
         (small.NET, dataclasses.replace(small.TRAINING, crop_px=40), "crop_px"),
+        (small.NET, dataclasses.replace(small.TRAINING, crops=0), "crops: 0"),
         (small.NET, dataclasses.replace(small.TRAINING, schedule="line"), "schedule"),
     ],
 )

@@ -1,0 +1,69 @@
+"""A training stops where its numbers are no longer finite: nothing learnt after that is worth keeping.
+
+Terms are looked at after every step, the state before it is kept: a step's terms come from before its update, so weights that
+have just been thrown away do not show in them.
+"""
+
+import math
+from pathlib import Path
+
+import jax
+import numpy as np
+from jax import Array
+
+from jaxunshear.errors import UserError
+from jaxunshear.training import checkpoint
+from jaxunshear.training.step import State
+from jaxunshear.training.tasks import Batch
+
+NAMED = 8  # examples in the line
+
+
+def check_terms(step: int, terms: dict[str, Array], batch: Batch, folder: Path) -> dict[str, float]:
+    """Terms of a step (the first is 1) as floats. Raises UserError where one is not finite."""
+    values = {name: float(value) for name, value in jax.device_get(terms).items()}
+    broken = [name for name, value in values.items() if not math.isfinite(value)]
+    if broken:
+        causes = [name for name in broken if name != "gradient"]  # it follows from the others
+        raise _stop(", ".join(causes or broken), step, batch, folder)
+    return values
+
+
+def check_state(state: State, step: int, batch: Batch, folder: Path) -> None:
+    """Raises UserError where an array of the state after `step` is not finite."""
+    for path, leaf in jax.tree_util.tree_leaves_with_path(jax.device_get(state)):
+        if not np.isfinite(leaf).all():
+            raise _stop(jax.tree_util.keystr(path, simple=True, separator="."), step, batch, folder)
+
+
+def _stop(what: str, step: int, batch: Batch, folder: Path) -> UserError:
+    """The line that names the step, the term, the batch and how to get it again, what is kept, and what to do."""
+    number = step - 1
+    told, hint = _looked_at(batch)
+    return UserError(
+        f"training {folder} stopped: {what} not finite at step {step}, of batch {number} (batches({number}) begins with it "
+        f"again) {told}; {_kept(folder)}; {hint}"
+    )
+
+
+def _looked_at(batch: Batch) -> tuple[str, str]:
+    """What is to be said of the batch, and the remedy."""
+    arrays = {name: np.asarray(values) for name, values in jax.device_get(batch).items()}
+    wrong = []
+    for name, array in arrays.items():
+        rows = np.flatnonzero(~np.isfinite(array).reshape(len(array), -1).all(1)).tolist()
+        if rows:
+            more = ", ..." if len(rows) > NAMED else ""
+            wrong.append(f"{name} of examples {', '.join(map(str, rows[:NAMED]))}{more}")
+    if wrong:
+        return f"with NaN or infinity in {'; '.join(wrong)}", "mend the data, then run the same command"
+    least, most = min(array.min() for array in arrays.values()), max(array.max() for array in arrays.values())
+    hint = "if these are as they should be, lower learning_rate (in another folder)"
+    return f"whose numbers are {least:g} to {most:g}", hint
+
+
+def _kept(folder: Path) -> str:
+    steps = checkpoint.kept(folder)
+    if not steps:
+        return "no checkpoint was written yet"
+    return f"the checkpoint of step {' and the better one of step '.join(map(str, steps))} is kept"
