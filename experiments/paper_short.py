@@ -22,7 +22,8 @@ experiment = Experiment(
     sensor=sensor_of("paper_short"),
     paired=PAIRED["paper_short"],
     pose=POSE["paper_short"],
-    unshear=UnshearNet(size=SIZE, widths=(16, 32, 64, 128, 256, 256)),  # a layer more than at 128 px, to see as far
+    # a layer more than at 128 px, to see as far; codes of 4x4x256 hold as many numbers as the paper's of 8x8x64
+    unshear=UnshearNet(size=SIZE, widths=(16, 32, 64, 128, 256, 256), pose_channels=256, shear_channels=256),
     posenet=PoseNet(size=SIZE),
     train=Training(
         epochs=14,

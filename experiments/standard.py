@@ -21,7 +21,9 @@ experiment = Experiment(
     sensor=sensor_of("standard"),
     paired=PAIRED["standard"],
     pose=POSE["standard"],
-    unshear=UnshearNet(widths=(16, 32, 64, 128, 256)),
+    unshear=UnshearNet(
+        widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256
+    ),  # 4x4: the paper's 4096 numbers
     train=Training(epochs=12, batch=8, learning_rate=3e-3, shift=0.01, reconstruction_weight=0.3, validate_every=540),
     train_posenet=Training(epochs=24, batch=16, learning_rate=1e-3, shift=0.01, validate_every=675),
 )
