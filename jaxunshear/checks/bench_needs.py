@@ -6,11 +6,11 @@ Each case is compiled both ways. `operations` are those of the compiled program,
 be gone from it, not merely unused. Both ways take turns in being timed.
 """
 
+import functools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -22,25 +22,33 @@ from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
+from jaxunshear.training.loop import run_once
 from jaxunshear.training.settings import Training
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import unshear_task
 
 ROUNDS = 15
 BATCH = 8
+WIDTHS = (16, 32, 64, 128, 256)  # the demo's
 
 
-class Way(NamedTuple):
-    """A function of arrays, and its arguments."""
+class Way:
+    """A function of arrays, and its arguments; several cases may hold the same one."""
 
-    call: Callable[..., Any]
-    arguments: tuple[Any, ...]
+    def __init__(self, call: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        self.call, self.arguments = call, arguments
+        self.compiled = functools.cache(self._compiled)
+
+    def _compiled(self) -> tuple[Any, float]:
+        """The program, and the seconds that compiling it took."""
+        lowered, begun = jax.jit(self.call).lower(*self.arguments), time.perf_counter()
+        return lowered.compile(), time.perf_counter() - begun
 
 
-def bench_needs(size: int = 128, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS) -> list[dict[str, Any]]:
     """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises ValueError for a bad size."""
     keep_freed_memory()
-    net = UnshearNet(size=size, widths=(16, 32, 64, 128, 256))
+    net = UnshearNet(size=size, widths=widths)
     unshearnet.check(net)
     cases = list(_cases(net))
     rows = []
@@ -55,20 +63,16 @@ def _measured(whole: Way, less: Way, rounds: int) -> dict[str, Any]:
     works: dict[str, Callable[[], Any]] = {}
     found: dict[str, dict[str, float]] = {}
     for kind, way in (("with", whole), ("without", less)):
-        lowered, begun = jax.jit(way.call).lower(*way.arguments), time.perf_counter()
-        compiled = lowered.compile()
-        found[kind] = {
-            "operations": (compiled.cost_analysis() or {})["flops"],
-            "compile_s": time.perf_counter() - begun,
-        }
-        works[kind] = partial(_run, compiled, way.arguments)
+        run, spent = way.compiled()
+        found[kind] = {"operations": (run.cost_analysis() or {})["flops"], "compile_s": spent}
+        works[kind] = functools.partial(_run, run, way.arguments)
         works[kind]()
     times: dict[str, list[float]] = {kind: [] for kind in works}
     for _ in range(rounds):
         for kind, work in works.items():
             times[kind].append(seconds(work))
-    for kind, spent in times.items():
-        found[kind] |= {"seconds": float(np.median(spent)), "p95": float(np.percentile(spent, 95))}
+    for kind, laps in times.items():
+        found[kind] |= {"seconds": float(np.median(laps)), "p95": float(np.percentile(laps, 95))}
     ratios = {f"{name}_ratio": found["without"][name] / found["with"][name] for name in ("operations", "seconds")}
     return found | ratios
 
@@ -79,7 +83,7 @@ def _run(compiled: Any, arguments: tuple[Any, ...]) -> Any:
 
 def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
     """Name, what is left out, with it, without it."""
-    variables = jax.jit(unshearnet.init, static_argnums=0)(net, jax.random.key(0))
+    variables = _fresh(unshearnet, net, 0)
     images = np.zeros((1, net.size, net.size, 1), np.float32)
     yield (
         "unshear one image",
@@ -88,10 +92,10 @@ def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
         Way(lambda v, x: unshearnet.unshear(net, v, x), (variables, images)),
     )
     training = Training(batch=BATCH)
-    regular = replace(training, l1=1e-3, l2=1e-3)
-    yield "training step", "crops: lambda 0", _step(net, training), _step(net, replace(training, patch_weight=0.0))
-    yield "training step", "shear channels", _step(net, training), _step(replace(net, shear_channels=0), training)
-    yield "training step", "weights on kernels: l1 and l2 of 0", _step(net, regular), _step(net, training)
+    regular, usual = replace(training, l1=1e-3, l2=1e-3), _step(net, training)
+    yield "training step", "crops: lambda 0", usual, _step(net, replace(training, patch_weight=0.0))
+    yield "training step", "shear channels", usual, _step(replace(net, shear_channels=0), training)
+    yield "training step", "weights on kernels: l1 and l2 of 0", _step(net, regular), usual
     yield _evaluation(net, variables)
 
 
@@ -101,9 +105,13 @@ def _both_decoders(net: UnshearNet, variables: Any, images: jax.Array) -> Any:
     return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
 
 
+def _fresh(module: Any, net: Any, seed: int) -> Any:
+    return jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(seed))
+
+
 def _step(net: UnshearNet, training: Training) -> Way:
     task, optimiser = unshear_task(net, training), optimiser_of(training, 1000, 100)
-    state = jax.jit(lambda key: fresh(task.init(key), optimiser))(jax.random.key(0))
+    state = fresh(_fresh(unshearnet, net, 0), optimiser)
     dots = 255 * np.random.default_rng(0).integers(0, 2, (2, training.batch, net.size, net.size, 1), np.uint8)
     batch = {"canonical": dots[0], "sheared": dots[1]}
     return Way(make_step(task, training, optimiser, jax.random.key(1)), (state, batch))
@@ -113,9 +121,9 @@ def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
     entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
     nets = {"entangled": entangled, "disentangled": net, "posenet": pose}
     values = {
-        "entangled": jax.jit(unshearnet.init, static_argnums=0)(entangled, jax.random.key(1)),
+        "entangled": _fresh(unshearnet, entangled, 1),
         "disentangled": variables,
-        "posenet": jax.jit(posenet.init, static_argnums=0)(pose, jax.random.key(2)),
+        "posenet": _fresh(posenet, pose, 2),
     }
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 

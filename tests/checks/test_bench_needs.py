@@ -7,7 +7,7 @@ from jaxunshear.checks import bench_needs
 
 @pytest.fixture(scope="module")
 def rows():
-    return bench_needs.bench_needs(size=32, rounds=1)
+    return bench_needs.bench_needs(size=32, widths=(4, 8), rounds=1)
 
 
 def test_every_part_left_out_saves_operations(rows):
@@ -15,7 +15,7 @@ def test_every_part_left_out_saves_operations(rows):
     assert all(ratio < 1 for ratio in ratios.values())
     assert ratios["shear code and DS"] < 0.75
     assert ratios["shear channels"] < 0.75
-    assert ratios["networks that are not asked for"] < 0.4
+    assert ratios["networks that are not asked for"] < 0.5
 
 
 def test_rows_hold_both_ways(rows):

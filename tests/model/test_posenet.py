@@ -8,6 +8,7 @@ import pytest
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model import posenet
 from jaxunshear.model.settings import PoseNet
+from jaxunshear.training.loop import run_once
 
 NET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
 
@@ -38,7 +39,7 @@ def test_a_range_of_zero_still_has_a_scale():
 
 @pytest.mark.parametrize("net", [NET, PoseNet()], ids=["small", "demo"])
 def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
-    variables = posenet.init(net, jax.random.key(0))
+    variables = jax.jit(posenet.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(0))
     images = jax.random.uniform(jax.random.key(1), (3, net.size, net.size, 1))
     outputs = jax.jit(lambda v, x: posenet.predict(net, v, x))(variables, images)
     assert outputs.shape == (3, 5)
