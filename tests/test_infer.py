@@ -19,6 +19,7 @@ from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
+from jaxunshear.training.loop import run_once
 
 SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
@@ -27,6 +28,10 @@ SEEN = Preprocess(size=SIZE)
 EXPERIMENT = Experiment(
     "small", "none", unshear=NET, posenet=POSENET, paired=PairedData(preprocess=SEEN), pose=PoseData(preprocess=SEEN)
 )
+
+
+def init(module, net, seed):
+    return jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(seed))
 
 
 def trained(folder, kind, net, variables):
@@ -44,8 +49,8 @@ def variables():
         return {**variables, "params": params}
 
     return {
-        "disentangled": shaken(unshearnet.init(NET, jax.random.key(0))),
-        "posenet": shaken(posenet.init(POSENET, jax.random.key(1))),
+        "disentangled": shaken(init(unshearnet, NET, 0)),
+        "posenet": shaken(init(posenet, POSENET, 1)),
     }
 
 

@@ -18,6 +18,7 @@ from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.release import release
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import checkpoint
+from jaxunshear.training.loop import run_once
 
 SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
@@ -52,7 +53,7 @@ def run(tmp_path):
         ("disentangled", "unshear", unshearnet, NET),
         ("posenet", "posenet", posenet, POSENET),
     ):
-        variables = jax.jit(module.init, static_argnums=0)(net, jax.random.key(1))
+        variables = jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(1))
         variables["params"] = jax.tree.map(lambda x: 8 * x, variables["params"])
         checkpoint.write_settings(folder / name, {"kind": kind, "net": asdict(net), "training": "long", "seed": 0})
         checkpoint.save(folder / name, 1, {"average": variables}, {"history": [], "best_step": 1})

@@ -8,6 +8,7 @@ import pytest
 from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
 from jaxunshear.training import checkpoint
+from jaxunshear.training.loop import run_once
 
 
 @pytest.fixture(scope="session")
@@ -24,7 +25,7 @@ def trained(tmp_path_factory):
         "posenet_sheared": ("posenet", posenet, PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)),
     }
     for name, (kind, module, settings) in nets.items():
-        variables = jax.jit(module.init, static_argnums=0)(settings, jax.random.key(0))
+        variables = jax.jit(module.init, static_argnums=0, compiler_options=run_once())(settings, jax.random.key(0))
         variables = {"params": jax.tree.map(lambda x: 10 * x, variables["params"])} | {
             "batch_stats": variables["batch_stats"]
         }

@@ -11,13 +11,15 @@ from jaxunshear.evaluation.ablation import cell_scores, picture, rows_of, table
 from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
 from jaxunshear.model import unshearnet
 from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training.loop import run_once
 
+init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 
 
 @pytest.fixture(scope="module")
 def drawn():
-    variables = jax.tree.map(lambda x: 20 * x, unshearnet.init(NET, jax.random.key(0)))
+    variables = jax.tree.map(lambda x: 20 * x, init(NET, jax.random.key(0)))
     sheared = (np.random.default_rng(0).random((4, 32, 32, 1)) < 0.3).astype(np.float32)
     return variables, sheared, draw_cells(NET, variables, sheared, SPOILT, jax.random.key(1))
 
@@ -42,7 +44,7 @@ def test_every_cell_is_drawn_from_its_codes(drawn):
 
 def test_codes_of_two_widths_cannot_change_places():
     net = replace(NET, shear_channels=2)
-    variables = unshearnet.init(net, jax.random.key(0))
+    variables = init(net, jax.random.key(0))
     found = draw_cells(net, variables, jnp.zeros((2, 32, 32, 1)), SPOILT)
     assert set(SPOILT) - set(found) == {"DC(z_s)", "DS(z_p,z_p)", "DS(z_s,z_s)"}
 

@@ -15,10 +15,11 @@ from jaxunshear.experiment import ALL_NETWORKS, NETWORKS
 from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model import unshearnet
 from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training.loop import run_once
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
-init = jax.jit(unshearnet.init, static_argnums=0)
+init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
 swapped = jax.jit(draw_cells, static_argnums=0)
 
 

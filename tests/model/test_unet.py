@@ -9,9 +9,10 @@ import pytest
 
 from jaxunshear.model import unet, unshearnet
 from jaxunshear.model.settings import UNet, UnshearNet
+from jaxunshear.training.loop import run_once
 
 NET = UNet(size=32, widths=(4, 6, 8))
-init = jax.jit(unet.init, static_argnums=0)
+init = jax.jit(unet.init, static_argnums=0, compiler_options=run_once())
 
 
 def images(count=3, size=32):
@@ -22,10 +23,10 @@ def images(count=3, size=32):
 def test_images_come_out_as_large_as_they_went_in(widths):
     net = replace(NET, widths=widths)
     variables = init(net, jax.random.key(0))
-    found = unet.unshear(net, variables, images())
+    found = jax.jit(unet.unshear, static_argnums=0)(net, variables, images())
     assert found.shape == (3, 32, 32, 1)
     assert 0 < float(found.min()) < float(found.max()) < 1
-    logits, nothing, statistics = unet.reconstruct(net, variables, images())
+    logits, nothing, statistics = jax.jit(unet.reconstruct, static_argnums=0)(net, variables, images())
     assert logits.shape == found.shape
     assert nothing is None
     assert jax.tree.structure(statistics) == jax.tree.structure(variables["batch_stats"])

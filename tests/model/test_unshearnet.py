@@ -11,13 +11,15 @@ from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training import losses
 from jaxunshear.training.loop import run_once
 
+quick_init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
+
 NET = UnshearNet(size=32, widths=(6, 8, 8), pose_channels=4, shear_channels=3)
 ENTANGLED = UnshearNet(size=32, widths=(6, 8, 8), disentangled=False)
 
 
 @pytest.fixture(scope="module")
 def variables():
-    return jax.jit(lambda key: unshearnet.init(NET, key))(jax.random.key(0))
+    return quick_init(NET, jax.random.key(0))
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +49,7 @@ def test_the_paper_at_256_px_has_codes_of_8_by_8():
 
 
 def test_entangled_has_one_code_and_one_decoder(images):
-    variables = unshearnet.init(ENTANGLED, jax.random.key(0))
+    variables = quick_init(ENTANGLED, jax.random.key(0))
     assert set(variables["params"]) == {"E", "DC"}
     z, nothing = unshearnet.encode(ENTANGLED, variables, images)
     assert nothing is None
@@ -112,7 +114,7 @@ def test_inference_does_not_depend_on_the_batch(variables, images):
 
 
 def test_initial_weights_are_normal_with_deviation_002(variables):
-    big = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())(UnshearNet(), jax.random.key(3))
+    big = quick_init(UnshearNet(), jax.random.key(3))
     kernels = [x for path, x in jax.tree_util.tree_leaves_with_path(big["params"]) if path[-1].key == "kernel"]
     values = np.concatenate([np.ravel(kernel) for kernel in kernels])
     assert abs(values.mean()) < 1e-4
@@ -136,7 +138,7 @@ def test_a_wrong_image_size_is_refused(variables):
 def test_bfloat16_images_round_products_and_nothing_else(images):
     """Outputs and gradients agree to bfloat16's 3 digits; parameters' gradients and statistics stay float32."""
     net = UnshearNet(size=32, widths=(8, 8, 8), pose_channels=8, shear_channels=8)
-    start = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(0))
+    start = quick_init(net, jax.random.key(0))
     params = jax.tree.map(lambda x: 8 * x if x.ndim == 4 else x, start["params"])  # answers that depend on the image
 
     def loss(params, precision):
