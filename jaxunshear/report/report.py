@@ -147,22 +147,28 @@ def _similarity(results: dict[str, Any]) -> str:
         lead += " The paper's has five scales at 256 px: near, but not the same quantity."
     real = range(1 + len(groups), len(head))
     return page.section(
-        "How alike the images are", lead, page.table(head, rows, real, [len(rows) - 1]), _apart(results)
+        "How alike the images are",
+        lead,
+        page.table(head, rows, real, [len(rows) - 1]),
+        _apart(results, "ms_ssim", "likeness", 4, 1),
     )
 
 
-def _apart(results: dict[str, Any]) -> str:
-    """A sentence for each rival of the disentangled network, with the interval of the difference."""
+def _apart(results: dict[str, Any], column: str, what: str, digits: int, better: int) -> str:
+    """The disentangled network less each other one, contact by contact; `better` is the sign of a gain."""
     said = []
     for kind, columns in results["difference"].items():
-        if "ms_ssim" not in columns:
+        if column not in columns:
             continue
-        low, high = results["spread"]["difference"][kind]["ms_ssim"]
-        verdict = "no difference can be told" if low <= 0 <= high else "better" if low > 0 else "worse"
-        said.append(
-            f"than {LABELS[kind].removeprefix('unsheared, ')} by {columns['ms_ssim']:+.4f} [{low:+.4f}, {high:+.4f}]: {verdict}"
-        )
-    return f"<p class=soft>Contact by contact, disentangled scores higher {'; '.join(said)}.</p>" if said else ""
+        low, high = results["spread"]["difference"][kind][column]
+        verdict = "not told apart" if low <= 0 <= high else "better" if low * better > 0 else "worse"
+        name = LABELS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
+        said.append(f"{name} {columns[column]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}] ({verdict})")
+    return (
+        f"<p class=soft>Contact by contact, disentangled less other networks, {what}: {'; '.join(said)}.</p>"
+        if said
+        else ""
+    )
 
 
 def _poses(results: dict[str, Any]) -> str:
@@ -197,6 +203,7 @@ def _poses(results: dict[str, Any]) -> str:
         lead,
         page.table(head, rows, range(1 + len(QUANTITY), len(head)), [len(ours) - 1]),
         note,
+        _apart(results, "edge_mm", "mm from the edge", 3, -1),
     )
 
 
