@@ -2,10 +2,10 @@
 
     jaxunshear sweep experiments/frontier.py
 
-Expected on two cores: an hour and a half for 20 rows and the data sets of four of the settings. Each row is the demo's
-disentangled network but for what its label says; `runs/sweeps/frontier/sweep.png` draws errors against seconds of training and
-against milliseconds an image, and names the settings that no other one beats. Settings of equal cost in contacts: many poses
-with a slide each, few poses with many.
+Expected on two cores, not yet measured: an hour and a half for 20 rows and the data sets of four of the settings.
+Each row is the demo's disentangled network but for what its label says; `runs/sweeps/frontier/sweep.png` draws errors
+against seconds of training and against milliseconds an image, and names the settings that no other one beats.
+Settings of equal cost in contacts: many poses with a slide each, few poses with many.
 """
 
 from dataclasses import replace

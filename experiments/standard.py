@@ -2,9 +2,10 @@
 
     jaxunshear sweep experiments/standard.py --seeds 0,1,2        # one seed: jaxunshear run experiments/standard.py
 
-Expected on two cores: 5 minutes for the data, which all seeds share, then 40 for the networks of each seed; MS-SSIM above the
-demo's 0.96, and smaller pose errors. Images of 128 px, camera noise and drift on. Tests of their own: the four shapes that no
-network has seen, and taps whose depth misses the slide's by up to 1 mm, as the paper pairs them.
+Expected on two cores, from the rates of a first seed: 5 minutes for the data, which all seeds share, then 40 for the
+networks of each seed; MS-SSIM above the demo's 0.96, and smaller pose errors. Images of 128 px, camera noise and
+drift on. Tests of their own: the four shapes that no network has seen, and taps whose depth misses the slide's by up
+to 1 mm, as the paper pairs them.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.dataset.settings import PairedData
+from jaxunshear.dataset.shots import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.baselines import training_taps
 from jaxunshear.evaluation.gather import FIELDS, Gathered, gather
@@ -29,7 +30,6 @@ from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.storage import read_json, write_bytes, write_json
 
 BATCH = 32
-SPLITS = ("train", "validation", "test")  # all of them serve a further test
 KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
 BOOTSTRAP_SEED = 0
 

@@ -43,11 +43,17 @@ def efficient(summary: dict[str, Any]) -> dict[str, dict[str, list[str]]]:
 
 
 def points(summary: dict[str, Any], metric: str, cost: str) -> tuple[list[str], np.ndarray, np.ndarray]:
-    """Labels, means over seeds of the cost, and of the metric, of all cells that have both."""
+    """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
+
+    MS-SSIM of other scales than the first cell's (other image sizes) is another quantity, and left out.
+    """
     found = []
-    for cell in summary["cells"]:
+    cells = [cell for cell in summary["cells"] if metric in cell["metrics"]]
+    for cell in cells:
+        if metric.startswith("ms_ssim") and cell["metric"]["ms_ssim"] != cells[0]["metric"]["ms_ssim"]:
+            continue
         spent = [seconds for costs in cell["costs"].values() if (seconds := _spent(costs, cost)) is not None]
-        if metric in cell["metrics"] and spent:
+        if spent:
             found.append((cell["label"], float(np.mean(spent)), cell["metrics"][metric]["mean"]))
     labels, x, y = zip(*found, strict=True) if found else ((), (), ())
     return list(labels), np.array(x), np.array(y)

@@ -18,7 +18,7 @@ def summary(settings, seeds=("0", "1")):
             }
             for seed in seeds
         }
-        cells.append({"label": label, "metrics": value, "costs": costs})
+        cells.append({"label": label, "metric": {"ms_ssim": "ms_ssim@4"}, "metrics": value, "costs": costs})
     return {"sweep": "frontier", "seeds": [0, 1], "cells": cells}
 
 
@@ -51,6 +51,13 @@ def test_costs_are_means_over_seeds_and_cells_without_figures_are_left_out():
     labels, cost, _ = points(made, "pose/disentangled/edge_mm", "train_seconds")
     assert labels == ["small", "large"]
     assert cost == pytest.approx([20, 400])
+
+
+def test_likeness_of_other_scales_is_not_compared():
+    made = summary(THREE)
+    made["cells"][3]["metric"] = {"ms_ssim": "ms_ssim@5"}
+    assert points(made, "ms_ssim/disentangled", "train_seconds")[0] == ["small", "middling", "wasteful"]
+    assert len(points(made, "pose/disentangled/edge_mm", "train_seconds")[0]) == 4
 
 
 def test_a_picture_is_drawn_where_there_is_something_to_draw():
