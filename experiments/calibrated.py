@@ -19,6 +19,14 @@ experiment = Experiment(
     paired=PAIRED["calibrated"],
     pose=POSE["calibrated"],
     unshear=UnshearNet(widths=(16, 32, 64, 128, 256)),
-    train=Training(epochs=10, batch=8, learning_rate=3e-3, shift=0.01, reconstruction_weight=0.3, validate_every=300),
-    train_posenet=Training(epochs=16, batch=16, learning_rate=1e-3, shift=0.01, validate_every=400),
+    train=Training(
+        epochs=8,
+        batch=8,
+        optimiser="muon",
+        learning_rate=6e-3,
+        shift=0.01,
+        reconstruction_weight=0.3,
+        validate_every=270,
+    ),
+    train_posenet=Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375),
 )

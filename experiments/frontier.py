@@ -20,15 +20,16 @@ SIZES = (*IMAGES, "unshear.size", "posenet.size", "train.crop_px")
 
 ROWS = {
     "base": (),
-    "a quarter of the epochs": (("train.epochs", 1.25),),
-    "half the epochs": (("train.epochs", 2.5),),
-    "twice the epochs": (("train.epochs", 10.0),),
+    "a quarter of the epochs": (("train.epochs", 1),),
+    "half the epochs": (("train.epochs", 2),),
+    "twice the epochs": (("train.epochs", 8),),
     "half as wide": (("unshear.widths", (8, 16, 32, 64, 128)),),
     "twice as wide": (("unshear.widths", (32, 64, 128, 256, 512)),),
+    "Adam": (("train.optimiser", "adam"), ("train.learning_rate", 3e-3)),
     "bfloat16": (("train.precision", "bfloat16"),),
     "256 px": ((SIZES, (256, 256, 256, 256, 256, 256, 40)), ("unshear.widths", (16, 32, 64, 128, 256, 256))),
-    "900 poses x 1 slide": ((("paired.poses", "paired.slides"), (900, 1)), ("train.epochs", 6.67)),
-    "200 poses x 8 slides": ((("paired.poses", "paired.slides"), (200, 8)), ("train.epochs", 3.75)),
+    "900 poses x 1 slide": ((("paired.poses", "paired.slides"), (900, 1)), ("train.epochs", 5.33)),
+    "200 poses x 8 slides": ((("paired.poses", "paired.slides"), (200, 8)), ("train.epochs", 3)),
 }
 
 sweep = Sweep(
@@ -36,8 +37,8 @@ sweep = Sweep(
     claim="Longer training buys more than a wider network or larger images do.",
     base=replace(
         DEMO,
-        train=replace(DEMO.train, epochs=5, validate_every=270),
-        train_posenet=replace(DEMO.train_posenet, epochs=12),
+        train=replace(DEMO.train, epochs=4, validate_every=270),
+        train_posenet=replace(DEMO.train_posenet, epochs=8),
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

@@ -23,8 +23,8 @@ sweep = Sweep(
     base=replace(
         DEMO,
         unshear=replace(DEMO.unshear, pose_channels=64, shear_channels=64),
-        train=replace(DEMO.train, epochs=2.5, validate_every=225),
-        train_posenet=replace(DEMO.train_posenet, epochs=8),
+        train=replace(DEMO.train, epochs=2, validate_every=180),
+        train_posenet=replace(DEMO.train_posenet, epochs=6),
     ),
     grid=(
         ("train.patch_weight", (0.0, 0.01, 0.1, 1.0, 10.0)),

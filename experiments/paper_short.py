@@ -29,11 +29,12 @@ experiment = Experiment(
     train=Training(
         epochs=14,
         batch=8,
-        learning_rate=3e-3,
+        optimiser="muon",
+        learning_rate=6e-3,
         shift=0.01,
         reconstruction_weight=0.3,
         crop_px=40,
         validate_every=540,
     ),
-    train_posenet=Training(epochs=10, batch=16, learning_rate=1e-3, shift=0.01, validate_every=675),
+    train_posenet=Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675),
 )

@@ -25,6 +25,14 @@ experiment = Experiment(
     unshear=UnshearNet(
         widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256
     ),  # 4x4: the paper's 4096 numbers
-    train=Training(epochs=12, batch=8, learning_rate=3e-3, shift=0.01, reconstruction_weight=0.3, validate_every=540),
-    train_posenet=Training(epochs=24, batch=16, learning_rate=1e-3, shift=0.01, validate_every=675),
+    train=Training(
+        epochs=7,
+        batch=8,
+        optimiser="muon",
+        learning_rate=6e-3,
+        shift=0.01,
+        reconstruction_weight=0.3,
+        validate_every=540,
+    ),
+    train_posenet=Training(epochs=14, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675),
 )

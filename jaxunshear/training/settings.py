@@ -9,10 +9,13 @@ class Training:
 
     epochs: float = 6.0
     batch: int = 16
+    optimiser: str = (
+        "adam"  # the paper's; or "muon", which takes the same learning rates and gets further with each image
+    )
     learning_rate: float = 1e-3
     schedule: str = "cosine"  # "cosine": to zero over the run; "steps": factors of `drops`
     drops: tuple[tuple[float, float], ...] = ()  # (epoch, factor on the first learning rate)
-    beta1: float = 0.5
+    beta1: float = 0.5  # of Adam, which with "muon" trains the first and last layers, biases and normalisation
     beta2: float = 0.999
     l1: float = 0.0  # on convolution and dense kernels, summed; the paper's "10e-4" is 1e-3
     l2: float = 0.0

@@ -1,4 +1,4 @@
-"""One training step as a pure function: gradient, Adam, running statistics and moving averages."""
+"""One training step as a pure function: gradient, optimiser, running statistics and moving averages."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -10,6 +10,7 @@ from jax import Array
 
 from jaxunshear.errors import UserError
 from jaxunshear.training import losses
+from jaxunshear.training.muon import muon
 from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import Batch, Task, Tree
 
@@ -42,8 +43,11 @@ def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> Cal
 
 
 def optimiser_of(training: Training, steps: int, steps_per_epoch: float) -> optax.GradientTransformation:
-    """Adam with the schedule of `training`."""
-    return optax.adam(learning_rate(training, steps, steps_per_epoch), training.beta1, training.beta2)
+    """Adam or Muon with the schedule of `training`. Raises UserError for another name."""
+    kinds = {"adam": optax.adam, "muon": muon}
+    if training.optimiser not in kinds:
+        raise UserError(f'optimiser: "{training.optimiser}" is unknown; use "adam" or "muon"')
+    return kinds[training.optimiser](learning_rate(training, steps, steps_per_epoch), training.beta1, training.beta2)
 
 
 def fresh(variables: Tree, optimiser: optax.GradientTransformation) -> State:

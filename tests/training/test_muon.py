@@ -1,0 +1,151 @@
+"""Muon: equal to optax's, near-orthogonal, exact zeros, and a training with it goes on bit for bit."""
+
+import dataclasses
+import sys
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.training.loop import train_unshear
+from jaxunshear.training.muon import muon, orthogonal
+from jaxunshear.training.settings import Training
+from jaxunshear.training.step import optimiser_of
+
+sys.path.insert(0, str(Path(__file__).parent))
+import small
+
+NET = UnshearNet(size=16, widths=(8, 16), pose_channels=8, shear_channels=8)
+INNER = ("E.Down_0", "pose", "shear", "DC.Up_0", "DS.Up_0")  # all between the first and the last layers
+
+
+@pytest.fixture
+def params():
+    return unshearnet.init(NET, jax.random.key(0))["params"]
+
+
+def noise_like(params, seed):
+    leaves, tree = jax.tree.flatten(params)
+    keys = jax.random.split(jax.random.key(seed), len(leaves))
+    return tree.unflatten([jax.random.normal(key, leaf.shape) for key, leaf in zip(keys, leaves, strict=True)])
+
+
+def named(params):
+    return {".".join(key.key for key in path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(params)}
+
+
+def is_inner(name):
+    return name.endswith(".kernel") and name.removesuffix(".kernel") in INNER
+
+
+@pytest.mark.parametrize("shape", [(40, 12), (12, 40), (16, 16), (1, 9)])
+@pytest.mark.parametrize("jit", [False, True])
+def test_orthogonal_is_the_quintic_of_the_singular_values(shape, jit):
+    x = np.random.default_rng(1).normal(size=shape)
+    u, s, v = np.linalg.svd(x, full_matrices=False)
+    s = s / np.linalg.norm(s)
+    for _ in range(5):
+        s = 3.4445 * s - 4.7750 * s**3 + 2.0315 * s**5
+    got = (jax.jit(orthogonal) if jit else orthogonal)(jnp.asarray(x, jnp.float32))
+    np.testing.assert_allclose(got, u * s @ v, atol=1e-4)  # of entries near 0.3; tiny singular values are lost first
+
+
+def test_orthogonal_brings_singular_values_near_one():
+    x = np.random.default_rng(2).normal(size=(300, 20)) @ np.diag(np.geomspace(1, 0.02, 20))
+    s = np.linalg.svd(np.asarray(orthogonal(jnp.asarray(x, jnp.float32))), compute_uv=False)
+    assert s.min() > 0.6 and s.max() < 1.25
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1e-4, 1e4, 1e15])
+def test_orthogonal_is_finite_at_any_scale(scale):
+    x = jnp.asarray(np.random.default_rng(3).normal(size=(30, 5)) * scale, jnp.float32)
+    assert jnp.isfinite(orthogonal(x)).all()
+
+
+def test_orthogonal_of_low_rank_and_of_nothing():
+    x = jnp.outer(jnp.arange(1.0, 31.0), jnp.ones(8))
+    assert np.linalg.matrix_rank(np.asarray(orthogonal(x)), tol=1e-3) == 1
+    assert (orthogonal(jnp.zeros((30, 8))) == 0).all()
+
+
+def test_updates_of_inner_kernels_are_those_of_optax(params):
+    gradient = noise_like(params, 5)
+    axes = {
+        name: optax.contrib.MuonDimensionNumbers(tuple(range(leaf.ndim - 1)), leaf.ndim - 1) if is_inner(name) else None
+        for name, leaf in named(params).items()
+    }
+    theirs = optax.contrib.muon(3e-3, consistent_rms=0.2, muon_weight_dimension_numbers=axes)
+    flat, flat_gradient = named(params), named(gradient)
+    expected = theirs.update(flat_gradient, theirs.init(flat), flat)[0]
+    ours = muon(3e-3, 0.5, 0.999)
+    got = named(jax.jit(ours.update)(gradient, ours.init(params), params)[0])
+    for name in filter(is_inner, got):
+        np.testing.assert_allclose(got[name], expected[name], rtol=1e-3, atol=1e-6, err_msg=name)
+
+
+def test_first_and_last_layers_and_vectors_are_adam_s(params):
+    ours, adam = muon(3e-3, 0.5, 0.999), optax.adam(3e-3, 0.5, 0.999)
+    states = ours.init(params), adam.init(params)
+    for seed in range(3):
+        gradient = noise_like(params, seed)
+        got, mine = ours.update(gradient, states[0], params)
+        expected, other = adam.update(gradient, states[1], params)
+        states = mine, other
+    for name, update in named(got).items():
+        assert jnp.array_equal(update, named(expected)[name]) != is_inner(name), name
+
+
+def test_posenet_s_read_out_is_adam_s():
+    net = PoseNet(size=16, widths=(4, 4, 8, 8, 8), hidden=8)
+    params = posenet.init(net, jax.random.key(0))["params"]
+    gradient = noise_like(params, 1)
+    ours, adam = muon(1e-3, 0.5, 0.999), optax.adam(1e-3, 0.5, 0.999)
+    got = ours.update(gradient, ours.init(params), params)[0]
+    expected = adam.update(gradient, adam.init(params), params)[0]
+    assert jnp.array_equal(got["Dense_1"]["kernel"], expected["Dense_1"]["kernel"])
+    assert not jnp.array_equal(got["Dense_0"]["kernel"], expected["Dense_0"]["kernel"])
+
+
+def test_updates_are_about_as_large_as_adam_s(params):
+    ours, adam = muon(1.0, 0.9, 0.999), optax.adam(1.0, 0.9, 0.999)
+    states = ours.init(params), adam.init(params)
+    for seed in range(20):
+        gradient = noise_like(params, seed)
+        got, mine = ours.update(gradient, states[0], params)
+        expected, other = adam.update(gradient, states[1], params)
+        states = mine, other
+    for name in filter(is_inner, named(got)):
+        ratio = jnp.sqrt(jnp.mean(named(got)[name] ** 2) / jnp.mean(named(expected)[name] ** 2))
+        assert 0.4 < ratio < 2.5, (name, ratio)
+
+
+def test_an_unknown_optimiser_is_refused():
+    with pytest.raises(UserError, match='optimiser: "sgd" is unknown; use "adam" or "muon"'):
+        optimiser_of(Training(optimiser="sgd"), 10, 5)
+
+
+def test_a_stopped_training_with_muon_ends_equal(tmp_path):
+    training = dataclasses.replace(small.TRAINING, optimiser="muon", learning_rate=3e-3)
+
+    def train(folder, last=None):
+        def batches(start):
+            for step, batch in enumerate(small.endless(small.pair, start), start):
+                if step == last:
+                    raise KeyboardInterrupt
+                yield batch
+
+        return train_unshear(
+            NET, training, batches, lambda: iter([small.pair(1000, 4)]), 0, folder, epoch_images=small.IMAGES
+        )
+
+    whole = train(tmp_path / "whole")
+    with pytest.raises(KeyboardInterrupt):
+        train(tmp_path / "stopped", last=6)
+    again = train(tmp_path / "stopped")
+    assert (again.best_step, again.best_loss) == (whole.best_step, whole.best_loss)
