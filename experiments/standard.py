@@ -26,7 +26,7 @@ experiment = Experiment(
         widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256
     ),  # 4x4: the paper's 4096 numbers
     train=Training(
-        epochs=10,
+        epochs=8,
         batch=8,
         optimiser="muon",
         learning_rate=6e-3,
@@ -34,5 +34,5 @@ experiment = Experiment(
         reconstruction_weight=0.3,
         validate_every=540,
     ),
-    train_posenet=Training(epochs=16, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675),
+    train_posenet=Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675),
 )
