@@ -11,7 +11,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 
-VERSION = "2.2.0"  # of the stored sets; raise it whenever the same settings give other bits
+VERSION = "2.3.0"  # of the stored sets; raise it whenever the same settings give other bits
 PAIRED_SET, POSE_SET = "tactip_paired", "tactip_pose"
 
 PAIRED = {

@@ -122,8 +122,9 @@ def polygon(corners: np.ndarray) -> Distance:
 
     def distance(p: jax.Array) -> jax.Array:
         unsigned, offset, along = _segments(p, corners, following)
-        above = offset[..., 1] >= 0
-        below_end = offset[..., 1] < along[..., 1]
+        # the same comparison for an edge's end and the next one's start, to the bit: a corner must not count twice or never
+        y = p[..., None, 1]
+        above, below_end = y >= jnp.asarray(corners[:, 1], p.dtype), y < jnp.asarray(following[:, 1], p.dtype)
         left = along[..., 0] * offset[..., 1] > along[..., 1] * offset[..., 0]
         crossing = (above & below_end & left) | (~above & ~below_end & ~left)
         return jnp.where(jnp.sum(crossing, axis=-1) % 2 == 1, -unsigned, unsigned)

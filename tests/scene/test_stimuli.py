@@ -54,3 +54,12 @@ def test_names():
     assert sum(STIMULI[name].material == "acrylic" for name in UNSEEN) == 2
     with pytest.raises(UserError, match="pyramid"):
         stimulus_named("pyramid")
+
+
+@pytest.mark.parametrize("name", STIMULI)
+def test_no_row_or_column_through_a_corner_has_the_wrong_sign(name):
+    """A distance changes by no more than the step between two points, wherever grid lines run."""
+    line = np.arange(-80, 80.1, 0.5, dtype=np.float32)
+    xy = np.stack(np.meshgrid(line, line), -1)
+    distance = np.asarray(jax.jit(lambda xy: jax.lax.map(lambda row: signed_distance(STIMULI[name], row), xy))(xy))
+    assert max(np.abs(np.diff(distance, axis=axis)).max() for axis in (0, 1)) < 0.501
