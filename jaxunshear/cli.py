@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxunshear import __version__, cli_checks, cli_sweep
+from jaxunshear import __version__, cli_applications, cli_checks, cli_sweep
 from jaxunshear.errors import UserError
 
 if TYPE_CHECKING:
@@ -144,6 +144,7 @@ def _parser() -> _Parser:
             command.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")
         _add_json(command)
 
+    cli_applications.add_parsers(commands)
     cli_sweep.add_parser(commands)
     cli_checks.add_parsers(commands)
     for name, text in (("sensors", "list or draw the sensors"), ("stimuli", "list or draw the stimuli")):
@@ -187,6 +188,8 @@ def _run(argv: list[str]) -> int:
         _infer(arguments)
     elif arguments.command == "sweep":
         return cli_sweep.run(arguments, fields, command)
+    elif arguments.command in cli_applications.COMMANDS:
+        return cli_applications.run(arguments, command)
     elif arguments.command in cli_checks.COMMANDS:
         return cli_checks.run(arguments, command)
     else:

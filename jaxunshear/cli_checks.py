@@ -47,11 +47,13 @@ def add_parsers(commands: Any) -> None:
 
     parser = command("bench", "error against run time", "folder for the figure")
     parser.add_argument(
-        "what", choices=("sim", "train", "infer", "needs"), help="the simulator, the networks, or parts left out"
+        "what",
+        choices=("sim", "train", "infer", "needs", "pins", "stream"),
+        help="the simulator, the networks, parts left out, pins of images, or a robot's perception",
     )
     parser.add_argument("--level", choices=LEVEL_NAMES, help="sim: only rows of this level")
     parser.add_argument("--batch", metavar="N", type=int, help="only rows with N scenes or images in a batch")
-    parser.add_argument("--size", metavar="PX", type=int, help="train, infer, needs: only images of this size")
+    parser.add_argument("--size", metavar="PX", type=int, help="all but sim: only images of this size")
 
     parser = command("calibrate", "fit camera, pins, friction and stiffness to recordings", "folder for figures")
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
@@ -157,9 +159,26 @@ def _bench_networks(arguments: argparse.Namespace, keep: Keep) -> int:
         raise UserError(f"--size {arguments.size}: use at least 1")
     if arguments.what == "needs":
         return _bench_needs(arguments, keep)
-    measure = bench_networks.bench_train if arguments.what == "train" else bench_networks.bench_infer
-    rows = measure(arguments.size, arguments.batch)
+    if arguments.what == "pins":
+        return _bench_pins(arguments, keep)
+    if arguments.what == "stream":
+        rows = bench_networks.bench_stream(arguments.size)
+    else:
+        measure = bench_networks.bench_train if arguments.what == "train" else bench_networks.bench_infer
+        rows = measure(arguments.size, arguments.batch)
     print(bench_networks.table(rows))
+    keep(rows)
+    return 0
+
+
+def _bench_pins(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.applications.table import plain_table
+    from jaxunshear.checks import bench_pins
+
+    if arguments.size is not None and not 64 <= arguments.size <= 1024:
+        raise UserError(f"--size {arguments.size}: use 64 to 1024 px")
+    rows = bench_pins.bench_pins(arguments.size)
+    print(plain_table(rows, bench_pins.COLUMNS))
     keep(rows)
     return 0
 

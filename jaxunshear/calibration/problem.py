@@ -11,7 +11,7 @@ import numpy as np
 from jaxunshear.calibration.labels import Motions
 from jaxunshear.calibration.prediction import Values, displacements, place_of
 from jaxunshear.calibration.statistics import Seen, ring_motion, ring_radii, unit_vectors
-from jaxunshear.calibration.tracking import shells
+from jaxunshear.image.lattice import shells
 from jaxunshear.scene.sensor import Sensor
 
 RATIO_STEP = 6.0  # between the domes that stiffnesses are interpolated from

@@ -11,9 +11,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 from skimage.measure import label
 
-from jaxunshear.calibration.tracking import Lattice, fit_lattice, follow_pins
 from jaxunshear.errors import UserError
+from jaxunshear.image.fitting import fit_lattice, layout_of
+from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import find_pins
+from jaxunshear.image.tracking import follow_all
 from jaxunshear.scene.sensor import Sensor
 
 CENTRAL = 1  # pins up to this ring are the central ones: seven of them
@@ -66,8 +68,8 @@ def observe(images: Iterable[np.ndarray], sensor: Sensor) -> Seen:
         most = max((len(pins) for pins in found), default=0)
         raise UserError(f"at most {most} pins are found in an image, where sensor '{sensor.name}' has {sensor.pins}")
     good = [pins for pins, use in zip(found, enough, strict=True) if use]
-    lattice = fit_lattice(good[:: -(-len(good) // LATTICE_IMAGES)], sensor)
-    tracks = [follow_pins(lattice, pins) for pins in found]
+    lattice = fit_lattice(good[:: -(-len(good) // LATTICE_IMAGES)], layout_of(sensor))
+    tracks = follow_all(lattice, found)
     diameters = [pin_diameters(image, pins) for image, pins in zip(images, found, strict=True)]
     diameter = [
         np.where(track.which >= 0, np.append(d, np.nan)[track.which], np.nan)

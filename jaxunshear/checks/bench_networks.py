@@ -14,11 +14,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxunshear.applications.stream import perceive_of
 from jaxunshear.checks.clock import SIZE, matrix_product, seconds
+from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import unshearnet
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
 from jaxunshear.training.loop import run_once
 from jaxunshear.training.settings import Training
@@ -37,22 +39,41 @@ def bench_train(size: int | None = None, batch: int | None = None, rounds: int =
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
     plain = size is None and batch is None
     cases = list(TRAINED) if plain else [(128 if size is None else size, 32 if batch is None else batch)]
-    return _measured("bench train", cases, _training_sides, 3, rounds)
+    return _measured(
+        "bench train", cases, _training_sides, lambda px: 6 * multiplications(UnshearNet(size=px), True), rounds
+    )
 
 
 def bench_infer(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
     """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
     cases = [(px, 1 if batch is None else batch) for px in (INFERRED if size is None else (size,))]
-    return _measured("bench infer", cases, _inference_sides, 0, rounds)
+    return _measured(
+        "bench infer", cases, _inference_sides, lambda px: 2 * multiplications(UnshearNet(size=px), False), rounds
+    )
+
+
+def bench_stream(size: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+    """The same of what a robot runs for each frame: encoder, canonical decoder and PoseNet, one image at a time."""
+    cases = [(px, 1) for px in (INFERRED if size is None else (size,))]
+
+    def operations(px: int) -> int:
+        return 2 * (multiplications(UnshearNet(size=px), False) + pose_multiplications(PoseNet(size=px)))
+
+    return _measured("bench stream", cases, _stream_sides, operations, rounds)
 
 
 def _measured(
-    title: str, cases: Sequence[tuple[int, int]], sides: Callable[[int, int], Sides], passes: int, rounds: int
+    title: str,
+    cases: Sequence[tuple[int, int]],
+    sides: Callable[[int, int], Sides],
+    operations: Callable[[int], int],
+    rounds: int,
 ) -> list[dict[str, Any]]:
+    """Rows of all cases; `operations` of the convolutions for one image, of the size in px."""
     rows = []
     with Progress(title, len(cases), unit="cases") as progress:
         for px, images in cases:
-            rows += _compared(sides(px, images), px, images, passes, rounds)
+            rows += _compared(sides(px, images), px, images, operations(px), rounds)
             progress.advance(1)
     return rows
 
@@ -140,8 +161,46 @@ def _inference_sides(size: int, batch: int) -> Sides:
     yield "pytorch, compiled", lambda: theirs(True)
 
 
-def _compared(sides: Sides, size: int, batch: int, passes: int, rounds: int) -> list[dict[str, Any]]:
-    """One row a side; a step is worth `passes` forward passes, 0 for inference."""
+def _stream_sides(size: int, batch: int) -> Sides:
+    net, pose_net = _network(size, batch), PoseNet(size=size)
+    image = _images(size, batch)[1][0, ..., 0]
+
+    def ours() -> Work:
+        variables = [
+            jax.jit(m.init, static_argnums=0)(n, jax.random.key(0)) for m, n in ((unshearnet, net), (posenet, pose_net))
+        ]
+        run = jax.jit(perceive_of(net, pose_net, Ranges(), "float32"))
+        return lambda: jax.device_get(run(*variables, image)) is None
+
+    def theirs(compiled: bool) -> Work:
+        import torch
+
+        from jaxunshear.checks import torch_twin
+
+        twin = torch_twin.channels_last(torch_twin.Twin(net)).eval()
+        pose = torch_twin.channels_last(torch_twin.PoseTwin(pose_net)).eval()
+
+        def perceive(image: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            after = twin.unshear(image[None, None].float() / 255)
+            return after, pose(after)
+
+        run = torch.compile(perceive) if compiled else perceive
+        given = torch.from_numpy(image.copy())
+
+        def work() -> None:
+            with torch.inference_mode():
+                after, answer = run(given)
+                after.numpy(), answer.numpy()
+
+        return work
+
+    yield "jaxunshear", ours
+    yield "pytorch", lambda: theirs(False)
+    yield "pytorch, compiled", lambda: theirs(True)
+
+
+def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int) -> list[dict[str, Any]]:
+    """One row a side."""
     ready: dict[str, Work] = {}
     rows: dict[str, dict[str, Any]] = {}
     for name, make in sides:
@@ -172,14 +231,14 @@ def _compared(sides: Sides, size: int, batch: int, passes: int, rounds: int) -> 
                     break
         yard += [seconds(product) for _ in range(3)]
     rate = 2 * SIZE**3 / statistics.median(yard)
-    operations = max(1, passes) * 2 * batch * multiplications(UnshearNet(size=size), training=passes > 0)
     for name, spent in times.items():
         median, late = np.median(spent), np.percentile(spent, 95)
         rows[name] |= {
             "images_per_s": float(batch / median),
             "ms_per_image": float(1e3 * median / batch),
             "ms_p95": float(1e3 * late / batch),
-            "share": float(operations / median / rate),
+            "ms_p99": float(1e3 * np.percentile(spent, 99) / batch),
+            "share": float(batch * operations / median / rate),
             "steps": len(spent),
             "product_ms": 1e3 * statistics.median(yard),
             "failed": "",
@@ -203,6 +262,15 @@ def multiplications(net: UnshearNet, training: bool) -> int:
             count += 16 * before * width * here * here
             here *= 2
     return count
+
+
+def pose_multiplications(net: PoseNet) -> int:
+    """Of one image's pass through PoseNet."""
+    first, second, *rest = net.widths
+    side = net.size // 4
+    count = 16 * first * (2 * side) ** 2 + 16 * first * second * side**2
+    count += 9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2 + 9 * rest[1] * rest[2] * (side // 4) ** 2
+    return count + (side // 4) ** 2 * rest[2] * net.hidden + net.hidden * len(posenet.OUTPUTS)
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:

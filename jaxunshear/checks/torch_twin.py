@@ -16,7 +16,8 @@ import torch
 from torch import Tensor, nn
 
 from jaxunshear.model.layers import EPSILON, MOMENTUM
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.model.posenet import OUTPUTS
+from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.training.settings import Training
 
 
@@ -87,10 +88,45 @@ class Twin(nn.Module):
                 _load_layer(getattr(self, name), params[name], stats[name], False)
 
 
-def channels_last(twin: Twin) -> Twin:
+class PoseTwin(nn.Module):
+    """`posenet.Network`, images (B, 1, S, S) in [0, 1] -> (B, 5)."""
+
+    def __init__(self, net: PoseNet) -> None:
+        super().__init__()
+        first, second, *rest = net.widths
+        self.layers = nn.Sequential(
+            _down(1, first),
+            _down(first, second),
+            nn.MaxPool2d(2),
+            _same(second, rest[0]),
+            _same(rest[0], rest[1]),
+            nn.MaxPool2d(2),
+            _same(rest[1], rest[2]),
+        )
+        self.dense = nn.Sequential(
+            nn.Linear((net.size // 16) ** 2 * rest[2], net.hidden), nn.ReLU(), nn.Linear(net.hidden, len(OUTPUTS))
+        )
+
+    def forward(self, images: Tensor) -> Tensor:
+        seen = self.layers(images).permute(0, 2, 3, 1)  # flat in the order of ours
+        return torch.sigmoid(self.dense(seen.reshape(len(seen), -1)))
+
+    def load(self, variables: dict[str, Any]) -> None:
+        """Takes the values of our variables."""
+        params, stats = variables["params"], variables["batch_stats"]
+        convolutions = [layer for layer in self.layers if isinstance(layer, nn.Sequential)]
+        names = ("First_0", "Down_0", "Same_1", "Same_0", "Same_2")  # Flax counts an outer call before the inner one
+        for layer, name in zip(convolutions, names, strict=True):
+            _load_layer(layer, params[name], stats[name], False)
+        linear: list[Any] = [self.dense[0], self.dense[2]]
+        for dense, name in zip(linear, ("Dense_0", "Dense_1"), strict=True):
+            _set(dense.weight, np.transpose(params[name]["kernel"]))
+            _set(dense.bias, params[name]["bias"])
+
+
+def channels_last(twin: Any) -> Any:
     """The layout in which PyTorch's convolutions are fastest on a CPU."""
-    module: Any = twin  # PyTorch's types lack the argument
-    return module.to(memory_format=torch.channels_last)
+    return twin.to(memory_format=torch.channels_last)
 
 
 def _load_layers(layers, params, stats, names: tuple[str, ...], transposed: bool) -> None:

@@ -9,6 +9,7 @@ not needed is noted, not fatal.
         pose = recordings.poses[index]               # x y z mm, Rx Ry Rz deg; NaN where unknown
 """
 
+import contextlib
 import csv
 import json
 import re
@@ -29,6 +30,8 @@ IMAGE_FOLDERS = ("processed_images", "frames_bw", "images", "frames", "sensor_im
 IMAGE_COLUMNS = ("sensor_image", "image_name")
 POSE_COLUMNS = tuple(f"pose_{i}" for i in range(1, 7)), tuple(f"pose_{i}" for i in ("x", "y", "z", "Rx", "Ry", "Rz"))
 MOVE_COLUMNS = tuple(f"move_{i}" for i in range(1, 7)), tuple(f"shear_{i}" for i in ("x", "y", "z", "Rx", "Ry", "Rz"))
+Box = tuple[int, int, int, int]
+BOXES = 20  # frames that a common crop is found from
 DEPTH = 4  # folders below the given one that are searched
 UNREADABLE = (OSError, SyntaxError, ValueError, EOFError, struct.error, Image.DecompressionBombError)
 
@@ -57,14 +60,17 @@ class Recordings:
         root = self.path if self.path.is_dir() else self.path.parent
         return tuple(file.relative_to(root).as_posix() for file in self.files)
 
-    def frames(self) -> Iterator[tuple[int, str, np.ndarray]]:
-        """(row of `poses`, name, image (S, S) uint8 of {0, 255}). Raises UserError if not one image can be read."""
+    def frames(self, box: Box | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
+        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), all cropped to `box`, or each for itself.
+
+        Raises UserError if not one image can be read.
+        """
         from jaxunshear.image.preprocess import prepare_frame
 
         read, problem = 0, ""
         for index, (file, name) in enumerate(zip(self.files, self.names, strict=True)):
             try:
-                image = prepare_frame(self.preprocess, read_image(file))
+                image = prepare_frame(self.preprocess, read_image(file), box)
             except UserError as error:
                 problem = f"{name}: {error}"
                 self.notes.append(f"left out {problem}")
@@ -73,6 +79,16 @@ class Recordings:
             yield index, name, image
         if not read:
             raise UserError(f"none of {len(self)} images in {self.path} can be read; the last: {problem}")
+
+    def common_box(self) -> Box | None:
+        """The crop (left, top, right, bottom) that suits up to BOXES frames, evenly spaced; None where they differ in size."""
+        from jaxunshear.image.preprocess import common_box
+
+        raws = []
+        for file in self.files[:: -(-len(self) // BOXES)]:
+            with contextlib.suppress(UserError):  # `frames` will tell
+                raws.append(read_image(file))
+        return common_box(self.preprocess, raws)
 
 
 def read_image(file: Path) -> np.ndarray:

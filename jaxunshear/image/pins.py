@@ -1,11 +1,16 @@
 """Pins of a binary image: parts of their size, in each other's company, parted where they touch."""
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 from skimage.feature import peak_local_max
-from skimage.measure import label, regionprops_table
 from skimage.segmentation import watershed
+
+# A part of more than this times the usual pin's area, or length, may be several pins that touch.
+MERGED_AREA = 1.45
+MERGED_LENGTH = 1.6
 
 
 def find_pins(image: np.ndarray) -> np.ndarray:
@@ -17,44 +22,71 @@ def find_pins(image: np.ndarray) -> np.ndarray:
     image = np.asarray(image)
     if image.ndim != 2:
         raise ValueError(f"find_pins takes one image (S, S), got shape {image.shape}")
-    white = image > (127 if image.dtype == np.uint8 else 0.5)
-    labels = _part(_without_ring(white))
-    if not labels.any():
+    parts = _parts(image > (127 if image.dtype == np.uint8 else 0.5))
+    kept = _without_ring(parts)
+    if not kept.any():
         return np.zeros((0, 2))
-    table = regionprops_table(labels, properties=("centroid", "area"))
-    centre = np.column_stack([table["centroid-1"], table["centroid-0"]])
-    area = table["area"]
-    typical = np.median(area[area >= 0.25 * np.median(area)])
-    keep = (area > 0.4 * typical) & (area < 3 * typical)
-    return in_company(centre[keep])
+    centre, area = parts.centre[kept], parts.area[kept]
+    usual = _usual(area)
+    diameter = 2 * np.sqrt(usual / np.pi)
+    merged = (area > MERGED_AREA * usual) | (parts.length[kept] > MERGED_LENGTH * diameter)
+    pieces = [_parted(parts, number, diameter) for number in 1 + np.flatnonzero(kept)[merged]]
+    centre = np.concatenate([centre[~merged], *(piece[0] for piece in pieces)])
+    area = np.concatenate([area[~merged], *(piece[1] for piece in pieces)])
+    usual = _usual(area)
+    return in_company(centre[(area > 0.4 * usual) & (area < 3 * usual)])
 
 
-def _without_ring(white: np.ndarray) -> np.ndarray:
-    """Drops parts that reach the edge of the circular mask, and those much longer than pins."""
-    parts = label(white, connectivity=1)
-    index = np.arange(1, parts.max() + 1)
-    if not index.size:
-        return white
-    rows, columns = np.indices(white.shape)
-    middle_row, middle_column = (np.array(white.shape) - 1) / 2
-    reach = ndimage.maximum(np.hypot(rows - middle_row, columns - middle_column), parts, index)
-    length = np.array([max(box.stop - box.start for box in part) for part in ndimage.find_objects(parts)])
-    return np.isin(parts, index[(reach < 0.47 * white.shape[0]) & (length < white.shape[0] / 5)])
+class _Parts(NamedTuple):
+    """Connected parts of an image, numbered from 1 in `labels`; row k of the others is part k + 1."""
+
+    labels: np.ndarray  # (S, S)
+    boxes: list[tuple[slice, slice]]  # rows and columns
+    centre: np.ndarray  # (N, 2) px as (column, row)
+    area: np.ndarray  # (N,) px
+    length: np.ndarray  # (N,) px, of the longer side of the box
 
 
-def _part(white: np.ndarray) -> np.ndarray:
-    """Labels (S, S): connected parts, those of several pins cut at their waists (a smoothed distance to the black)."""
-    parts = label(white, connectivity=1)
-    area = np.bincount(parts.ravel())[1:]
-    if not area.size:
-        return parts
-    typical = np.median(area[area >= 0.25 * np.median(area)])
-    radius = np.sqrt(typical / np.pi)
-    smooth = ndimage.gaussian_filter(ndimage.distance_transform_edt(white), 0.3 + 0.2 * radius)
-    peaks = peak_local_max(smooth, min_distance=max(1, round(0.8 + 0.6 * radius)), labels=parts, exclude_border=False)
-    markers = np.zeros_like(parts)
+def _parts(white: np.ndarray) -> _Parts:
+    labels, count = ndimage.label(white)
+    boxes = ndimage.find_objects(labels)
+    length = np.array([max(side.stop - side.start for side in box) for box in boxes])
+    return _Parts(labels, boxes, *_centres(labels, count), length)
+
+
+def _centres(labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Centroids (count, 2) px as (column, row) and areas (count,) of the parts 1 to count."""
+    rows, columns = np.nonzero(labels)
+    number = labels[rows, columns] - 1
+    area, row, column = (np.bincount(number, weights, count) for weights in (None, rows, columns))
+    return np.stack([column, row], -1) / area[:, None], area
+
+
+def _without_ring(parts: _Parts) -> np.ndarray:
+    """(N,) bool: without parts that reach the edge of the circular mask, and those much longer than pins."""
+    height, width = parts.labels.shape
+    rows, columns = np.arange(height) - (height - 1) / 2, np.arange(width) - (width - 1) / 2
+    kept = parts.length < height / 5
+    at_edge = parts.labels[np.hypot(rows[:, None], columns) >= 0.47 * height]
+    kept[np.unique(at_edge[at_edge > 0]) - 1] = False
+    return kept
+
+
+def _usual(area: np.ndarray) -> float:
+    return float(np.median(area[area >= 0.25 * np.median(area)]))
+
+
+def _parted(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, np.ndarray]:
+    """One part cut at its waists, the watersheds of a smoothed distance to the black: centroids and areas of the pieces."""
+    rows, columns = parts.boxes[number - 1]
+    white = np.pad(parts.labels[rows, columns] == number, 2)
+    smooth = ndimage.gaussian_filter(ndimage.distance_transform_edt(white), 0.3 + 0.1 * diameter)
+    apart = max(1, round(0.8 + 0.3 * diameter))
+    peaks = peak_local_max(smooth, min_distance=apart, labels=white.astype(int), exclude_border=False)
+    markers = np.zeros(white.shape, int)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
-    return watershed(-smooth, markers, mask=white)
+    centre, area = _centres(watershed(-smooth, markers, mask=white), len(peaks))
+    return centre + np.array([columns.start - 2, rows.start - 2]), area
 
 
 def in_company(centre: np.ndarray) -> np.ndarray:

@@ -97,12 +97,34 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, bbox: tuple[int, int,
     not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.
     """
     grey = to_grey(raw)
+    square = crop(grey, bbox or _box(preprocess, grey))
     if is_binary(grey):
-        square = crop(grey, bbox or _reframed(grey, preprocess.outer_pins))
         small = _both_sides(np.matmul, _area_matrix(square.shape[0], preprocess.size), square)
         return ((small >= 0.5) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
-    square = crop(grey, bbox or find_dome(grey, preprocess.outer_pins))
     return _binarise(np, np.matmul, preprocess, square)
+
+
+def common_box(preprocess: Preprocess, raws: list[np.ndarray]) -> tuple[int, int, int, int] | None:
+    """The crop that suits some frames of one camera best, the median of their own: a crop that trembled would look like motion.
+
+    None where they differ in size, or none of them is usable: then each frame has its own.
+    """
+    boxes = []
+    for raw in raws:
+        try:
+            boxes.append(_box(preprocess, to_grey(raw)))
+        except UserError:
+            continue
+    if not boxes or len({raw.shape[:2] for raw in raws}) > 1:
+        return None
+    left, top, right, bottom = np.median(boxes, axis=0)
+    side = round(max(right - left, bottom - top))
+    left, top = round((left + right - side) / 2), round((top + bottom - side) / 2)
+    return left, top, left + side, top + side
+
+
+def _box(preprocess: Preprocess, grey: np.ndarray) -> tuple[int, int, int, int]:
+    return (_reframed if is_binary(grey) else find_dome)(grey, preprocess.outer_pins)
 
 
 def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:

@@ -1,42 +1,35 @@
 """Which pin is which: found pins of a binary image get the identities of the sensor's lattice.
 
-A slide moves central pins by more than half their spacing, so the nearest lattice point is the wrong one. But the rim hardly moves
-and neighbours move alike: identities are settled shell by shell from the rim inwards, each shell where the motion of those outside it
-says, then checked and mended against all neighbours.
+A slide moves pins by more than their spacing, so the nearest lattice point is the wrong one. But the skin is smooth: taken as a whole, the
+pins move by a low polynomial of their place, to well below half a spacing. Mean and spread of all found pins give a first affine
+motion; pairs of mutually nearest pins then refine polynomials of rising degree, and last each pin follows its neighbours. What is
+not smooth in the end is told as doubt.
 
-    lattice = fit_lattice([find_pins(image) for image in images[:30]], TACTIP_331)
-    track = follow_pins(lattice, find_pins(images[0]))
-    motion = track.motion  # (P, 2) px from the lattice, NaN where a pin was not found
+Where pins have left the view, mean and spread mislead. Then the frames that went well help: motions of one sensor differ in two or
+three ways (slides along x and y, and the depth), so a grid over these is laid on the found pins, and the best are refined.
+
+    lattice = fit_lattice([find_pins(image) for image in images[:30]], layout_of(TACTIP_331))
+    tracks = follow_all(lattice, [find_pins(image) for image in images])
+    motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin was not found
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial import ConvexHull, cKDTree
+from scipy import ndimage
+from scipy.spatial import cKDTree
 
-from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import Sensor, pin_lattice
+from jaxunshear.image.lattice import DEGREES, Lattice
 
-NEIGHBOURS = 12  # pins that tell where another one is
-SURE = 0.22  # of the spacing: how far from its neighbours' motion a pin may stand; one mistaken for the next stands at 0.26 or more
-
-
-class Lattice(NamedTuple):
-    """Where the pins stand in an image before they move, with what following them needs."""
-
-    place: np.ndarray  # (P, 2) px as (column, row), in the order of `pin_lattice`
-    shell: np.ndarray  # (P,) 0 in the middle, `rings` on the rim
-    spacing: float  # px, usual distance between neighbours
-    inwards: tuple[
-        np.ndarray, ...
-    ]  # for shell k, (pins of it, P): weights of the pins outside that extrapolate a motion
-    around: np.ndarray  # (P, P): weights of the nearest other pins
-
-    @property
-    def middle(self) -> np.ndarray:
-        """(2,) px of the outermost shell, which a touch moves least."""
-        return self.place[self.shell == self.shell.max()].mean(axis=0)
+SURE = 0.22  # of the spacing: how far from its neighbours' motion a pin may stand
+SEEN = 0.9  # share of the pins that a sure frame shows
+LIMIT = 0.75  # of the spacing: beyond it a found pin is another one
+LEARNT_FROM = 10  # sure frames, at least
+MODES = 3
+STEP = 0.6  # of the spacing, by which neighbours on the grid of motions may differ at a pin
+GRID = 15  # points along a mode, at most
+TRIED = 6  # of the grid's motions
 
 
 class Track(NamedTuple):
@@ -55,122 +48,158 @@ class Track(NamedTuple):
         return self.doubt <= SURE
 
 
-def shells(sensor: Sensor) -> np.ndarray:
-    """(P,) index of the shell of each pin, 0 for the one in the middle."""
-    return np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
+class Usual(NamedTuple):
+    """How the pins of a set usually move."""
+
+    motion: np.ndarray  # (M, P, 2) px, a grid over the ways in which motions differ
+    view: float  # px from the lattice's centre within which pins are seen
 
 
-def make_lattice(place: np.ndarray, sensor: Sensor) -> Lattice:
-    """A lattice from the places (P, 2) px of its pins."""
-    shell = shells(sensor)
-    spacing = float(np.median(cKDTree(place).query(place, k=2)[0][:, 1]))
-    inwards = []
-    for k in range(sensor.rings):
-        outside = np.flatnonzero((shell > k) & (shell <= k + 3))
-        inwards.append(_weights(place, np.flatnonzero(shell == k), outside, spacing))
-    everyone = np.arange(len(place))
-    return Lattice(place, shell, spacing, tuple(inwards), _weights(place, everyone, everyone, spacing))
+def follow_all(lattice: Lattice, frames: list[np.ndarray]) -> list[Track]:
+    """Identities for the found pins (N, 2) px of images of one camera; the sure ones help with the others."""
+    tracks = [follow_pins(lattice, found) for found in frames]
+    usual = usual_motions(lattice, tracks)
+    if usual is None:
+        return tracks
+    return [
+        track if track.sure else follow_pins(lattice, found, usual) for track, found in zip(tracks, frames, strict=True)
+    ]
 
 
-def _weights(place: np.ndarray, wanted: np.ndarray, known: np.ndarray, spacing: float) -> np.ndarray:
-    """(len(wanted), P): an affine motion fitted to the nearest of `known` (without the pin itself), read at each of `wanted`."""
-    weights = np.zeros((len(wanted), len(place)))
-    tree = cKDTree(place[known])
-    for row, pin in enumerate(wanted):
-        near = known[tree.query(place[pin], k=min(NEIGHBOURS + 1, len(known)))[1]]
-        near = near[near != pin][:NEIGHBOURS]
-        offset = (place[near] - place[pin]) / spacing
-        share = 1 / (1 + (offset**2).sum(-1))
-        design = np.column_stack([np.ones(len(near)), offset])
-        ridge = np.diag([0.0, 0.05, 0.05])
-        weights[row, near] = np.linalg.solve(design.T @ (share[:, None] * design) + ridge, design.T * share)[0]
-    return weights
-
-
-def fit_lattice(frames: list[np.ndarray], sensor: Sensor) -> Lattice:
-    """The lattice that the found pins (N, 2) px of some images of one camera share: the mean place of each pin.
-
-    Raises UserError where they do not look like this sensor's pins.
-    """
-    place = _first_guess(frames, sensor)
-    for _ in range(2):
-        lattice = make_lattice(place, sensor)
-        tracks = [follow_pins(lattice, found) for found in frames]
-        motion = np.array([track.motion for track in tracks if track.sure] or [track.motion for track in tracks])
-        count = np.isfinite(motion[..., 0]).sum(axis=0)
-        if np.mean(count > 0) < 0.9 or np.median([track.extra for track in tracks]) > 0.1 * sensor.pins:
-            break
-        mean = np.nansum(motion, axis=0) / np.maximum(count, 1)[:, None]
-        place = place + np.where(count[:, None] > 0, mean, lattice.around @ mean)
-    else:
-        return make_lattice(place, sensor)
-    raise UserError(
-        f"the pins of these images do not form the lattice of sensor '{sensor.name}' ({sensor.pins} pins, "
-        f"{sensor.layout}): about {np.median([len(found) for found in frames]):.0f} pins are found; name another sensor"
-    )
-
-
-def _first_guess(frames: list[np.ndarray], sensor: Sensor) -> np.ndarray:
-    """Places (P, 2) px: the flat lattice, bent in radius, on the rim of the pins of all frames, turned to match their outer shells."""
-    flat = pin_lattice(sensor)
-    flat = flat / np.linalg.norm(flat, axis=-1).max()
-    outline = np.concatenate([found[ConvexHull(found).vertices] for found in frames])
-    centre = (np.percentile(outline, 2, axis=0) + np.percentile(outline, 98, axis=0)) / 2
-    rim = float(np.median(np.linalg.norm(outline - centre, axis=-1)))
-    outer = shells(sensor) >= sensor.rings - 2
-    some = frames[:: max(1, len(frames) // 10)][:10]
-    best, place = np.inf, flat
-    for bend in (-0.1, 0.0, 0.1, 0.2):
-        for turn in np.radians(np.arange(0, 60, 1.5)):
-            cos, sin = np.cos(turn), np.sin(turn)
-            radius = np.linalg.norm(flat, axis=-1, keepdims=True)
-            guess = centre + rim * (1 + bend * (1 - radius**2)) * flat @ np.array([[cos, sin], [-sin, cos]])
-            off = np.mean([np.median(cKDTree(found).query(guess[outer])[0]) for found in some])
-            if off < best:
-                best, place = float(off), guess
-    return place
-
-
-def follow_pins(lattice: Lattice, found: np.ndarray) -> Track:
+def follow_pins(lattice: Lattice, found: np.ndarray, usual: Usual | None = None) -> Track:
     """Identities for found pins (N, 2) px as (column, row)."""
     pins = len(lattice.place)
-    motion = np.zeros((pins, 2))
-    index = np.full(pins, -1)
+    best = Track(np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found))
     if len(found) < 0.7 * pins:
-        return Track(np.full((pins, 2), np.nan), index, float("inf"), pins - len(found), 0)
-    rim = lattice.shell.max()
-    free = np.ones(len(found), bool)
-    for k in range(rim, -1, -1):
-        here = np.flatnonzero(lattice.shell == k)
-        expected = lattice.inwards[k] @ motion if k < rim else np.zeros((len(here), 2))
-        rows, columns = _assign(lattice.place[here] + expected, found[free], 0.75 * lattice.spacing)
-        motion[here] = expected
-        chosen = np.flatnonzero(free)[columns]
-        index[here[rows]] = chosen
-        motion[here[rows]] = found[chosen] - lattice.place[here[rows]]
-        free[chosen] = False
-    for _ in range(3):
-        expected = lattice.around @ motion
-        rows, columns = _assign(lattice.place + expected, found, 0.75 * lattice.spacing)
+        return best
+    tree = cKDTree(found)
+    for motion in _first_motions(lattice, found, usual):
+        track = _settled(lattice, found, tree, motion)
+        if track.sure:
+            return track
+        best = min(best, track, key=lambda other: (other.missed, other.doubt))
+    return best
+
+
+def usual_motions(lattice: Lattice, tracks: list[Track]) -> Usual | None:
+    """What the sure ones of some tracks have in common; None where there are too few."""
+    sure = [track for track in tracks if track.sure]
+    if len(sure) < LEARNT_FROM:
+        return None
+    known = np.array([np.where(np.isnan(track.motion), filled(lattice, track.motion), track.motion) for track in sure])
+    mean = known.mean(axis=0)
+    left, size, right = np.linalg.svd((known - mean).reshape(len(known), -1), full_matrices=False)
+    axes = []
+    for amount, mode in zip((left * size).T[:MODES], right[:MODES].reshape(-1, *mean.shape), strict=True):
+        low, high = 1.3 * amount.min(), 1.3 * amount.max()
+        reach = (high - low) * np.linalg.norm(mode, axis=-1).max() / lattice.spacing
+        axes.append(np.linspace(low, high, int(np.clip(np.ceil(reach / STEP) + 1, 2, GRID))))
+    amounts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+    grid = mean + np.tensordot(amounts, right[: len(axes)].reshape(-1, *mean.shape), 1)
+    off = np.linalg.norm(lattice.place + np.array([track.motion for track in sure]) - _centre(lattice), axis=-1)
+    return Usual(grid.astype(np.float32), float(np.nanmax(off)) + 0.1 * lattice.spacing)
+
+
+def filled(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
+    """A motion (P, 2) whose missing rows follow the nearest known ones."""
+    known = ~np.isnan(motion[:, 0])
+    nearest = cKDTree(lattice.place[known]).query(lattice.place)[1]
+    guess = motion[known][nearest]
+    return np.where(known[:, None], motion, lattice.around @ guess)
+
+
+def _centre(lattice: Lattice) -> np.ndarray:
+    return (lattice.place.max(axis=0) + lattice.place.min(axis=0)) / 2
+
+
+def _first_motions(lattice: Lattice, found: np.ndarray, usual: Usual | None) -> Iterator[np.ndarray]:
+    """Motions (P, 2) px to start from: the likeliest affine one, then the best usual ones, or turned ones where none is known."""
+    likeliest = _affine(lattice, found)
+    yield likeliest - lattice.place
+    if usual is not None:
+        yield from _searched(lattice, found, usual)
+        return
+    middle = likeliest.mean(axis=0)
+    for angle in np.radians([4, -4, 8, -8]):
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        yield (likeliest - middle) @ turn + middle - lattice.place
+
+
+def _searched(lattice: Lattice, found: np.ndarray, usual: Usual) -> np.ndarray:
+    """The usual motions (TRIED, P, 2) that put the lattice nearest to the found pins.
+
+    A pin counts as far off as the nearest found one, half a spacing at most; so does one too many or too few in view. Distances are read
+    off a map at half a pixel, so that the whole grid costs little more than one frame.
+    """
+    low = found.min(axis=0) - 2 * lattice.spacing
+    high = found.max(axis=0) + 2 * lattice.spacing
+    empty = np.ones(np.ceil(2 * (high - low)).astype(int)[::-1] + 1, bool)
+    column, row = np.round(2 * (found - low)).astype(int).T
+    empty[row, column] = False
+    off = np.minimum(ndimage.distance_transform_edt(empty) / (2 * lattice.spacing), 0.5).astype(np.float32)
+    place = lattice.place.astype(np.float32) + usual.motion
+    inside = np.linalg.norm(place - _centre(lattice), axis=-1) < usual.view
+    cell = np.clip(np.round(2 * (place - low)).astype(int), 0, np.array(empty.shape)[::-1] - 1)
+    apart = (off[cell[..., 1], cell[..., 0]] * inside).sum(-1) + 0.5 * np.abs(inside.sum(-1) - len(found))
+    return usual.motion[np.argsort(apart)[:TRIED]].astype(float)
+
+
+def _affine(lattice: Lattice, found: np.ndarray) -> np.ndarray:
+    """Places (P, 2) moved so that they have the mean and covariance of the found pins, without a turn.
+
+    Where a side of the pins has left the view, those that stand farthest out are left out of the comparison.
+    """
+    place, middle, spread = lattice.place, found.mean(axis=0), np.cov(found.T)
+    kept = np.arange(len(place))
+    for _ in range(5):
+        here = place[kept]
+        root = _root(np.cov(here.T))
+        back = np.linalg.inv(root)
+        moved = (place - here.mean(axis=0)) @ (back @ _root(root @ spread @ root) @ back) + middle
+        inside = np.sort(np.argsort(np.linalg.norm(moved - _centre(lattice), axis=-1))[: len(found)])
+        if np.array_equal(inside, kept):
+            break
+        kept = inside
+    return moved
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    values, vectors = np.linalg.eigh(matrix)
+    return (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
+
+
+def _settled(lattice: Lattice, found: np.ndarray, tree: cKDTree, motion: np.ndarray) -> Track:
+    """From a first motion (P, 2) to identities."""
+    place, pins = lattice.place, len(lattice.place)
+    for degree in DEGREES:
+        rows, columns, off = _pairs(place + motion, found, tree)
+        share = 1 / (1 + (off / max(2.5 * np.median(off), 0.06 * lattice.spacing)) ** 2)
+        powers = lattice.powers[degree][rows]
+        normal = (powers.T * share) @ powers + 1e-3 * np.eye(powers.shape[1])
+        motion = lattice.powers[degree] @ np.linalg.solve(normal, (powers.T * share) @ (found[columns] - place[rows]))
+    index = np.full(pins, -1)
+    for _ in range(4):
+        rows, columns, off = _pairs(place + motion, found, tree)
+        near = off <= LIMIT * lattice.spacing
         before, index = index, np.full(pins, -1)
-        index[rows] = columns
-        motion = np.where(index[:, None] >= 0, found[index] - lattice.place, expected)
+        index[rows[near]] = columns[near]
+        seen = index >= 0
+        known = np.where(seen[:, None], found[index] - place, motion)
+        motion = lattice.around @ known
         if np.array_equal(before, index):
             break
-    seen = index >= 0
-    off = np.linalg.norm(motion - lattice.around @ motion, axis=-1)[seen] / lattice.spacing
+    off = np.linalg.norm(known - motion, axis=-1)[seen] / lattice.spacing
     return Track(
-        np.where(seen[:, None], motion, np.nan),
+        np.where(seen[:, None], known, np.nan),
         index,
-        float(off.max(initial=0.0)) if seen.mean() > 0.9 else float("inf"),
+        float(off.max(initial=0.0)) if seen.mean() > SEEN else float("inf"),
         int(pins - seen.sum()),
         int(len(found) - seen.sum()),
     )
 
 
-def _assign(expected: np.ndarray, found: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of (expected, found) with the least sum of squares, none beyond `limit`."""
-    distance = np.linalg.norm(expected[:, None] - found[None], axis=-1)
-    rows, columns = linear_sum_assignment(np.minimum(distance, 2 * limit) ** 2)
-    near = distance[rows, columns] <= limit
-    return rows[near], columns[near]
+def _pairs(expected: np.ndarray, found: np.ndarray, tree: cKDTree) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of (expected, found) that are each other's nearest, and their distances."""
+    off, nearest = tree.query(expected)
+    mutual = cKDTree(expected).query(found)[1][nearest] == np.arange(len(expected))
+    return np.flatnonzero(mutual), nearest[mutual], off[mutual]

@@ -9,11 +9,12 @@ import pytest
 
 from jaxunshear.checks import bench_networks
 from jaxunshear.errors import UserError
-from jaxunshear.model import unshearnet
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import unshear_task
 
+POSENET = PoseNet(size=32, widths=(4, 5, 6, 7, 8), hidden=9)
 SMALL = UnshearNet(size=32, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
 
 
@@ -40,9 +41,24 @@ def test_multiplications_are_those_of_plain_convolutions(net, training):
     assert bench_networks.multiplications(net, training) == expected
 
 
-@pytest.mark.parametrize("bench", [bench_networks.bench_train, bench_networks.bench_infer])
+def test_posenet_s_multiplications_are_those_of_its_layers():
+    params = jax.eval_shape(lambda: posenet.init(POSENET, jax.random.key(0)))["params"]
+    places = {"First_0": 16, "Down_0": 8, "Same_0": 4, "Same_1": 4, "Same_2": 2, "Dense_0": 1, "Dense_1": 1}
+    expected = sum(params[name]["kernel"].size * side**2 for name, side in places.items())
+    assert bench_networks.pose_multiplications(POSENET) == expected
+
+
+@pytest.mark.parametrize(
+    "bench",
+    [
+        lambda: bench_networks.bench_train(32, 2, 1),
+        lambda: bench_networks.bench_infer(32, 2, 1),
+        lambda: bench_networks.bench_stream(32, 1),
+    ],
+    ids=["train", "infer", "stream"],
+)
 def test_rows(bench):
-    rows = bench(size=32, batch=2, rounds=1)
+    rows = bench()
     ours = rows[0]
     assert ours["name"] == "jaxunshear" and ours["images_per_s"] > 0 and 0 < ours["share"] < 2
     assert ours["images_per_s"] == pytest.approx(1e3 / ours["ms_per_image"])
@@ -91,3 +107,16 @@ def test_the_twin_computes_the_same(net):
     last = twin.DC[-1].weight.grad.numpy().transpose(2, 3, 0, 1)[::-1, ::-1]
     np.testing.assert_allclose(first, slopes["E"]["First_0"]["kernel"], rtol=1e-3, atol=1e-6)
     np.testing.assert_allclose(last, slopes["DC"]["Last_0"]["kernel"], rtol=1e-3, atol=1e-6)
+
+
+def test_posenet_s_twin_computes_the_same():
+    torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
+    from jaxunshear.checks import torch_twin
+
+    variables = posenet.init(POSENET, jax.random.key(0))
+    images = np.random.default_rng(0).random((3, 32, 32, 1)).astype(np.float32)
+    twin = torch_twin.PoseTwin(POSENET).eval()
+    twin.load(variables)
+    with torch.no_grad():
+        theirs = twin(torch.from_numpy(images.transpose(0, 3, 1, 2).copy())).numpy()
+    np.testing.assert_allclose(theirs, posenet.predict(POSENET, variables, jnp.asarray(images)), atol=1e-5)

@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.tracking import fit_lattice, follow_pins, make_lattice, shells
 from jaxunshear.errors import UserError
+from jaxunshear.image.fitting import fit_lattice, layout_of
+from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.image.tracking import follow_pins
 from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_lattice
 
 RIM_PX = 46.0  # as at 128 px
@@ -27,7 +29,7 @@ def test_identities(sensor, shift_px):
     place = _flat(sensor)
     order = rng.permutation(len(place))
     found = (_slid(place, shift_px) + rng.normal(0, 0.1, place.shape))[order]
-    track = follow_pins(make_lattice(place, sensor), found)
+    track = follow_pins(make_lattice(place, shells(sensor)), found)
     assert track.sure and track.missed == track.extra == 0
     np.testing.assert_array_equal(order[track.which], np.arange(len(place)))
 
@@ -42,7 +44,7 @@ def test_nearest_would_be_wrong():
 def test_missing_and_extra_pins_are_counted():
     place = _flat(TACTIP_331)
     found = np.concatenate([np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]])
-    track = follow_pins(make_lattice(place, TACTIP_331), found)
+    track = follow_pins(make_lattice(place), found)
     assert track.missed <= 3 and track.extra >= 1  # an extra pin may stand in for a missing neighbour
     assert np.isnan(track.motion).any(axis=-1).sum() == track.missed
 
@@ -50,8 +52,8 @@ def test_missing_and_extra_pins_are_counted():
 def test_scrambled_pins_are_not_sure():
     rng = np.random.default_rng(1)
     place = _flat(TACTIP_331)
-    assert not follow_pins(make_lattice(place, TACTIP_331), rng.uniform(16, 112, place.shape)).sure
-    assert not follow_pins(make_lattice(place, TACTIP_331), place[:100]).sure
+    assert not follow_pins(make_lattice(place), rng.uniform(16, 112, place.shape)).sure
+    assert not follow_pins(make_lattice(place), place[:100]).sure
 
 
 def test_lattice_is_found_turned_and_shifted():
@@ -61,7 +63,7 @@ def test_lattice_is_found_turned_and_shifted():
     turned = place @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) + [60.0, 66.0]
     rng = np.random.default_rng(2)
     frames = [turned[rng.permutation(331)] + rng.normal(0, 0.05, turned.shape) for _ in range(4)]
-    lattice = fit_lattice(frames, TACTIP_331)
+    lattice = fit_lattice(frames, layout_of(TACTIP_331))
     off = np.min(np.linalg.norm(lattice.place[:, None] - turned[None], axis=-1), axis=1)
     assert off.max() < 0.15
     np.testing.assert_allclose(lattice.middle, [60, 66], atol=0.1)
@@ -72,4 +74,4 @@ def test_lattice_is_found_turned_and_shifted():
 
 def test_another_sensor_is_refused():
     with pytest.raises(UserError, match="tactip127"):
-        fit_lattice([_flat(TACTIP_331)], TACTIP_127)
+        fit_lattice([_flat(TACTIP_331)], layout_of(TACTIP_127))

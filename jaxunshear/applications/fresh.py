@@ -1,0 +1,60 @@
+"""Contacts that no network has seen: new poses of the experiment's own shapes, simulated when they are needed.
+
+So whoever has only the weights can score them too, without the data sets they were trained on.
+"""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.contact.indentation import indentation
+from jaxunshear.contact.simulate import follow
+from jaxunshear.dataset.chunks import look
+from jaxunshear.dataset.shots import draw_paired
+from jaxunshear.experiment import Experiment
+from jaxunshear.scene.paths import path_of
+
+SEED = 1_000_003  # added to the data's
+
+
+class FreshContacts(NamedTuple):
+    """N slides, each with the tap at its pose; contacts that did not converge are left out and counted."""
+
+    stimulus: np.ndarray  # (N,) index into the experiment's
+    pose: np.ndarray  # (N, 4) x, y mm, yaw deg, depth mm
+    tap: np.ndarray  # (N, S, S) uint8 of {0, 255}
+    sheared: np.ndarray  # (N, S, S)
+    tap_pins: np.ndarray  # (N, P, 2) px
+    sheared_pins: np.ndarray  # (N, P, 2)
+    indentation_mm: np.ndarray  # (N, P) of the tap
+    dropped: int
+
+
+def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: float | None = None) -> FreshContacts:
+    """About `count` slides, as many of each stimulus, at the experiment's depths or all at one; the same seed gives the same."""
+    names = experiment.paired.stimuli
+    poses = max(3, -(-count // len(names)))
+    new = experiment.paired.seed + SEED + seed
+    settings = replace(experiment.paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
+    if depth_mm is not None:
+        settings = replace(settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm))
+    shots = draw_paired(settings)
+    contacts, skins = follow(experiment.sensor, names, path_of(shots.scenes))
+    slid = np.flatnonzero(shots.slid)
+    tapped = np.flatnonzero(~shots.slid)  # in the same order: one tap and one slide a pose
+    good = contacts.converged[slid] & contacts.converged[tapped]
+    slid, tapped = slid[good], tapped[good]
+    rows = np.concatenate([tapped, slid])
+    images, pins = look(settings, experiment.sensor, contacts.pins[rows], rows, shots.age[rows])
+    half = len(slid)
+    return FreshContacts(
+        shots.scenes.stimulus[slid],
+        shots.scenes.pose[slid],
+        images[:half],
+        images[half:],
+        pins[:half],
+        pins[half:],
+        indentation(experiment.sensor, skins.take(tapped)),
+        int(np.sum(~good)),
+    )

@@ -1,0 +1,121 @@
+"""`jaxunshear reconstruct`: the shapes that walks around objects enclose, against the true ones."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.applications.contour import Outline, outline
+from jaxunshear.applications.fresh import FreshContacts
+from jaxunshear.applications.geometry_scores import growths, known_growths
+from jaxunshear.applications.perception import TRUE, Unshear, in_batches
+from jaxunshear.applications.reconstruct import (
+    Fused,
+    Likeness,
+    best_threshold,
+    filled_shape,
+    fuse,
+    likeness,
+    nearness,
+    skin_places,
+    to_target,
+)
+from jaxunshear.applications.servo import CLOSED, Course, Walks
+from jaxunshear.dataset.chunks import unpack
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.framing import undeformed
+from jaxunshear.progress import Progress
+from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_named
+
+
+class Solid(NamedTuple):
+    """One walk's object."""
+
+    fused: Fused
+    shape: np.ndarray  # (K, K) bool
+    true: np.ndarray  # (K, K) bool
+    likeness: Likeness
+    unmatched: int  # steps whose pins were not identified for sure
+
+
+def threshold_of(experiment: Experiment, known: FreshContacts) -> float:
+    """The relative growth that parts skin over the object from skin beside it, on taps whose poses are known."""
+    lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
+    place = skin_places(experiment.sensor)
+    xy = to_target(known.pose[:, :3], place)
+    inside = np.zeros(xy.shape[:2], bool)
+    for index, name in enumerate(experiment.paired.stimuli):
+        rows = known.stimulus == index
+        inside[rows] = _inside(stimulus_named(name), xy[rows])
+    return best_threshold(known_growths(lattice, known), inside, nearness(place))
+
+
+def solid(
+    experiment: Experiment,
+    walks: Walks,
+    walk: int,
+    line: Outline,
+    stimulus: Stimulus,
+    unshear: Unshear | None,
+    threshold: float,
+) -> Solid:
+    """The object of one walk from its images, unsheared or (None) as they are."""
+    lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
+    there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))
+    images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
+    if unshear is not None:
+        images = in_batches(unshear, images)
+    growth = growths(lattice, images)
+    fused = fuse(experiment.sensor, walks.point[walk, there], growth)
+    shape = filled_shape(fused, threshold)
+    grid = np.stack(np.meshgrid(fused.x, fused.y), -1)
+    true = _inside(stimulus, grid)
+    return Solid(fused, shape, true, likeness(fused, shape, true, line), int(np.isnan(growth[:, 0]).sum()))
+
+
+def objects_of(
+    experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], threshold: float
+) -> dict[str, tuple[dict[str, Any], Solid]]:
+    """By way of perceiving: means over its walks as a row, and the object of its walk of middling likeness.
+
+    Images are unsheared by the network that the walk perceived by; those of walks that know the true pose by the disentangled one.
+    """
+    course, walks = walked
+    stimulus = stimulus_named(course.stimulus)
+    line = outline(stimulus)
+    found = {}
+    ways = list(dict.fromkeys(walks.way.tolist()))
+    with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:
+        for way in ways:
+            unshear = networks.get("disentangled" if way == TRUE else way)
+            rows, solids = np.flatnonzero(walks.way == way), []
+            for walk in rows:
+                solids.append(solid(experiment, walks, int(walk), line, stimulus, unshear, threshold))
+                progress.advance()
+            order = np.argsort([each.likeness.iou for each in solids])
+            found[way] = _row(course.stimulus, way, walks, rows, solids), solids[order[len(order) // 2]]
+    return found
+
+
+def _row(stimulus: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> dict[str, Any]:
+    scores = np.array([each.likeness for each in solids])
+    return {
+        "name": f"{stimulus}/{way}",
+        "stimulus": stimulus,
+        "way": way,
+        "walks": len(rows),
+        "closed": int(np.sum(walks.end[rows] == CLOSED)),
+        "iou": float(scores[:, 0].mean()),
+        "iou_least": float(scores[:, 0].min()),
+        "mean_mm": float(scores[:, 1].mean()),
+        "hausdorff_mm": float(scores[:, 2].mean()),
+        "unmatched": int(sum(each.unmatched for each in solids)),
+    }
+
+
+def _inside(stimulus: Stimulus, xy: np.ndarray) -> np.ndarray:
+    """(...) bool of points (N, M, 2) mm: over the object."""
+    rows = jnp.asarray(xy, jnp.float32)
+    return np.asarray(jax.jit(lambda xy: jax.lax.map(lambda row: signed_distance(stimulus, row), xy))(rows)) < 0

@@ -1,0 +1,29 @@
+"""Contact geometry of recordings, as they are and unsheared: to look at, as no truth is known."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from jaxunshear.applications.geometry_scores import growths
+from jaxunshear.applications.perception import Unshear, in_batches
+from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.lattice import Lattice
+
+SHOWN = 8
+
+
+def heights_of_recordings(
+    path: Path, experiment: Experiment, lattice: Lattice, mm: float, networks: Mapping[str, Unshear]
+) -> tuple[list[str], dict[str, np.ndarray]]:
+    """Names of the first images at `path`, and heights (N, P) mm by kind; NaN rows where pins are not those of the model's sensor."""
+    frames = []
+    for _, name, image in read_recordings(path, experiment.paired.preprocess).frames():
+        frames.append((name, image))
+        if len(frames) == SHOWN:
+            break
+    names, images = zip(*frames, strict=True)
+    stack = np.stack(images)
+    seen = {"as recorded": stack} | {name: in_batches(unshear, stack) for name, unshear in networks.items()}
+    return list(names), {kind: mm * growths(lattice, each) for kind, each in seen.items()}

@@ -1,0 +1,156 @@
+"""Where a stream's frames come from: a folder, a video file, a camera. Frames that come while the robot thinks are dropped, not queued.
+
+>>> frames, live = frames_of("camera:0", fps=None)
+>>> next(frames).pixels                                        # (480, 640, 3) uint8
+"""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset.recordings import read_image, read_recordings
+from jaxunshear.errors import UserError
+from jaxunshear.image.settings import Preprocess
+
+VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
+CAMERA = "camera"
+EXTRA = "pip install 'jaxunshear[camera]'"
+
+
+class Frame(NamedTuple):
+    number: int
+    name: str
+    pixels: np.ndarray | None  # None for one that cannot be read,
+    problem: str  # for this reason
+
+
+def frames_of(source: str, fps: float | None) -> tuple[Iterator[Frame], bool]:
+    """Frames of a folder, an image, a video file or "camera:N", and whether they come at their own pace. Raises `UserError`.
+
+    With `fps` a folder or video plays at that rate, as if it were a camera.
+    """
+    if source == CAMERA or source.startswith(f"{CAMERA}:"):
+        return _latest(_camera(source)), True
+    path = Path(source)
+    if not path.exists():
+        raise UserError(f"{source} does not exist: name a folder, an image, a video file, or camera:0")
+    frames = _video(path) if path.is_file() and path.suffix.lower() in VIDEOS else _folder(path)
+    return (_latest(_at_pace(frames, fps)), True) if fps else (frames, False)
+
+
+def _folder(path: Path) -> Iterator[Frame]:
+    recordings = read_recordings(path, Preprocess())
+    return (
+        _read(number, file, name)
+        for number, (file, name) in enumerate(zip(recordings.files, recordings.names, strict=True))
+    )
+
+
+def _read(number: int, file: Path, name: str) -> Frame:
+    try:
+        return Frame(number, name, read_image(file), "")
+    except UserError as error:
+        return Frame(number, name, None, str(error))
+
+
+def _opencv() -> Any:
+    try:
+        import cv2
+    except ImportError:
+        raise UserError(f"videos and cameras need OpenCV: {EXTRA}") from None
+    cv2.setLogLevel(0)  # one line of our own is enough
+    return cv2
+
+
+def _video(path: Path) -> Iterator[Frame]:
+    capture = _opencv().VideoCapture(str(path))
+    if not capture.isOpened():
+        raise UserError(f"{path} cannot be read as a video: it is damaged, or its format is unknown")
+    return _captured(capture, path.name, float("inf"))
+
+
+def _camera(source: str) -> Iterator[Frame]:
+    number = source.partition(":")[2] or "0"
+    if not number.isdigit():
+        raise UserError(f"{source}: use camera:N with the number of the device, such as camera:0")
+    capture = _opencv().VideoCapture(int(number))
+    if not capture.isOpened():
+        raise UserError(f"camera {number} cannot be opened: is it plugged in, and free?")
+    return _captured(capture, f"camera {number}", 30)
+
+
+def _captured(capture: Any, name: str, patience: float) -> Iterator[Frame]:
+    """Until the end; of a camera, until `patience` frames in a row fail."""
+    number = failed = 0
+    expected = capture.get(7)  # CAP_PROP_FRAME_COUNT; zero or less for a camera
+    try:
+        while failed < patience:
+            good, pixels = capture.read()
+            if good:
+                failed = 0
+                yield Frame(number, f"{name} {number}", pixels[..., ::-1], "")
+            elif number >= expected > 0 or patience == float("inf"):
+                if number < expected:
+                    yield Frame(
+                        number,
+                        f"{name} {number}",
+                        None,
+                        f"the video breaks off after {number} of {expected:.0f} frames",
+                    )
+                return
+            else:
+                failed += 1
+                yield Frame(number, f"{name} {number}", None, "the camera gave no frame")
+            number += 1
+        raise UserError(f"{name} gave no frame {failed} times in a row: is it still plugged in?")
+    finally:
+        capture.release()
+
+
+def _at_pace(frames: Iterator[Frame], fps: float, clock: Callable[[], float] = time.monotonic) -> Iterator[Frame]:
+    start = clock()
+    for index, frame in enumerate(frames):
+        time.sleep(max(0.0, start + index / fps - clock()))
+        yield frame
+
+
+def _latest(frames: Iterator[Frame]) -> Iterator[Frame]:
+    """Frames from a thread that never waits: a newer frame takes the place of one that was not fetched in time."""
+    newest: list[Frame] = []
+    problem: list[BaseException] = []
+    news = threading.Condition()
+    over = threading.Event()
+    stopped = threading.Event()
+
+    def read() -> None:
+        try:
+            for frame in frames:
+                if stopped.is_set():
+                    break
+                with news:
+                    newest[:] = [frame]
+                    news.notify()
+        except BaseException as error:  # told where the frames are used
+            problem.append(error)
+        finally:
+            over.set()
+            with news:
+                news.notify()
+
+    threading.Thread(target=read, daemon=True, name="frames").start()
+    try:
+        while True:
+            with news:
+                news.wait_for(lambda: newest or over.is_set())
+                if not newest:
+                    break
+                frame = newest.pop()
+            yield frame
+        if problem:
+            raise problem[0]
+    finally:
+        stopped.set()

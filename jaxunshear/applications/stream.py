@@ -1,0 +1,147 @@
+"""Perception for a robot: frame in; unsheared image, pose and a confidence out, as a JSON line each.
+
+The step is compiled once, before the first frame, and holds E, DC and PoseNet: no shear code, no DS. A frame that cannot be used is told
+and counted, and the next one comes.
+"""
+
+import base64
+import io
+import json
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TextIO
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from PIL import Image
+
+from jaxunshear.applications.sources import Frame
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.preprocess import prepare_frame
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.layers import in_precision
+from jaxunshear.storage import write_bytes
+from jaxunshear.training.checkpoint import load_best, read_net
+
+Step = Callable[[np.ndarray], tuple[np.ndarray, dict[str, float], float]]
+
+
+def step_of(model: Path, experiment: Experiment, precision: str = "float32") -> Step:
+    """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already."""
+    unshear_net, unshear_variables = read_net(model / "disentangled"), load_best(model / "disentangled")
+    pose_net, pose_variables = read_net(model / "posenet"), load_best(model / "posenet")
+    run = jax.jit(perceive_of(unshear_net, pose_net, experiment.pose.ranges, precision))
+    size = experiment.paired.preprocess.size
+    image = jax.ShapeDtypeStruct((size, size), np.uint8)
+    compiled = run.lower(unshear_variables, pose_variables, image).compile()
+    given = jax.device_put((unshear_variables, pose_variables))
+
+    def step(image: np.ndarray) -> tuple[np.ndarray, dict[str, float], float]:
+        after, pose, sure = jax.device_get(compiled(*given, image))
+        return after, {name: float(value[0]) for name, value in pose.items()}, float(sure)
+
+    step(np.zeros((size, size), np.uint8))  # warm
+    return step
+
+
+def perceive_of(unshear_net: Any, pose_net: Any, ranges: Any, precision: str):
+    """The function (unshearing network's variables, PoseNet's, image (S, S) uint8), not yet jitted."""
+
+    def perceive(unshear_variables, pose_variables, image):
+        sheared = image[None, ..., None].astype(np.float32) / 255
+        after = unshearnet.unshear(unshear_net, unshear_variables, in_precision(sheared, precision))
+        outputs = posenet.predict(pose_net, pose_variables, after)
+        return after[0, ..., 0], posenet.pose_from_outputs(outputs, ranges), confidence(after[0])
+
+    return perceive
+
+
+def confidence(image: Array) -> Array:
+    """How sure an unsheared image (S, S, 1) in [0, 1] is of its white pixels: the mean of p, weighted by p. 1 for a crisp image;
+    one that hesitates between places of a pin is grey there. 0 for a black one."""
+    total = jnp.sum(image)
+    return jnp.where(total > 0, jnp.sum(image**2) / jnp.where(total > 0, total, 1), 0)
+
+
+def stream(
+    frames: Iterator[Frame],
+    live: bool,
+    experiment: Experiment,
+    step: Step,
+    out: TextIO,
+    images: Path | None,
+    inline: bool,
+) -> dict[str, Any]:
+    """Writes a line for each frame to `out`, and returns a summary: frames used, skipped and dropped, latencies.
+
+    `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead.
+    """
+    whole, networks, confident, skipped, last, missed = [], [], [], 0, -1, 0
+    problems: dict[str, int] = {}
+    began = time.perf_counter()
+    for frame in frames:
+        came = time.perf_counter()
+        missed += frame.number - last - 1
+        last = frame.number
+        line: dict[str, Any] = {"frame": frame.number, "name": frame.name}
+        try:
+            if frame.pixels is None:
+                raise UserError(frame.problem)
+            image = prepare_frame(experiment.paired.preprocess, frame.pixels)
+            if not image.any():
+                raise UserError("nothing white is left of this frame: no pins to see")
+            asked = time.perf_counter()
+            after, pose, sure = step(image)
+            answered = time.perf_counter()
+        except UserError as error:
+            skipped += 1
+            problems[str(error)] = problems.get(str(error), 0) + 1
+            _write(out, line | {"error": str(error)})
+            continue
+        line |= {name: round(value, 4) for name, value in pose.items()} | {"confidence": round(sure, 4)}
+        if images is not None:
+            line["image"] = _save(images, frame, after)
+        elif inline:
+            line["image_png"] = base64.b64encode(_png(after)).decode()
+        networks.append(1e3 * (answered - asked))
+        whole.append(1e3 * (time.perf_counter() - came))
+        confident.append(sure)
+        _write(out, line | {"ms": round(whole[-1], 3)})
+    used = len(whole)
+    return {
+        "frames": used + skipped + missed,
+        "used": used,
+        "skipped": skipped,
+        "dropped": missed,
+        "problems": problems,
+        "live": live,
+        "frames_per_s": used / max(time.perf_counter() - began, 1e-9),
+        "confidence": float(np.mean(confident)) if used else None,
+        "latency_ms": _spread(whole),
+        "networks_ms": _spread(networks),
+    }
+
+
+def _spread(values: list[float]) -> dict[str, float] | None:
+    return {f"p{q}": float(np.percentile(values, q)) for q in (50, 95, 99)} if values else None
+
+
+def _write(out: TextIO, line: dict[str, Any]) -> None:
+    out.write(json.dumps(line) + "\n")
+    out.flush()
+
+
+def _save(folder: Path, frame: Frame, image: np.ndarray) -> str:
+    path = folder / f"{frame.number:06d}.png"
+    write_bytes(path, _png(image))
+    return str(path)
+
+
+def _png(image: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)).save(buffer, "PNG", compress_level=1)
+    return buffer.getvalue()

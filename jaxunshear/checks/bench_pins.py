@@ -1,0 +1,112 @@
+"""Pins of simulated frames with noise, specks, glints and drift, against where the simulator put them: error against run time.
+
+A row for each sensor, image size and kind of contact. `sure` is the share of frames whose identities were said to be sure, `wrong` how
+many of those have a pin with another one's name.
+"""
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jaxunshear.applications.fresh import fresh_contacts
+from jaxunshear.dataset.configs import PAIRED, sensor_of
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.framing import undeformed
+from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.pins import find_pins
+from jaxunshear.image.settings import Nuisance
+from jaxunshear.image.tracking import follow_pins, usual_motions
+from jaxunshear.progress import Progress
+
+CONFIGS = ("tiny", "demo", "calibrated")  # of which sensor and camera are taken
+SIZES = (128, 256)
+FRAMES = 400
+
+
+def bench_pins(size: int | None = None, frames: int = FRAMES) -> list[dict[str, Any]]:
+    """Rows of about `frames` taps and as many slides for each sensor."""
+    rows = []
+    sizes = SIZES if size is None else (size,)
+    with Progress("bench pins", len(CONFIGS) * len(sizes), unit="sensors and sizes") as progress:
+        for config in CONFIGS:
+            for px in sizes:
+                rows += _rows(config, px, frames)
+                progress.advance()
+    return rows
+
+
+def _rows(config: str, size: int, frames: int) -> list[dict[str, Any]]:
+    before = PAIRED[config]
+    paired = replace(
+        before,
+        camera=replace(before.camera, frame_px=size),
+        preprocess=replace(before.preprocess, size=size),
+        nuisance=Nuisance(drift_px=1.0 * size / 128, drift_brightness=0.1),
+    )
+    experiment = Experiment("bench_pins", "none", sensor=sensor_of(config), paired=paired)
+    contacts = fresh_contacts(experiment, frames)
+    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
+    seen = {"tap": (contacts.tap, contacts.tap_pins), "sheared": (contacts.sheared, contacts.sheared_pins)}
+    return [
+        {"name": f"{experiment.sensor.name}/{kind}", "sensor": experiment.sensor.name, "kind": kind, "size": size}
+        | compare(lattice, images, true)
+        for kind, (images, true) in seen.items()
+    ]
+
+
+def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> dict[str, Any]:
+    """Of images (N, S, S) with true pins (N, P, 2) px: errors of found pins, identities, and milliseconds a frame."""
+    found, find_ms = _timed(find_pins, images)
+    tracks, follow_ms = _timed(lambda pins: follow_pins(lattice, pins), found)
+    usual = usual_motions(lattice, tracks)
+    for row, track in enumerate(tracks):
+        if usual is not None and not track.sure:
+            (tracks[row],), more = _timed(lambda pins: follow_pins(lattice, pins, usual), found[row : row + 1])
+            follow_ms[row] += more[0]
+    motion = np.array([track.motion for track in tracks])
+    off = np.linalg.norm(lattice.place + motion - true, axis=-1)
+    mistaken = off > 0.5 * lattice.spacing
+    sure = np.array([track.sure for track in tracks])
+    right = off[~np.isnan(off) & ~mistaken]
+    whole = find_ms + follow_ms
+    return {
+        "frames": len(images),
+        "sure": float(sure.mean()),
+        "wrong": int(np.sum(mistaken.any(axis=-1) & sure)),
+        "rms_px": float(np.sqrt(np.mean(right**2))),
+        "missed": float(np.mean([track.missed for track in tracks])),
+        "extra": float(np.mean([track.extra for track in tracks])),
+        "find_ms": float(np.median(find_ms)),
+        "follow_ms": float(np.median(follow_ms)),
+        "ms": float(np.median(whole)),
+        "ms_p95": float(np.percentile(whole, 95)),
+    }
+
+
+def _timed(work: Callable[[Any], Any], items: Iterable[Any]) -> tuple[list[Any], np.ndarray]:
+    """Answers, and milliseconds (N,) of each."""
+    answers, spent = [], []
+    for item in items:
+        began = time.perf_counter()
+        answers.append(work(item))
+        spent.append(1e3 * (time.perf_counter() - began))
+    return answers, np.array(spent)
+
+
+COLUMNS = (
+    "name",
+    "size",
+    "frames",
+    "sure",
+    "wrong",
+    "rms_px",
+    "missed",
+    "extra",
+    "find_ms",
+    "follow_ms",
+    "ms",
+    "ms_p95",
+)

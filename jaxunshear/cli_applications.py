@@ -1,0 +1,284 @@
+"""The commands that put networks to use: parsers, calls and what they print. Everything heavy is imported when it is needed."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxunshear.errors import UserError
+
+if TYPE_CHECKING:
+    from jaxunshear.experiment import Experiment
+
+KNOWN = 300  # simulated taps that scales are fitted to
+COMMANDS = ("pins", "geometry", "servo", "reconstruct", "stream")
+
+
+def add_parsers(commands: Any) -> None:
+    """Adds the commands of COMMANDS to an argparse subparsers object."""
+
+    def command(name: str, text: str, out: str) -> argparse.ArgumentParser:
+        parser = commands.add_parser(name, help=text, description=text)
+        parser.add_argument("--out", metavar="DIR", type=Path, help=out)
+        parser.add_argument(
+            "--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions"
+        )
+        return parser
+
+    parser = command("pins", "find, identify and draw the pins of recorded images", "for the results (pins)")
+    parser.add_argument("path", metavar="IMAGES", type=Path, help="an image, or a folder of recordings")
+    known = parser.add_mutually_exclusive_group()
+    known.add_argument("--sensor", metavar="NAME", default="tactip331", help="whose pins they are (tactip331)")
+    known.add_argument(
+        "--layout", metavar="FILE", type=Path, help="instead: x and y of each pin, a line each, any unit"
+    )
+    known.add_argument("--model", metavar="DIR", type=Path, help="instead: images of the sensor and camera of this run")
+    parser.add_argument(
+        "--rest", metavar="IMAGES", type=Path, help="of the untouched sensor (default: the images' mean)"
+    )
+    parser.add_argument("--size", metavar="PX", type=int, help="of the prepared images (theirs, at most 256)")
+
+    parser = command("geometry", "contact geometry of taps, sheared and unsheared images", "for the results (geometry)")
+    parser.add_argument("path", metavar="IMAGES", type=Path, nargs="?", help="also of these recordings")
+    _add_model(parser)
+    parser.add_argument("--contacts", metavar="N", type=int, default=300, help="fresh ones to be scored on (300)")
+
+    parser = command("servo", "follow the outlines of objects by touch, in the simulator", "for the results (servo)")
+    _add_model(parser)
+    _add_stimulus(parser)
+    parser.add_argument("--starts", metavar="N", type=int, default=5, help="for each way of perceiving (5)")
+    parser.add_argument(
+        "--ways", metavar="NAME,NAME", help="of perceiving (default: all that the model's networks allow)"
+    )
+    parser.add_argument("--depth", metavar="MM", type=float, default=3.0, help="of the contact (3)")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the starts (0)")
+
+    parser = command("reconstruct", "whole objects from the walks that `servo` left", "where they are, and results go")
+    _add_model(parser)
+    _add_stimulus(parser)
+
+    text = "perception for a robot: frames in; unsheared image, pose and confidence out, a JSON line each"
+    parser = commands.add_parser("stream", help=text, description=text)
+    parser.add_argument("source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N")
+    _add_model(parser)
+    parser.add_argument("--fps", metavar="N", type=float, help="play a folder or video at this rate, as a camera would")
+    parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="(float32)")
+    parser.add_argument("--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--images", metavar="DIR", type=Path, help="for unsheared images (default: within the lines)")
+    shown.add_argument("--no-images", action="store_true", help="leave them out")
+    parser.add_argument(
+        "--json", metavar="FILE", type=Path, help="write the summary, with command, machine and versions"
+    )
+
+
+def _add_model(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--model",
+        metavar="DIR",
+        type=Path,
+        required=True,
+        help="a finished run (runs/demo), or released weights by name",
+    )
+
+
+def _add_stimulus(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--stimulus", metavar="NAME,NAME", default="all", help="which objects (all)")
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Runs one of COMMANDS. Returns the exit code."""
+    from jaxunshear.memory import keep_freed_memory
+
+    keep_freed_memory()
+    if arguments.command == "stream":
+        return _stream(arguments, command)
+    out = arguments.out or Path(arguments.command)
+    if out.exists() and not out.is_dir():
+        raise UserError(f"--out {out} is a file: name a folder")
+    work = {"pins": _pins, "geometry": _geometry, "servo": _servo, "reconstruct": _reconstruct}
+    results = work[arguments.command](arguments, out)
+    from jaxunshear.metrics.machine import machine, versions
+    from jaxunshear.storage import write_json
+
+    results = {"command": command} | results | {"machine": machine(), "versions": versions()}
+    write_json(out / f"{arguments.command}.json", results)
+    if arguments.json:
+        write_json(arguments.json, results)
+    return 0
+
+
+def _model(arguments: argparse.Namespace) -> "tuple[Path, Experiment]":
+    from jaxunshear import infer
+
+    folder = infer.model_folder(arguments.model)
+    return folder, infer.load_settings(folder)
+
+
+def _pins(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
+    from dataclasses import replace
+
+    from jaxunshear.applications import pins
+    from jaxunshear.image.fitting import Layout, layout_of, read_layout
+    from jaxunshear.image.lattice import Lattice
+    from jaxunshear.image.settings import Preprocess
+    from jaxunshear.scene.sensor import sensor_named
+    from jaxunshear.storage import write_bytes
+
+    if not arguments.path.exists():
+        raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
+    if arguments.size is not None and not 32 <= arguments.size <= 2048:
+        raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
+    preprocess = Preprocess()
+    lattice: Lattice | Layout
+    if arguments.model:
+        from jaxunshear.image.framing import undeformed
+
+        _, experiment = _model(arguments)
+        if arguments.size or arguments.rest:
+            raise UserError("--model knows the images' size and the untouched pins: leave --size and --rest out")
+        preprocess = experiment.paired.preprocess
+        lattice = undeformed(experiment.sensor, experiment.paired.camera, preprocess)
+    else:
+        lattice = read_layout(arguments.layout) if arguments.layout else layout_of(sensor_named(arguments.sensor))
+        preprocess = replace(preprocess, size=arguments.size or pins.prepared_size(arguments.path))
+    measured, fitted, shown = pins.pins_of_recordings(arguments.path, lattice, preprocess, out, arguments.rest)
+    from jaxunshear.report.pin_figure import pin_figure
+
+    write_bytes(out / "pins.png", pin_figure(fitted, shown))
+    print(pins.summary(measured))
+    print(out / "pins.png")
+    return measured
+
+
+def _geometry(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
+    from jaxunshear.applications.fresh import fresh_contacts
+    from jaxunshear.applications.geometry_scores import geometry_of, geometry_rows, mm_of_growth
+    from jaxunshear.applications.perception import unshearers, unshearing_of
+    from jaxunshear.applications.table import plain_table
+    from jaxunshear.image.framing import undeformed
+    from jaxunshear.report import geometry_figure
+    from jaxunshear.storage import write_bytes
+
+    if arguments.contacts < 3:
+        raise UserError(f"--contacts {arguments.contacts}: use at least 3")
+    folder, experiment = _model(arguments)
+    networks = unshearers(folder, unshearing_of(folder))
+    lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
+    mm = mm_of_growth(lattice, fresh_contacts(experiment, KNOWN, seed=1))
+    contacts = fresh_contacts(experiment, arguments.contacts)
+    geometry = geometry_of(lattice, contacts, mm, networks)
+    rows = geometry_rows(experiment.paired.stimuli, contacts, geometry)
+    figure = geometry_figure.of_contacts(lattice, experiment.paired.stimuli, contacts, geometry)
+    write_bytes(out / "geometry.png", figure)
+    print(plain_table(rows, ("name", "contacts", "unmatched", "correlation", "rmse_mm", "ms_per_image")))
+    print(out / "geometry.png")
+    if arguments.path is not None:
+        from jaxunshear.applications.recorded_geometry import heights_of_recordings
+
+        shown = heights_of_recordings(arguments.path, experiment, lattice, mm, networks)
+        write_bytes(out / "recordings.png", geometry_figure.of_recordings(lattice, shown))
+        print(out / "recordings.png")
+    return {"rows": rows, "mm_per_growth": mm, "dropped": contacts.dropped}
+
+
+def _stimuli(text: str) -> tuple[str, ...]:
+    from jaxunshear.scene.stimuli import STIMULI, stimulus_named
+
+    names = tuple(STIMULI) if text == "all" else tuple(name.strip() for name in text.split(","))
+    for name in names:
+        stimulus_named(name)
+    return names
+
+
+def _servo(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
+    from jaxunshear.applications import perception, servo
+    from jaxunshear.applications.table import plain_table
+    from jaxunshear.applications.walk_scores import walk_rows
+    from jaxunshear.contact.rings import deepest_mm
+    from jaxunshear.report.walk_figure import walk_figure
+    from jaxunshear.storage import write_bytes
+
+    names = _stimuli(arguments.stimulus)
+    if arguments.starts < 1:
+        raise UserError(f"--starts {arguments.starts}: use at least 1")
+    folder, experiment = _model(arguments)
+    deepest = deepest_mm(experiment.sensor)
+    if not 0 < arguments.depth <= deepest:
+        raise UserError(f"--depth {arguments.depth:g}: use more than 0, up to {deepest:.1f} mm")
+    chosen = arguments.ways.split(",") if arguments.ways else (perception.TRUE, *perception.ways_of(folder))
+    known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
+    ways = {way: known.get(way) for way in chosen}
+    rows: list[dict[str, Any]] = []
+    for name in names:
+        course = servo.Course(name, arguments.starts, arguments.depth, seed=arguments.seed)
+        walks, line = servo.follow_contour(course, experiment.sensor, experiment.paired, ways, out / f"{name}.npz")
+        rows += walk_rows(walks, line, name)
+        write_bytes(out / f"{name}.png", walk_figure(walks, line, name))
+        print(plain_table(rows[-len(ways) :], ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")))
+    print(out)
+    return {"rows": rows}
+
+
+def _reconstruct(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
+    from jaxunshear.applications import perception
+    from jaxunshear.applications.fresh import fresh_contacts
+    from jaxunshear.applications.objects import objects_of, threshold_of
+    from jaxunshear.applications.servo import stored_walks
+    from jaxunshear.applications.table import plain_table
+    from jaxunshear.report.object_figure import object_figure
+    from jaxunshear.storage import write_bytes
+
+    folder, experiment = _model(arguments)
+    out = arguments.out or Path("servo")
+    names = [name for name in _stimuli(arguments.stimulus) if (out / f"{name}.npz").is_file()]
+    if not names:
+        raise UserError(
+            f"--out {out} holds no walks: run `jaxunshear servo --model {arguments.model} --out {out}` first"
+        )
+    networks = perception.unshearers(folder, perception.unshearing_of(folder))
+    rows: list[dict[str, Any]] = []
+    thresholds: dict[float, float] = {}
+    for name in names:
+        walked = stored_walks(out / f"{name}.npz")
+        depth = walked[0].depth_mm
+        if depth not in thresholds:
+            thresholds[depth] = threshold_of(experiment, fresh_contacts(experiment, KNOWN, 1, depth))
+        found = objects_of(experiment, walked, networks, thresholds[depth])
+        rows += [row for row, _ in found.values()]
+        write_bytes(out / f"{name}-object.png", object_figure(name, {way: solid for way, (_, solid) in found.items()}))
+        print(plain_table(rows[-len(found) :], ("name", "walks", "closed", "iou", "mean_mm", "hausdorff_mm")))
+    print(out)
+    return {"rows": rows, "thresholds": {f"{depth:g} mm": value for depth, value in thresholds.items()}}
+
+
+def _stream(arguments: argparse.Namespace, command: str) -> int:
+    import contextlib
+    import sys
+
+    from jaxunshear.applications.sources import frames_of
+    from jaxunshear.applications.stream import step_of, stream
+
+    if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
+        raise UserError(f"--fps {arguments.fps:g}: use more than 0")
+    folder, experiment = _model(arguments)
+    step = step_of(folder, experiment, arguments.precision)
+    frames, live = frames_of(arguments.source, arguments.fps)
+    with contextlib.ExitStack() as stack:
+        out = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout
+        summary = stream(frames, live, experiment, step, out, arguments.images, not arguments.no_images)
+    latency = summary["latency_ms"]
+    times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
+    print(
+        f"{summary['used']} frames used, {summary['skipped']} skipped, {summary['dropped']} dropped{times}",
+        file=sys.stderr,
+    )
+    for problem, count in list(summary["problems"].items())[:5]:
+        print(f"skipped {count}: {problem}", file=sys.stderr)
+    if arguments.json:
+        from jaxunshear.metrics.machine import machine, versions
+        from jaxunshear.storage import write_json
+
+        write_json(arguments.json, {"command": command, **summary, "machine": machine(), "versions": versions()})
+    if not summary["used"]:
+        raise UserError(f"no frame of {arguments.source} could be used")
+    return 0

@@ -1,0 +1,106 @@
+"""The lattice of a set of images, read off them: whatever the camera's framing and turn."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+
+from jaxunshear.errors import UserError
+from jaxunshear.image.lattice import Lattice, make_lattice, shells, shells_of
+from jaxunshear.image.tracking import follow_all
+from jaxunshear.scene.sensor import Sensor, pin_lattice
+
+BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
+TURN_DEG = 1.5
+
+
+class Layout(NamedTuple):
+    """Pins on the skin rolled out flat, in any unit."""
+
+    name: str
+    flat: np.ndarray  # (P, 2) about the middle
+    shell: np.ndarray  # (P,) 0 in the middle
+    symmetry_deg: float  # turned by this it is the same again, and no image can tell
+
+
+def layout_of(sensor: Sensor) -> Layout:
+    """The pins of a sensor, in its order."""
+    return Layout(f"sensor '{sensor.name}' ({sensor.layout})", pin_lattice(sensor), shells(sensor), 60.0)
+
+
+def read_layout(file: Path) -> Layout:
+    """A user's layout: two numbers a line, x and y of a pin in any unit, a heading allowed. Raises `UserError` by file and line."""
+    try:
+        lines = file.read_text().splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"--layout {file} cannot be read: {error}") from error
+    rows = []
+    for number, line in enumerate(lines, 1):
+        try:
+            x, y = (float(word) for word in line.replace(",", " ").split())
+            rows.append((x, y))
+        except ValueError:
+            if line.strip() and number > 1:
+                raise UserError(
+                    f"--layout {file}, line {number}: '{line.strip()}' is not two numbers, x and y"
+                ) from None
+    flat = np.array(rows).reshape(-1, 2)
+    if len(flat) < 20 or not np.isfinite(flat).all():
+        raise UserError(
+            f"--layout {file}: {len(flat)} pins with finite places; at least 20 are needed to tell them apart"
+        )
+    if len(np.unique(flat, axis=0)) < len(flat):
+        raise UserError(f"--layout {file}: two pins stand at the same place")
+    flat = flat - (flat.max(axis=0) + flat.min(axis=0)) / 2
+    return Layout(f"layout {file.name}", flat, shells_of(flat), 360.0)
+
+
+def fit_lattice(frames: list[np.ndarray], layout: Layout) -> Lattice:
+    """The lattice that the found pins (N, 2) px of some images of one camera share: the mean place of each pin.
+
+    Raises UserError where they do not look like pins of this layout.
+    """
+    place = _first_guess(frames, layout)
+    for _ in range(2):
+        lattice = make_lattice(place, layout.shell)
+        tracks = follow_all(lattice, frames)
+        motion = np.array([track.motion for track in tracks if track.sure] or [track.motion for track in tracks])
+        count = np.isfinite(motion[..., 0]).sum(axis=0)
+        if np.mean(count > 0) < 0.9 or np.median([track.extra for track in tracks]) > 0.1 * len(place):
+            break
+        mean = np.nansum(motion, axis=0) / np.maximum(count, 1)[:, None]
+        place = place + np.where(count[:, None] > 0, mean, lattice.around @ mean)
+    else:
+        return make_lattice(place, layout.shell)
+    raise UserError(
+        f"the pins of these images do not form the lattice of {layout.name} with {len(place)} pins: "
+        f"about {np.median([len(found) for found in frames]):.0f} pins are found; name another sensor"
+    )
+
+
+def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
+    """Places (P, 2) px: the flat lattice, bent in radius, on the rim of the pins of all frames, turned to match their outer shells."""
+    flat = layout.flat / np.linalg.norm(layout.flat, axis=-1).max()
+    outline = np.concatenate([_hull(found) for found in frames])
+    centre = (np.percentile(outline, 2, axis=0) + np.percentile(outline, 98, axis=0)) / 2
+    rim = float(np.median(np.linalg.norm(outline - centre, axis=-1)))
+    outer = layout.shell >= layout.shell.max() - 2
+    trees = [cKDTree(found) for found in frames[:: max(1, len(frames) // 10)][:10]]
+    radius = np.linalg.norm(flat, axis=-1, keepdims=True)
+    best, place = np.inf, flat
+    for bend in BENDS:
+        for turn in np.radians(np.arange(0, layout.symmetry_deg, TURN_DEG)):
+            cos, sin = np.cos(turn), np.sin(turn)
+            guess = centre + rim * (1 + bend * (1 - radius**2)) * flat @ np.array([[cos, sin], [-sin, cos]])
+            off = np.mean([np.median(tree.query(guess[outer])[0]) for tree in trees])
+            if off < best:
+                best, place = float(off), guess
+    return place
+
+
+def _hull(found: np.ndarray) -> np.ndarray:
+    try:
+        return found[ConvexHull(found).vertices]
+    except QhullError:  # too few, or all on one line
+        return found

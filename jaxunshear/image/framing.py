@@ -1,0 +1,15 @@
+"""Where a simulated sensor's untouched pins lie in its images."""
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.image.camera import project, to_image_px
+from jaxunshear.image.lattice import Lattice, make_lattice, shells
+from jaxunshear.image.settings import Camera, Preprocess
+from jaxunshear.scene.sensor import Sensor, pin_tips
+
+
+def undeformed(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> Lattice:
+    """The lattice of a sensor that touches nothing, seen through this camera and prepared like all frames."""
+    px = project(camera, jnp.asarray(pin_tips(sensor), jnp.float32), sensor)
+    return make_lattice(np.asarray(to_image_px(camera, preprocess, px), float), shells(sensor))

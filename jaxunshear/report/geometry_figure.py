@@ -1,0 +1,66 @@
+"""Contact geometry as the paper's row of surfaces: tap, sheared, unsheared by each network; and the truth where it is known."""
+
+import io
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from jaxunshear.applications.fresh import FreshContacts
+from jaxunshear.applications.geometry import surface
+from jaxunshear.applications.geometry_scores import Geometry, correlation
+from jaxunshear.image.lattice import Lattice
+
+CELLS = 48
+VIEW = {"elev": 42, "azim": -60}
+
+
+def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> bytes:
+    """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth."""
+    kinds = {"true indentation": contacts.indentation_mm, **geometry.height_mm}
+    sheared = correlation(np.nan_to_num(geometry.height_mm["sheared"]), contacts.indentation_mm)
+    whole = np.all([~np.isnan(height[:, 0]) for height in kinds.values()], axis=0)
+    rows = {}
+    for index, name in enumerate(names):
+        here = np.flatnonzero((contacts.stimulus == index) & whole)
+        if len(here):
+            rows[name] = int(here[np.argsort(sheared[here])[len(here) // 2]])
+    lines = [(name, {kind: height[row] for kind, height in kinds.items()}) for name, row in rows.items()]
+    return _surfaces(lattice, lines, truth="true indentation")
+
+
+def of_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:
+    """A PNG: a line an image, without truth."""
+    names, kinds = shown
+    return _surfaces(
+        lattice, [(name, {kind: height[i] for kind, height in kinds.items()}) for i, name in enumerate(names)], None
+    )
+
+
+def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], truth: str | None) -> bytes:
+    columns = len(lines[0][1]) if lines else 1
+    figure = Figure(figsize=(2.7 * columns, 2.6 * max(1, len(lines))), layout="constrained", dpi=110)
+    low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
+    x, y = np.meshgrid(*(np.linspace(low[i], high[i], CELLS) for i in (0, 1)))
+    for row, (name, heights) in enumerate(lines):
+        told = np.concatenate([height for height in heights.values() if not np.isnan(height[0])] or [np.zeros(2)])
+        span = np.percentile(told, [0.5, 99.5])
+        for column, (kind, height) in enumerate(heights.items()):
+            axes = figure.add_subplot(len(lines), columns, 1 + row * columns + column, projection="3d")
+            axes.set_axis_off()
+            title = kind if row == 0 else ""
+            if np.isnan(height[0]):
+                axes.text2D(0.5, 0.5, "pins not sure", ha="center", transform=axes.transAxes, fontsize=8)
+            else:
+                drawn = surface(lattice.place, height, CELLS)
+                axes.plot_surface(x, -y, drawn, cmap="viridis", vmin=span[0], vmax=span[1], rstride=1, cstride=1, lw=0)
+                axes.set_zlim(*span)
+                axes.view_init(**VIEW)
+                if truth is not None and kind != truth:
+                    likeness = correlation(height[None], heights[truth][None])[0]
+                    title += f"\ncorrelation {likeness:.2f}"
+            axes.set_title(title, fontsize=8)
+            if column == 0:
+                axes.text2D(0.0, 0.92, name[-30:], transform=axes.transAxes, fontsize=8)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": ""})
+    return buffer.getvalue()

@@ -1,0 +1,45 @@
+"""Some images with their pins by identity: the motion of each as a line from where it stands untouched."""
+
+import io
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.tracking import Track
+
+COLUMNS = 4
+
+
+def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, Track]]) -> bytes:
+    """A PNG of (name, image (S, S) uint8, track): shells in turn in two colours, so that an exchanged pin catches the eye."""
+    rows = -(-len(shown) // COLUMNS)
+    figure = Figure(figsize=(3.6 * COLUMNS, 3.9 * rows), layout="constrained", dpi=110)
+    panels = figure.subplots(rows, COLUMNS, squeeze=False).ravel()
+    colours = colormaps["Set1"](lattice.shell % 2)
+    for axes in panels[len(shown) :]:
+        axes.set_axis_off()
+    for axes, (name, image, track) in zip(panels, shown, strict=False):
+        axes.imshow(image, cmap="gray", vmin=0, vmax=400, interpolation="nearest")
+        axes.set(xticks=[], yticks=[])
+        axes.set_title(f"{name[-28:]}\n{_words(lattice, track)}", fontsize=8)
+        if not track.sure:
+            continue
+        seen = track.which >= 0
+        ends = np.stack([lattice.place, lattice.place + track.motion], 1)[seen]
+        axes.add_collection(LineCollection(list(ends), colors=colours[seen], linewidths=1))
+        axes.scatter(*ends[:, 1].T, s=5, c=colours[seen])
+        lost = lattice.place[~seen]
+        axes.scatter(*lost.T, s=18, facecolors="none", edgecolors="yellow", linewidths=0.8)
+    figure.suptitle("Lines lead from where each pin stands untouched to where it is; circled: not found", fontsize=9)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": ""})
+    return buffer.getvalue()
+
+
+def _words(lattice: Lattice, track: Track) -> str:
+    if not track.sure:
+        return "identities not sure: left out"
+    return f"{len(lattice.place) - track.missed} of {len(lattice.place)} pins, doubt {track.doubt:.2f}"

@@ -1,0 +1,45 @@
+"""Where the sensor went around an object, for each way of perceiving; the start is a red dot, as in the paper."""
+
+import io
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
+
+from jaxunshear.applications.contour import Outline
+from jaxunshear.applications.servo import CLOSED, ENDS, Walks
+
+WIDTH = 3.4
+WORDS = {
+    "true": "true pose",
+    "sheared": "sheared images",
+    "entangled": "unsheared, entangled",
+    "disentangled": "unsheared, disentangled",
+    "entangled_large": "unsheared, entangled (large)",
+    "unet": "unsheared, U-Net",
+    "learnt": "sheared, PoseNet that learnt slides",
+}
+
+
+def walk_figure(walks: Walks, line: Outline, stimulus: str) -> bytes:
+    """A PNG: a panel a way, all its walks over the object; a cross where one ended without closing the outline."""
+    ways = list(dict.fromkeys(walks.way.tolist()))
+    figure = Figure(figsize=(WIDTH * len(ways), WIDTH + 0.6), layout="constrained", dpi=110)
+    for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
+        axes.add_patch(Polygon(line.points, facecolor="0.9", edgecolor="0.6", linewidth=0.8))
+        mine = np.flatnonzero(walks.way == way)
+        for walk in mine:
+            track = walks.point[walk, ~np.isnan(walks.point[walk, :, 0]), :2]
+            axes.plot(*track.T, linewidth=0.9)
+            axes.plot(*track[0], "o", color="red", markersize=4)
+            if walks.end[walk] != CLOSED:
+                axes.plot(*track[-1], "x", color="black", markersize=6)
+        ends = [ENDS[end] for end in walks.end[mine] if end != CLOSED]
+        why = f"\n{max(set(ends), key=ends.count)}" if ends else ""
+        axes.set_title(f"{WORDS.get(way, way)}\n{len(mine) - len(ends)} of {len(mine)} closed{why}", fontsize=8)
+        axes.set_aspect("equal")
+        axes.tick_params(labelsize=6)
+    figure.suptitle(f"{stimulus}: the sensor's way, mm (simulated)", fontsize=9)
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": ""})
+    return buffer.getvalue()

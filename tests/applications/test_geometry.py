@@ -1,0 +1,71 @@
+"""Voronoi heights: flat at rest, exact under uniform stretch, and high where pins are drawn apart."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.applications.geometry import cell_areas, relative_growth, smoothed, surface
+from jaxunshear.applications.geometry_scores import correlation
+from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, pin_lattice
+
+
+@pytest.fixture(params=[TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.layout)
+def lattice(request):
+    flat = pin_lattice(request.param)
+    return make_lattice(flat / np.abs(flat).max() * 46 + 64, shells(request.param))
+
+
+def test_an_undeformed_sensor_is_flat(lattice):
+    assert (relative_growth(lattice, np.zeros_like(lattice.place)) == 0).all()
+
+
+def test_the_same_shift_of_all_pins_changes_nothing(lattice):
+    np.testing.assert_allclose(relative_growth(lattice, np.full_like(lattice.place, 3.3)), 0, atol=1e-9)
+
+
+def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
+    growth = relative_growth(lattice, 0.1 * (lattice.place - lattice.middle))
+    inner = lattice.shell < lattice.shell.max()
+    np.testing.assert_allclose(growth[inner], 1.1**2 - 1, rtol=1e-6)
+    assert (growth[~inner] > 0).all()
+
+
+def test_hexagons_have_their_closed_form():
+    flat = pin_lattice(TACTIP_127)
+    lattice = make_lattice(flat, shells(TACTIP_127))
+    inner = lattice.shell < lattice.shell.max()
+    expected = np.sqrt(3) / 2 * TACTIP_127.pin_spacing_mm**2
+    np.testing.assert_allclose(cell_areas(lattice, np.zeros_like(flat))[inner], expected, rtol=1e-9)
+
+
+def test_heights_rise_where_pins_are_drawn_apart(lattice):
+    offset = lattice.place - lattice.middle
+    bell = np.exp(-np.sum(offset**2, axis=-1) / (2 * 12.0**2))
+    growth = relative_growth(lattice, 0.2 * offset * bell[:, None])
+    assert correlation(growth[None], bell[None])[0] > 0.8
+    assert abs(np.argmax(smoothed(lattice, growth)) - 0) < 7  # pin 0 is the middle, 1 to 6 around it
+
+
+def test_missing_pins_follow_their_neighbours(lattice):
+    motion = 0.05 * (lattice.place - lattice.middle)
+    with_gaps = motion.copy()
+    with_gaps[[3, 40, 90]] = np.nan
+    np.testing.assert_allclose(relative_growth(lattice, with_gaps), relative_growth(lattice, motion), atol=0.03)
+
+
+def test_surface_passes_through_its_pins_and_is_smooth(lattice):
+    x, y = (lattice.place - lattice.middle).T / 40
+    heights = 1 + x - 0.5 * y
+    drawn = surface(lattice.place, heights, 41)
+    assert drawn.shape == (41, 41) and np.isnan(drawn[0, 0])
+    low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
+    gx, gy = np.meshgrid(*(np.linspace(low[i], high[i], 41) for i in (0, 1)))
+    plane = 1 + (gx - lattice.middle[0]) / 40 - 0.5 * (gy - lattice.middle[1]) / 40
+    inside = ~np.isnan(drawn)
+    np.testing.assert_allclose(drawn[inside], plane[inside], atol=1e-6)
+
+
+def test_correlation_knows_its_extremes():
+    a = np.array([[1.0, 2, 3], [1, 2, 3], [5, 5, 5]])
+    b = np.array([[2.0, 4, 6], [3, 2, 1], [1, 2, 3]])
+    np.testing.assert_allclose(correlation(a, b), [1, -1, 0])

@@ -1,0 +1,113 @@
+"""`jaxunshear pins`: simulated frames with known pins, user layouts, and images that show none."""
+
+import json
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.errors import UserError
+from jaxunshear.image.camera import frame, project
+from jaxunshear.image.fitting import read_layout
+from jaxunshear.image.settings import Camera, Nuisance
+from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, pin_lattice, pin_tips
+
+CAMERA = Camera(frame_px=256)
+
+
+def frames(sensor, shifts_mm):
+    """Grey frames (N, 256, 256) of skins that slid by these, most in the middle; true pins (N, P, 2) px."""
+    tips, key = np.asarray(pin_tips(sensor), np.float32), jax.random.key(0)
+    bell = np.exp(-np.sum(tips[:, :2] ** 2, axis=-1) / 50)[:, None]
+    moved = np.stack([tips + np.float32(bell * [*shift, 0]) for shift in shifts_mm])
+    look = jax.jit(jax.vmap(lambda t, k: frame(CAMERA, sensor, Nuisance(drift_px=1.0), t, k)))
+    grey = look(moved, jax.random.split(key, len(moved)))
+    return np.asarray(grey), np.asarray(project(CAMERA, moved, sensor))
+
+
+def write(folder, grey):
+    folder.mkdir()
+    for number, image in enumerate(grey):
+        Image.fromarray(np.round(255 * image).astype(np.uint8)).save(folder / f"image_{number}.png")
+
+
+SHIFTS = [(0.0, 0.0), (1.5, 0.0), (0.0, 2.0), (-1.2, -1.0), (0.5, 0.5)]
+
+
+@pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.name)
+def test_pins_of_simulated_frames(command, tmp_path, sensor):
+    grey, true = frames(sensor, SHIFTS)
+    write(tmp_path / "images", grey)
+    write(tmp_path / "rest", frames(sensor, [(0.0, 0.0)])[0])
+    answer = command(
+        *("pins", tmp_path / "images", "--sensor", sensor.name, "--rest", tmp_path / "rest", "--out", tmp_path / "out")
+    )
+    assert answer.code == 0, answer.err
+    rows = json.loads((tmp_path / "out" / "pins.json").read_text())["rows"]
+    assert [(row["name"], row["matched"], row["sure"]) for row in rows] == [
+        (f"image_{n}.png", sensor.pins, True) for n in range(len(SHIFTS))
+    ]
+    with np.load(tmp_path / "out" / "pins.npz") as stored:
+        motion, place = stored["motion_px"], stored["place_px"]
+    # pins are called as in the simulator or by the lattice's symmetry, in another crop: so the farthest motions must agree
+    scale = np.ptp(place[0]) / np.ptp(true[0])
+    expected = np.sort(scale * np.linalg.norm(true - true[:1], axis=-1), axis=-1)
+    np.testing.assert_allclose(np.sort(np.linalg.norm(motion, axis=-1), axis=-1), expected, atol=0.8)
+    assert Image.open(tmp_path / "out" / "pins.png").size[0] > 400
+    assert f"{len(SHIFTS)} with every pin's identity sure" in answer.out
+
+
+def test_frames_that_show_no_pins_are_reported_not_guessed(command, tmp_path):
+    grey, _ = frames(TACTIP_331, SHIFTS)
+    half = grey[1].copy()
+    half[:, 128:] = 0.03
+    write(tmp_path / "images", [*grey, half, np.random.default_rng(0).random((256, 256))])
+    answer = command("pins", tmp_path / "images", "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    rows = json.loads((tmp_path / "out" / "pins.json").read_text())["rows"]
+    assert [row["matched"] for row in rows] == [331] * 5 + [0, 0]
+    with np.load(tmp_path / "out" / "pins.npz") as stored:
+        assert np.isnan(stored["place_px"][5:]).all() and not np.isnan(stored["place_px"][:5]).any()
+    assert "not matched: image_5.png, image_6.png" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--sensor", "tactip999"), "tactip999"),
+        (("--size", "5"), "--size 5"),
+        (("--rest", "NOWHERE"), "does not exist"),
+        (("--sensor", "tactip127"), "331 pins are found"),
+    ],
+)
+def test_refusals(command, tmp_path, words, said):
+    write(tmp_path / "images", frames(TACTIP_331, SHIFTS[:1])[0])
+    answer = command("pins", tmp_path / "images", "--out", tmp_path / "out", *words)
+    assert answer.code == 2 and said in answer.err and len(answer.err.splitlines()) <= 3
+    assert not (tmp_path / "out" / "pins.json").exists()
+
+
+def test_a_user_s_layout(command, tmp_path):
+    file = tmp_path / "layout.csv"
+    np.savetxt(file, pin_lattice(TACTIP_331) * 7 + 100, delimiter=",", header="x,y", comments="")
+    write(tmp_path / "images", frames(TACTIP_331, SHIFTS)[0])
+    answer = command("pins", tmp_path / "images", "--layout", file, "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    assert "5 of them with all 331 pins" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("x,y\n1,2\nthree,4\n", "line 3"),
+        ("1,2\n3,4\n", "2 pins"),
+        ("\n".join(f"{i % 10},0" for i in range(40)), "same place"),
+        ("\n".join(f"{i},nan" for i in range(40)), "finite"),
+    ],
+)
+def test_layouts_that_are_none(tmp_path, text, said):
+    file = tmp_path / "layout.csv"
+    file.write_text(text)
+    with pytest.raises(UserError, match=said):
+        read_layout(file)

@@ -1,0 +1,92 @@
+"""Contour following: the loop keeps its history, goes on after a kill, and says how each walk ended."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from jaxunshear.applications import servo
+from jaxunshear.applications.contour import outline
+from jaxunshear.applications.servo import CLOSED, LATE, LOST, Course, first_points, follow_contour, stored_walks
+from jaxunshear.applications.walk_scores import seen_edge, walk_rows
+from jaxunshear.dataset.settings import PairedData
+from jaxunshear.errors import UserError
+from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.scene.stimuli import STIMULI, Stimulus, disk
+
+SETTINGS = PairedData()
+COURSE = Course("disk", starts=2, depth_mm=2.0)
+WAYS = {"true": None}
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Walks of 16 steps, kept every 5."""
+    monkeypatch.setattr(servo, "PATIENCE", 16 * 0.5 / outline(STIMULI["disk"]).length * 0.999)
+    monkeypatch.setattr(servo, "SAVE_EVERY", 5)
+
+
+def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(short, tmp_path):
+    walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
+    assert (walks.end == LATE).all() and walks.steps == 16 and not walks.unsolved.any()
+    assert np.abs(walks.true[:, -4:, 0]).max() < 0.3  # mm from the edge
+    np.testing.assert_allclose(walks.way_mm, 15 * 0.5, atol=1.0)
+    # friction drags the skin against the way: along the edge, y of the sensor frame
+    dragged = walks.force_n.sum(axis=1)
+    assert (dragged[:, 1] < -0.1 * dragged[:, 2]).all()
+    row = walk_rows(walks, line, "disk")[0]
+    assert row["name"] == "disk/true" and row["closed"] == 0 and row["ends"] == {"took too long": 2}
+    assert row["completed"] == pytest.approx(7.5 / line.length, rel=0.15)
+    np.testing.assert_allclose(seen_edge(walks, 0)[-1], line.points[line.at(walks.arc_mm[0])], atol=0.3)
+
+
+def test_a_killed_walk_goes_on_and_ends_equal(short, tmp_path, monkeypatch):
+    whole, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "whole.npz")
+    real, taken = servo._touch, []
+
+    def killed(*arguments):
+        taken.append(1)
+        if len(taken) == 9:
+            raise KeyboardInterrupt
+        return real(*arguments)
+
+    monkeypatch.setattr(servo, "_touch", killed)
+    with pytest.raises(KeyboardInterrupt):
+        follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
+    monkeypatch.setattr(servo, "_touch", real)
+    assert stored_walks(tmp_path / "disk.npz")[1].steps == 5
+    again, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
+    for field in ("point", "seen", "images", "force_n", "sums", "way_mm", "end"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(whole, field), err_msg=field)
+    with pytest.raises(UserError, match="other settings"):
+        follow_contour(dataclasses.replace(COURSE, depth_mm=3.0), TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
+    (tmp_path / "disk.npz").write_bytes(b"torn")
+    with pytest.raises(UserError, match="delete it"):
+        follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
+
+
+def test_a_walk_that_is_misled_is_lost_and_told(short, tmp_path, monkeypatch):
+    monkeypatch.setattr(servo, "LOST_MM", 3.0)
+    astray = {"astray": lambda images: (np.full(len(images), -5.0), np.zeros(len(images)))}  # "go outwards"
+    walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, astray, tmp_path / "disk.npz")
+    assert (walks.end == LOST).all() and walks.steps < 16
+    row = walk_rows(walks, line, "disk")[0]
+    assert row["ends"] == {"lost the edge": 2} and row["largest_mm"] > 3
+
+
+def test_a_walk_around_a_small_object_closes(tmp_path, monkeypatch):
+    monkeypatch.setitem(STIMULI, "coin", Stimulus("coin", disk(5.0), (5.0, 0.0, 0.0), 5.0))
+    course = Course("coin", starts=1, depth_mm=2.0)
+    walks, line = follow_contour(course, TACTIP_331, SETTINGS, WAYS, tmp_path / "coin.npz")
+    assert walks.end[0] == CLOSED and walks.way_mm[0] >= line.length
+    row = walk_rows(walks, line, "coin")[0]
+    assert row["closed"] == 1 and row["completed"] == 1 and row["mean_mm"] < 0.5 and row["ends"] == {"closed": 1}
+
+
+def test_starts_are_spread_and_the_same_for_a_seed():
+    line = outline(STIMULI["disk"])
+    points = first_points(Course("disk", starts=4), line)
+    np.testing.assert_array_equal(points, first_points(Course("disk", starts=4), line))
+    assert not np.array_equal(points, first_points(Course("disk", starts=4, seed=1), line))
+    apart = np.linalg.norm(points[:, None, :2] - points[None, :, :2], axis=-1) + 1e3 * np.eye(4)
+    assert apart.min() > 60

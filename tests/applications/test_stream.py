@@ -1,0 +1,119 @@
+"""Streams: a line a frame, bad frames skipped and counted, late ones dropped, never a traceback."""
+
+import base64
+import io
+import json
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.applications import sources
+from jaxunshear.applications.sources import Frame, frames_of
+from jaxunshear.applications.stream import confidence, stream
+from jaxunshear.config import load_experiment
+from jaxunshear.errors import UserError
+
+EXPERIMENT = load_experiment("experiments/tiny.py")
+
+
+def dots(seed=0, size=128):
+    return (np.random.default_rng(seed).random((size, size)) < 0.2).astype(np.uint8) * 255
+
+
+def step(image):
+    return image / 255.0, {"edge_mm": 0.25, "edge_deg": -3.0}, 0.9
+
+
+def run(frames, live=False, seconds=0.0, images=None, inline=True):
+    out = io.StringIO()
+
+    def slow(image):
+        time.sleep(seconds)
+        return step(image)
+
+    summary = stream(iter(frames), live, EXPERIMENT, slow, out, images, inline)
+    return summary, [json.loads(line) for line in out.getvalue().splitlines()]
+
+
+def test_a_line_a_frame_with_image_pose_and_confidence():
+    summary, lines = run([Frame(0, "a", dots(), ""), Frame(1, "b", dots(1), "")])
+    assert (summary["used"], summary["skipped"], summary["dropped"]) == (2, 0, 0)
+    assert lines[0]["edge_mm"] == 0.25 and lines[0]["confidence"] == 0.9 and lines[0]["ms"] > 0
+    image = np.asarray(Image.open(io.BytesIO(base64.b64decode(lines[1]["image_png"]))))
+    assert image.shape == (128, 128) and image.max() == 255
+    assert summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
+
+
+def test_bad_frames_are_told_and_skipped():
+    frames = [
+        Frame(0, "a", dots(), ""),
+        Frame(1, "torn", None, "no readable image"),
+        Frame(2, "flat", np.full((64, 64), 7, np.uint8), ""),
+        Frame(3, "small", np.zeros((4, 4), np.uint8), ""),
+        Frame(4, "nan", np.full((64, 64), np.nan), ""),
+        Frame(5, "five channels", np.zeros((64, 64, 5), np.uint8), ""),
+        Frame(6, "b", dots(3), ""),
+    ]
+    summary, lines = run(frames)
+    assert (summary["used"], summary["skipped"]) == (2, 5)
+    assert [("error" in line) for line in lines] == [False, True, True, True, True, True, False]
+    assert sum(summary["problems"].values()) == 5
+
+
+@pytest.mark.parametrize("kind", ["sixteen bits", "colour", "rectangle"])
+def test_other_kinds_of_frames_are_used(kind):
+    grey = np.kron(dots(2, 64), np.ones((4, 4), np.uint8))
+    pixels = {
+        "sixteen bits": grey.astype(np.uint16) * 257,
+        "colour": np.repeat(grey[..., None], 3, -1),
+        "rectangle": np.pad(grey, ((0, 0), (40, 40))),
+    }[kind]
+    assert run([Frame(0, kind, pixels, "")])[0]["used"] == 1
+
+
+def test_images_go_to_a_folder(tmp_path):
+    _, lines = run([Frame(7, "a", dots(), "")], images=tmp_path / "out", inline=False)
+    assert lines[0]["image"].endswith("000007.png") and "image_png" not in lines[0]
+    assert np.asarray(Image.open(lines[0]["image"])).shape == (128, 128)
+
+
+def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
+    frames = (Frame(number, str(number), dots(), "") for number in range(40))
+    live = sources._latest(sources._at_pace(frames, fps=200))
+    summary, lines = run(live, live=True, seconds=0.03)
+    assert summary["dropped"] > 10 and summary["used"] + summary["dropped"] == 40
+    assert lines[-1]["frame"] == 39
+    assert [line["frame"] for line in lines] == sorted(line["frame"] for line in lines)
+
+
+def test_a_problem_in_the_reading_thread_is_told():
+    def broken():
+        yield Frame(0, "a", dots(), "")
+        raise UserError("camera 0 gave no frame")
+
+    with pytest.raises(UserError, match="camera 0 gave no frame"):
+        list(sources._latest(broken()))
+
+
+def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
+    for number in (1, 2, 10):
+        Image.fromarray(dots(number)).save(tmp_path / f"image_{number}.png")
+    (tmp_path / "image_3.png").write_bytes(b"\x89PNG torn")
+    frames, live = frames_of(str(tmp_path), None)
+    listed = list(frames)
+    assert not live and [frame.name for frame in listed] == [f"image_{n}.png" for n in (1, 2, 3, 10)]
+    assert listed[2].pixels is None and listed[2].problem
+
+
+@pytest.mark.parametrize("source", ["nowhere", "camera:x"])
+def test_sources_that_are_none(source, monkeypatch):
+    with pytest.raises(UserError):
+        frames_of(source, None)
+
+
+def test_confidence_of_crisp_grey_and_black():
+    assert confidence(np.float32(dots() / 255)[..., None]) == pytest.approx(1)
+    assert confidence(np.full((8, 8, 1), 0.5, np.float32)) == pytest.approx(0.5)
+    assert confidence(np.zeros((8, 8, 1), np.float32)) == 0

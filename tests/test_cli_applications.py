@@ -1,0 +1,137 @@
+"""The commands that put networks to use: what they refuse, in one line, before anything is written."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear import cli_applications
+from jaxunshear.applications import servo
+from jaxunshear.applications.contour import outline
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.scene.stimuli import STIMULI
+from tests.test_infer import init, trained
+
+
+def experiment(size):
+    seen = Preprocess(size=size)
+    return Experiment(
+        *("small", "none"),
+        unshear=UnshearNet(size=size, widths=(4, 4, 4), pose_channels=4, shear_channels=4),
+        posenet=PoseNet(size=size, widths=(4, 4, 4, 4, 4), hidden=8),
+        paired=PairedData(preprocess=seen),
+        pose=PoseData(preprocess=seen),
+    )
+
+
+def run_of(folder, size):
+    """A run with networks that have learnt nothing."""
+    from jaxunshear.config import to_json
+    from jaxunshear.model import posenet, unshearnet
+    from jaxunshear.storage import write_json
+
+    small, run = experiment(size), folder / "small"
+    write_json(run / "experiment.json", to_json(small))
+    trained(run / "disentangled", "unshear", small.unshear, init(unshearnet, small.unshear, 0))
+    trained(run / "posenet", "posenet", small.posenet, init(posenet, small.posenet, 1))
+    return run
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return run_of(tmp_path_factory.mktemp("run"), 128)
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    monkeypatch.setattr(cli_applications, "KNOWN", 12)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("servo", "--stimulus", "cube"), "stimulus 'cube' is unknown"),
+        (("servo", "--starts", "0"), "--starts 0"),
+        (("servo", "--depth", "99"), "--depth 99"),
+        (("servo", "--depth", "-1"), "--depth -1"),
+        (("servo", "--ways", "smell"), "perception 'smell' is unknown"),
+        (("geometry", "--contacts", "1"), "--contacts 1"),
+        (("reconstruct", "--stimulus", "disk"), "holds no walks"),
+        (("stream", "nowhere"), "nowhere does not exist"),
+        (("stream", ".", "--fps", "0"), "--fps 0"),
+    ],
+)
+def test_refusals(command, tmp_path, monkeypatch, model, words, said):
+    monkeypatch.chdir(tmp_path)
+    answer = command(*words, "--model", model)
+    assert answer.code == 2 and said in answer.err and "Traceback" not in answer.err
+    assert len(answer.err.strip().splitlines()) == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["servo", "geometry", "reconstruct"])
+def test_a_model_that_is_none(command, tmp_path, monkeypatch, name):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "servo").mkdir()
+    answer = command(name, "--model", tmp_path / "nothing")
+    assert answer.code == 2 and "experiment.json" in answer.err
+
+
+def test_servo_then_reconstruct(command, tmp_path, monkeypatch, model):
+    """A few steps by each way; networks that have learnt nothing go astray, which is told."""
+    monkeypatch.setattr(servo, "PATIENCE", 8 * 0.5 / outline(STIMULI["disk"]).length)
+    out = tmp_path / "walks"
+    words = ("--model", model, "--out", out, "--stimulus", "disk")
+    answer = command("servo", *words, "--starts", 1, "--json", tmp_path / "rows.json")
+    assert answer.code == 0, answer.err
+    rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    assert [row["name"] for row in rows] == ["disk/true", "disk/sheared", "disk/disentangled"]
+    assert all(0 <= row["completed"] < 0.1 and row["closed"] == 0 and row["mean_mm"] < 9 for row in rows)
+    assert Image.open(out / "disk.png").size[0] > 300
+    answer = command("reconstruct", *words)
+    assert answer.code == 0, answer.err
+    found = json.loads((out / "reconstruct.json").read_text())
+    assert len(found["rows"]) == 3 and all(0 <= row["iou"] < 0.3 for row in found["rows"])
+    assert (out / "disk-object.png").is_file()
+
+
+def test_geometry_scores_and_draws(command, tmp_path, model):
+    answer = command("geometry", "--model", model, "--contacts", 6, "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    rows = {row["name"]: row for row in json.loads((tmp_path / "out" / "geometry.json").read_text())["rows"]}
+    assert set(rows) == {
+        f"{s}/{k}" for s in ("all", "disk", "clover", "teardrop") for k in ("tap", "sheared", "disentangled")
+    }
+    assert rows["all/tap"]["contacts"] == 9 and rows["all/disentangled"]["unmatched"] == 9
+    assert rows["all/tap"]["correlation"] > 0.3 and "correlation" not in rows["all/disentangled"]
+    assert (tmp_path / "out" / "geometry.png").is_file()
+
+
+def test_images_too_small_to_show_pins_are_refused(command, tmp_path, monkeypatch):
+    walks, small = tmp_path / "walks", run_of(tmp_path, 32)
+    monkeypatch.setattr(servo, "PATIENCE", 2 * 0.5 / outline(STIMULI["disk"]).length)
+    words = ("--model", small, "--out", walks)
+    assert command("servo", *words, "--stimulus", "disk", "--starts", 1, "--ways", "true").code == 0
+    answer = command("reconstruct", *words)
+    assert answer.code == 2 and "of 32 px: use a model of larger images" in answer.err
+
+
+def test_stream_of_a_folder(command, tmp_path, model):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    for number in range(3):
+        Image.fromarray(((rng.random((64, 64)) < 0.2) * 255).astype(np.uint8)).save(folder / f"{number}.png")
+    (folder / "3.png").write_bytes(b"torn")
+    summary = tmp_path / "summary.json"
+    answer = command("stream", folder, "--model", model, "--no-images", "--json", summary)
+    assert answer.code == 0, answer.err
+    lines = [json.loads(line) for line in answer.out.splitlines()]
+    assert [("error" in line) for line in lines] == [False, False, False, True]
+    assert set(lines[0]) >= {"x_mm", "yaw_deg", "edge_mm", "edge_deg", "confidence", "ms"}
+    assert json.loads(summary.read_text())["used"] == 3
+    assert "3 frames used, 1 skipped, 0 dropped" in answer.err
