@@ -3,7 +3,6 @@
 >>> unshear_recordings(Path("recordings/edge"), Path("runs/demo"), Path("unsheared"))
 """
 
-import csv
 import io
 import sys
 import time
@@ -18,7 +17,7 @@ from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.progress import Progress
-from jaxunshear.storage import read_json, write_bytes, write_text
+from jaxunshear.storage import csv_text, read_json, write_bytes, write_text
 
 if TYPE_CHECKING:
     from jaxunshear.dataset.recordings import Recordings
@@ -68,7 +67,7 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
             write_bytes(out / targets[row], _png(answers.unsheared[i]))
             poses = {quantity: f"{values[i]:.4f}" for quantity, values in answers.after.items()}
             table.append({"name": name, "image": targets[row]} | poses | _recorded(recordings, row))
-    write_text(out / "poses.csv", _csv(table))
+    write_text(out / "poses.csv", csv_text(table))
     notes = list(recordings.notes)
     if not answers.after:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
@@ -103,7 +102,7 @@ def pose_of_recordings(path: Path, model: Path, log: Log = print, note: Log | No
                     line[f"{kind}_{quantity}"] = f"{values[i]:.4f}"
                     rows_out.append(_row(f"{name}.{kind}.{quantity}", float(values[i]), QUANTITIES[quantity]))
             table.append(line | _recorded(recordings, row))
-    log(_csv(table).rstrip("\n"))
+    log(csv_text(table).rstrip("\n"))
     _tell(recordings.notes, note or (lambda text: print(text, file=sys.stderr)))
     return _measured(rows_out)
 
@@ -238,14 +237,6 @@ def _png(image: np.ndarray) -> bytes:
     data = io.BytesIO()
     Image.fromarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)).save(data, "PNG")
     return data.getvalue()
-
-
-def _csv(table: list[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(table[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(table)
-    return text.getvalue()
 
 
 def _tell(notes: list[str], log: Log) -> None:

@@ -5,7 +5,9 @@
 """
 
 import contextlib
+import csv
 import errno
+import io
 import json
 import os
 from pathlib import Path
@@ -74,3 +76,12 @@ def _plain(obj: Any) -> Any:
     if hasattr(obj, "tolist"):  # numpy and JAX, without importing either
         return _plain(obj.tolist())
     raise TypeError(f"{type(obj).__name__} cannot be written as JSON")
+
+
+def csv_text(table: list[dict[str, Any]]) -> str:
+    """A heading of the first row's names, then a line a row."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, fieldnames=list(table[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(table)
+    return text.getvalue()

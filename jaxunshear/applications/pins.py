@@ -3,7 +3,6 @@
 Images in; `pins.npz` (places and motions by identity) and `pins.csv` (a line an image) out.
 """
 
-import csv
 import io
 import time
 from pathlib import Path
@@ -19,7 +18,7 @@ from jaxunshear.image.pins import find_pins
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.tracking import Track, follow_all
 from jaxunshear.progress import Progress
-from jaxunshear.storage import write_bytes, write_text
+from jaxunshear.storage import csv_text, write_bytes, write_text
 
 LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
 FITTED_TO = 60  # images, evenly spaced
@@ -77,7 +76,7 @@ def pins_of_recordings(
         undeformed_px=lattice.place.astype(np.float32),
     )
     write_bytes(out / "pins.npz", buffer.getvalue())
-    write_text(out / "pins.csv", _csv(rows))
+    write_text(out / "pins.csv", csv_text(rows))
     measured = {
         "rows": rows,
         "pins": len(lattice.place),
@@ -122,14 +121,6 @@ def _row(name: str, track: Track) -> dict[str, Any]:
         "extra": track.extra,
         "largest_motion_px": round(float(np.nanmax(np.linalg.norm(track.motion, axis=-1))), 3) if track.sure else None,
     }
-
-
-def _csv(rows: list[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, fieldnames=list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def summary(measured: dict[str, Any]) -> str:
