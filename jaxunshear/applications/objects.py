@@ -26,6 +26,7 @@ from jaxunshear.applications.servo import CLOSED, Course, Walks
 from jaxunshear.dataset.chunks import unpack
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.framing import undeformed
+from jaxunshear.image.lattice import Lattice
 from jaxunshear.progress import Progress
 from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_named
 
@@ -54,6 +55,7 @@ def threshold_of(experiment: Experiment, known: FreshContacts) -> float:
 
 def solid(
     experiment: Experiment,
+    lattice: Lattice,
     walks: Walks,
     walk: int,
     line: Outline,
@@ -62,7 +64,6 @@ def solid(
     threshold: float,
 ) -> Solid:
     """The object of one walk from its images, unsheared or (None) as they are."""
-    lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
     there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))
     images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
     if unshear is not None:
@@ -85,6 +86,7 @@ def objects_of(
     course, walks = walked
     stimulus = stimulus_named(course.stimulus)
     line = outline(stimulus)
+    lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
     found = {}
     ways = list(dict.fromkeys(walks.way.tolist()))
     with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:
@@ -92,7 +94,7 @@ def objects_of(
             unshear = networks.get("disentangled" if way == TRUE else way)
             rows, solids = np.flatnonzero(walks.way == way), []
             for walk in rows:
-                solids.append(solid(experiment, walks, int(walk), line, stimulus, unshear, threshold))
+                solids.append(solid(experiment, lattice, walks, int(walk), line, stimulus, unshear, threshold))
                 progress.advance()
             order = np.argsort([each.likeness.iou for each in solids])
             found[way] = _row(course.stimulus, way, walks, rows, solids), solids[order[len(order) // 2]]

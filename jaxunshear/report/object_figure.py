@@ -17,7 +17,7 @@ def object_figure(stimulus: str, solids: dict[str, Solid]) -> bytes:
     panels = figure.subplots(2, len(solids), squeeze=False)
     for (above, below), (way, solid) in zip(panels.T, solids.items(), strict=True):
         extent = (solid.fused.x[0], solid.fused.x[-1], solid.fused.y[0], solid.fused.y[-1])
-        limit = max(float(np.nanpercentile(np.abs(solid.fused.height), 99)), 1e-9)
+        limit = max(float(np.percentile(np.abs(np.nan_to_num(solid.fused.height)), 99)), 1e-9)
         above.imshow(solid.fused.height, origin="lower", extent=extent, cmap="RdBu_r", vmin=-limit, vmax=limit)
         above.contour(solid.fused.x, solid.fused.y, solid.true, levels=[0.5], colors="0.3", linewidths=0.6)
         above.set_title(WORDS.get(way, way), fontsize=8)

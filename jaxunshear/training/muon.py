@@ -1,8 +1,7 @@
 """Muon (Jordan et al. 2024): momentum whose singular values are all brought near one, as an optax transformation.
 
 Adam scales every weight alone; Muon turns the whole update of a kernel towards an orthogonal matrix, so that what has a
-weak gradient is learnt as fast as what has a strong one. With the same images it brings these networks several
-times as far (docs/model.md).
+weak gradient is learnt as fast as what has a strong one.
 
 `optax.contrib.muon` gives the same to rounding. Its iteration multiplies the tall matrix of a convolution ten times a
 step, which takes longer than the step itself; here all but two products are between square matrices of the shorter side.
