@@ -137,8 +137,8 @@ def _parser() -> _Parser:
             "--model",
             metavar="DIR",
             type=Path,
-            required=True,
-            help="a finished run (runs/demo), or released weights by name",
+            default=cli_applications.DEFAULT,
+            help=f"a finished run (runs/demo), or released weights by name ({cli_applications.DEFAULT})",
         )
         if name == "unshear":
             command.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")

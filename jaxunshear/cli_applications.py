@@ -1,6 +1,8 @@
 """The commands that put networks to use: parsers, calls and what they print. Everything heavy is imported when it is needed."""
 
 import argparse
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,8 +11,12 @@ from jaxunshear.errors import UserError
 if TYPE_CHECKING:
     from jaxunshear.experiment import Experiment
 
+    Model = tuple[Path, Experiment]
+
 KNOWN = 300  # simulated taps that scales are fitted to
 COMMANDS = ("pins", "geometry", "servo", "reconstruct", "stream")
+FOLDERS = {"reconstruct": "servo"}  # it works on what `servo` left
+DEFAULT = Path("standard")  # of the released weights
 
 
 def add_parsers(commands: Any) -> None:
@@ -76,8 +82,8 @@ def _add_model(parser: argparse.ArgumentParser) -> None:
         "--model",
         metavar="DIR",
         type=Path,
-        required=True,
-        help="a finished run (runs/demo), or released weights by name",
+        default=DEFAULT,
+        help=f"a finished run (runs/demo), or released weights by name ({DEFAULT})",
     )
 
 
@@ -86,35 +92,51 @@ def _add_stimulus(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    """Runs one of COMMANDS. Returns the exit code."""
+    """Runs one of COMMANDS. Returns the exit code.
+
+    Results of a finished run's networks go to its own folder, where its report finds them, unless --out says otherwise.
+    """
     from jaxunshear.memory import keep_freed_memory
 
     keep_freed_memory()
-    if arguments.command == "stream":
-        return _stream(arguments, command)
-    out = arguments.out or Path(arguments.command)
+    model = _model(arguments) if arguments.model else None
+    finished = model is not None and (model[0] / "results.json").is_file()
+    name = FOLDERS.get(arguments.command, arguments.command)
+    home = model[0] / name if model and finished else Path(name)
+    out = home if arguments.command == "stream" else arguments.out or home
     if out.exists() and not out.is_dir():
         raise UserError(f"--out {out} is a file: name a folder")
-    work = {"pins": _pins, "geometry": _geometry, "servo": _servo, "reconstruct": _reconstruct}
-    results = work[arguments.command](arguments, out)
+    work: dict[str, Callable[..., dict[str, Any]]] = {
+        "pins": _pins,
+        "geometry": _geometry,
+        "servo": _servo,
+        "reconstruct": _reconstruct,
+        "stream": _stream,
+    }
+    results = work[arguments.command](arguments, out, model)
     from jaxunshear.metrics.machine import machine, versions
     from jaxunshear.storage import write_json
 
     results = {"command": command} | results | {"machine": machine(), "versions": versions()}
-    write_json(out / f"{arguments.command}.json", results)
     if arguments.json:
         write_json(arguments.json, results)
+    if arguments.command != "stream" or finished:
+        write_json(out / f"{arguments.command}.json", results)
+    if model and finished and out == home:
+        from jaxunshear.report.report import write_report
+
+        print(write_report(model[0]), file=sys.stderr)
     return 0
 
 
-def _model(arguments: argparse.Namespace) -> "tuple[Path, Experiment]":
+def _model(arguments: argparse.Namespace) -> "Model":
     from jaxunshear import infer
 
     folder = infer.model_folder(arguments.model)
     return folder, infer.load_settings(folder)
 
 
-def _pins(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
+def _pins(arguments: argparse.Namespace, out: Path, model: "Model | None") -> dict[str, Any]:
     from dataclasses import replace
 
     from jaxunshear.applications import pins
@@ -130,10 +152,10 @@ def _pins(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
         raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
     preprocess = Preprocess()
     lattice: Lattice | Layout
-    if arguments.model:
+    if model:
         from jaxunshear.image.framing import undeformed
 
-        _, experiment = _model(arguments)
+        experiment = model[1]
         if arguments.size or arguments.rest:
             raise UserError("--model knows the images' size and the untouched pins: leave --size and --rest out")
         preprocess = experiment.paired.preprocess
@@ -150,7 +172,7 @@ def _pins(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
     return measured
 
 
-def _geometry(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
+def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     from jaxunshear.applications.fresh import fresh_contacts
     from jaxunshear.applications.geometry_scores import geometry_of, geometry_rows, mm_of_growth
     from jaxunshear.applications.perception import unshearers, unshearing_of
@@ -161,7 +183,7 @@ def _geometry(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
 
     if arguments.contacts < 3:
         raise UserError(f"--contacts {arguments.contacts}: use at least 3")
-    folder, experiment = _model(arguments)
+    folder, experiment = model
     networks = unshearers(folder, unshearing_of(folder))
     lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
     mm = mm_of_growth(lattice, fresh_contacts(experiment, KNOWN, seed=1))
@@ -190,7 +212,7 @@ def _stimuli(text: str) -> tuple[str, ...]:
     return names
 
 
-def _servo(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
+def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     from jaxunshear.applications import perception, servo
     from jaxunshear.applications.table import plain_table
     from jaxunshear.applications.walk_scores import walk_rows
@@ -201,7 +223,7 @@ def _servo(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
     names = _stimuli(arguments.stimulus)
     if arguments.starts < 1:
         raise UserError(f"--starts {arguments.starts}: use at least 1")
-    folder, experiment = _model(arguments)
+    folder, experiment = model
     deepest = deepest_mm(experiment.sensor)
     if not 0 < arguments.depth <= deepest:
         raise UserError(f"--depth {arguments.depth:g}: use more than 0, up to {deepest:.1f} mm")
@@ -219,17 +241,16 @@ def _servo(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
     return {"rows": rows}
 
 
-def _reconstruct(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
+def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     from jaxunshear.applications import perception
     from jaxunshear.applications.fresh import fresh_contacts
-    from jaxunshear.applications.objects import objects_of, threshold_of
+    from jaxunshear.applications.objects import objects_of, occupancy_of
     from jaxunshear.applications.servo import stored_walks
     from jaxunshear.applications.table import plain_table
     from jaxunshear.report.object_figure import object_figure
     from jaxunshear.storage import write_bytes
 
-    folder, experiment = _model(arguments)
-    out = arguments.out or Path("servo")
+    folder, experiment = model
     names = [name for name in _stimuli(arguments.stimulus) if (out / f"{name}.npz").is_file()]
     if not names:
         raise UserError(
@@ -237,35 +258,34 @@ def _reconstruct(arguments: argparse.Namespace, out: Path) -> dict[str, Any]:
         )
     networks = perception.unshearers(folder, perception.unshearing_of(folder))
     rows: list[dict[str, Any]] = []
-    thresholds: dict[float, float] = {}
+    occupancies: dict[float, Any] = {}  # by depth
     for name in names:
         walked = stored_walks(out / f"{name}.npz")
         depth = walked[0].depth_mm
-        if depth not in thresholds:
-            thresholds[depth] = threshold_of(experiment, fresh_contacts(experiment, KNOWN, 1, depth))
-        found = objects_of(experiment, walked, networks, thresholds[depth])
+        if depth not in occupancies:
+            occupancies[depth] = occupancy_of(experiment, fresh_contacts(experiment, KNOWN, 1, depth))
+        found = objects_of(experiment, walked, networks, occupancies[depth])
         rows += [row for row, _ in found.values()]
         write_bytes(out / f"{name}-object.png", object_figure(name, {way: solid for way, (_, solid) in found.items()}))
         print(plain_table(rows[-len(found) :], ("name", "walks", "closed", "iou", "mean_mm", "hausdorff_mm")))
     print(out)
-    return {"rows": rows, "thresholds": {f"{depth:g} mm": value for depth, value in thresholds.items()}}
+    return {"rows": rows}
 
 
-def _stream(arguments: argparse.Namespace, command: str) -> int:
+def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     import contextlib
-    import sys
 
     from jaxunshear.applications.sources import frames_of
     from jaxunshear.applications.stream import step_of, stream
 
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
         raise UserError(f"--fps {arguments.fps:g}: use more than 0")
-    folder, experiment = _model(arguments)
+    folder, experiment = model
     step = step_of(folder, experiment, arguments.precision)
     frames, live = frames_of(arguments.source, arguments.fps)
     with contextlib.ExitStack() as stack:
-        out = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout
-        summary = stream(frames, live, experiment, step, out, arguments.images, not arguments.no_images)
+        lines = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout
+        summary = stream(frames, live, experiment, step, lines, arguments.images, not arguments.no_images)
     latency = summary["latency_ms"]
     times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
     print(
@@ -274,11 +294,6 @@ def _stream(arguments: argparse.Namespace, command: str) -> int:
     )
     for problem, count in list(summary["problems"].items())[:5]:
         print(f"skipped {count}: {problem}", file=sys.stderr)
-    if arguments.json:
-        from jaxunshear.metrics.machine import machine, versions
-        from jaxunshear.storage import write_json
-
-        write_json(arguments.json, {"command": command, **summary, "machine": machine(), "versions": versions()})
     if not summary["used"]:
         raise UserError(f"no frame of {arguments.source} could be used")
-    return 0
+    return summary

@@ -11,16 +11,23 @@ from typing import Any
 from jaxunshear.errors import UserError
 from jaxunshear.storage import read_json, write_json, write_text
 
-PARTS = {"disentangled": ("E", "pose", "DC"), "posenet": ()}  # of each network; all of it where none is named
+PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none is named
+    "disentangled": ("E", "pose", "DC"),
+    "posenet": (),
+    "entangled": (),
+    "posenet_sheared": (),
+}
+NEEDED = ("disentangled", "posenet")
 CARD = "README.md"
 
 
 def release(run_dir: Path, out: Path) -> Path:
-    """Writes experiment.json, both networks and README.md to `out`, which must not exist. Returns `out`.
+    """Writes experiment.json, the networks and README.md to `out`, which must not exist. Returns `out`.
 
+    The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
     Raises `UserError` where the run is not finished or evaluated.
     """
-    from jaxunshear.training.checkpoint import MODEL, load_best, write_weights
+    from jaxunshear.training.checkpoint import MODEL, holds_model, load_best, write_weights
 
     run_dir, out = Path(run_dir), Path(out)
     for name in ("experiment.json", "results.json"):
@@ -31,6 +38,8 @@ def release(run_dir: Path, out: Path) -> Path:
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     for name, modules in PARTS.items():
+        if name not in NEEDED and not holds_model(run_dir / name):
+            continue
         write_weights(part / name, load_best(run_dir / name), modules)
         settings = read_json(run_dir / name / MODEL)
         write_json(part / name / MODEL, {"kind": settings["kind"], "net": settings["net"]})
@@ -50,11 +59,14 @@ def card(results: dict[str, Any], name: str) -> str:
         "",
         f"{settings['claim']}",
         "",
-        "Two networks for images of a soft optical tactile sensor: Disentangled UnshearNet (encoder, pose code, canonical decoder), "
-        "which turns a sheared image into the one that a tap would give, and a PoseNet, which learnt from taps alone.",
+        "Networks for images of a soft optical tactile sensor: Disentangled UnshearNet (encoder, pose code, canonical decoder), "
+        "which turns a sheared image into the one that a tap would give, and a PoseNet, which learnt from taps alone. Beside them, "
+        "where there is a folder of the name, their rivals: `entangled`, with one code, and `posenet_sheared`, which learnt poses "
+        "from slides. Kernels are stored as float16; the figures below are of the network as trained.",
         "",
         f"    jaxunshear unshear RECORDINGS --model {name} --out unsheared",
         f"    jaxunshear pose RECORDINGS --model {name}",
+        f"    jaxunshear servo --stimulus disk --model {name}",
         "",
         f"* **Learnt from** simulated touches only: sensor `{sensor}`, shapes {shapes}; {results['counts']['train']} pairs, "
         f"{pose['poses'] * len(pose['stimuli'])} taps before a fifth each was put aside to validate and to test; images of "

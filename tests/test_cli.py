@@ -144,7 +144,6 @@ def bad_commands(tmp_path: Path) -> list[tuple[list, str]]:
         (["report"], "RUN_DIR"),
         (["report", tmp_path / "none"], "no results.json"),
         (["unshear", image, "--model", run], "--out"),
-        (["unshear", image, "--out", tmp_path / "out"], "--model"),
         (["unshear", tmp_path / "none.png", "--model", run, "--out", tmp_path / "out"], "none.png does not exist"),
         (["unshear", image, "--model", tmp_path / "none", "--out", tmp_path / "out"], "no experiment.json"),
         (["unshear", image, "--model", run, "--out", tmp_path / "out"], "not valid JSON"),

@@ -75,8 +75,14 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch):
     frames = image_in(tmp_path / "frames")
     for model, out in ((run, "by_run"), ("mine", "by_name")):
         infer.unshear_recordings(frames, infer.Path(model), tmp_path / out, log=lambda text: None)
-    assert (tmp_path / "by_run" / "a.png").read_bytes() == (tmp_path / "by_name" / "a.png").read_bytes()
-    assert (tmp_path / "by_run" / "poses.csv").read_text() == (tmp_path / "by_name" / "poses.csv").read_text()
+    pictures = [np.asarray(Image.open(tmp_path / out / "a.png"), float) for out in ("by_run", "by_name")]
+    assert np.ptp(pictures[0]) > 20
+    assert np.abs(pictures[0] - pictures[1]).mean() <= 3  # kernels are float16
+    poses = [
+        np.genfromtxt(tmp_path / out / "poses.csv", delimiter=",", skip_header=1)[2:] for out in ("by_run", "by_name")
+    ]
+    np.testing.assert_allclose(*poses, atol=0.05)
+    assert not (made / "entangled").exists()  # which this run has not trained
     arrays = np.load(made / "disentangled" / "weights.npz").files
     assert not any("DS" in name or "shear" in name for name in arrays)
     card = (made / "README.md").read_text()

@@ -10,18 +10,9 @@ import numpy as np
 from jaxunshear.applications.contour import Outline, outline
 from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry_scores import growths, known_growths
+from jaxunshear.applications.occupancy import Occupancy, evidence, learn
 from jaxunshear.applications.perception import TRUE, Unshear, in_batches
-from jaxunshear.applications.reconstruct import (
-    Fused,
-    Likeness,
-    best_threshold,
-    filled_shape,
-    fuse,
-    likeness,
-    nearness,
-    skin_places,
-    to_target,
-)
+from jaxunshear.applications.reconstruct import Fused, Likeness, filled_shape, fuse, likeness, skin_places, to_target
 from jaxunshear.applications.servo import CLOSED, Course, Walks
 from jaxunshear.dataset.chunks import unpack
 from jaxunshear.experiment import Experiment
@@ -29,6 +20,8 @@ from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.progress import Progress
 from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_named
+
+EVERY = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
 
 
 class Solid(NamedTuple):
@@ -41,16 +34,16 @@ class Solid(NamedTuple):
     unmatched: int  # steps whose pins were not identified for sure
 
 
-def threshold_of(experiment: Experiment, known: FreshContacts) -> float:
-    """The relative growth that parts skin over the object from skin beside it, on taps whose poses are known."""
+def occupancy_of(experiment: Experiment, known: FreshContacts) -> Occupancy:
+    """What parts skin over the object from skin beside it, learnt from taps whose poses are known."""
     lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
     place = skin_places(experiment.sensor)
     xy = to_target(known.pose[:, :3], place)
-    inside = np.zeros(xy.shape[:2], bool)
+    distance = np.zeros(xy.shape[:2])
     for index, name in enumerate(experiment.paired.stimuli):
         rows = known.stimulus == index
-        inside[rows] = _inside(stimulus_named(name), xy[rows])
-    return best_threshold(known_growths(lattice, known), inside, nearness(place))
+        distance[rows] = _distance(stimulus_named(name), xy[rows])
+    return learn(lattice, place, known_growths(lattice, known), distance)
 
 
 def solid(
@@ -61,23 +54,23 @@ def solid(
     line: Outline,
     stimulus: Stimulus,
     unshear: Unshear | None,
-    threshold: float,
+    occupancy: Occupancy,
 ) -> Solid:
-    """The object of one walk from its images, unsheared or (None) as they are."""
-    there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))
+    """The object of one walk from every fourth of its images, unsheared or (None) as they are."""
+    there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::EVERY]
     images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
     if unshear is not None:
         images = in_batches(unshear, images)
     growth = growths(lattice, images)
-    fused = fuse(experiment.sensor, walks.point[walk, there], growth)
-    shape = filled_shape(fused, threshold)
-    grid = np.stack(np.meshgrid(fused.x, fused.y), -1)
-    true = _inside(stimulus, grid)
+    place = skin_places(experiment.sensor)[occupancy.near]
+    fused = fuse(walks.point[walk, there], place, evidence(occupancy, growth))
+    shape = filled_shape(fused)
+    true = _distance(stimulus, np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
     return Solid(fused, shape, true, likeness(fused, shape, true, line), int(np.isnan(growth[:, 0]).sum()))
 
 
 def objects_of(
-    experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], threshold: float
+    experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], occupancy: Occupancy
 ) -> dict[str, tuple[dict[str, Any], Solid]]:
     """By way of perceiving: means over its walks as a row, and the object of its walk of middling likeness.
 
@@ -94,7 +87,7 @@ def objects_of(
             unshear = networks.get("disentangled" if way == TRUE else way)
             rows, solids = np.flatnonzero(walks.way == way), []
             for walk in rows:
-                solids.append(solid(experiment, lattice, walks, int(walk), line, stimulus, unshear, threshold))
+                solids.append(solid(experiment, lattice, walks, int(walk), line, stimulus, unshear, occupancy))
                 progress.advance()
             order = np.argsort([each.likeness.iou for each in solids])
             found[way] = _row(course.stimulus, way, walks, rows, solids), solids[order[len(order) // 2]]
@@ -117,7 +110,7 @@ def _row(stimulus: str, way: str, walks: Walks, rows: np.ndarray, solids: list[S
     }
 
 
-def _inside(stimulus: Stimulus, xy: np.ndarray) -> np.ndarray:
-    """(...) bool of points (N, M, 2) mm: over the object."""
+def _distance(stimulus: Stimulus, xy: np.ndarray) -> np.ndarray:
+    """(N, M) mm of points (N, M, 2) mm from the object, negative over it."""
     rows = jnp.asarray(xy, jnp.float32)
-    return np.asarray(jax.jit(lambda xy: jax.lax.map(lambda row: signed_distance(stimulus, row), xy))(rows)) < 0
+    return np.asarray(jax.jit(lambda xy: jax.lax.map(lambda row: signed_distance(stimulus, row), xy))(rows))

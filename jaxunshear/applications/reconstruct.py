@@ -1,8 +1,7 @@
 """Whole objects (paper section 4.4): the contact geometries along a walk, fused onto a grid, and the shape that they enclose.
 
-Each step tells how far the skin is pressed in around the sensor. Put where the sensor was, averaged over all steps that touched a
-cell, these heights make a band along the outline: high over the object, low beside it. What a closed band surrounds is the
-object.
+Each step tells which skin around the sensor's axis lies over the object and which beside it. Put where the sensor was, averaged
+over all steps that touched a cell, this evidence makes a band along the outline. What a closed band surrounds is the object.
 
 Read `fuse`, then `filled_shape`.
 """
@@ -11,25 +10,23 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.interpolate import griddata
 from scipy.spatial import cKDTree
-from skimage.measure import find_contours
+from skimage.measure import find_contours, label
 
 from jaxunshear.applications.contour import Outline
 from jaxunshear.scene.sensor import Sensor, pin_tips
 
 CELL_MM = 0.5
-NEAR_MM = 6.0  # from the sensor's axis: farther out the dome curves away from what lies under it
-GAP_MM = 1.5  # cells this near to a touched one are interpolated
-LEAST = 1e-3  # weight of a cell that counts as touched
+BLUR_MM = 0.6  # pins are farther apart than cells
+LEAST = 0.02  # pins a cell, blurred, for it to count as touched
 
 
 class Fused(NamedTuple):
-    """Heights on a square grid, rows along y; NaN where nothing was touched."""
+    """Mean evidence on a square grid, rows along y; NaN where nothing was touched."""
 
     x: np.ndarray  # (K,) mm, target frame
     y: np.ndarray  # (K,)
-    height: np.ndarray  # (K, K)
+    evidence: np.ndarray  # (K, K), above 0 over the object
 
 
 def skin_places(sensor: Sensor) -> np.ndarray:
@@ -37,11 +34,6 @@ def skin_places(sensor: Sensor) -> np.ndarray:
     centre = np.array([0, 0, sensor.dome_radius_mm])
     outward = pin_tips(sensor) - centre
     return sensor.dome_radius_mm * outward[:, :2] / np.linalg.norm(outward, axis=-1, keepdims=True)
-
-
-def nearness(place: np.ndarray) -> np.ndarray:
-    """(P,) weights of pins at (P, 2) mm from the sensor's axis: 1 there, and 0 from NEAR_MM on."""
-    return np.maximum(1 - np.sum(place**2, axis=-1) / NEAR_MM**2, 0)
 
 
 def to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
@@ -52,39 +44,40 @@ def to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.stack([x, y], -1)
 
 
-def fuse(sensor: Sensor, point: np.ndarray, height: np.ndarray) -> Fused:
-    """Heights (T, P) felt at points (T, 3) x, y mm and yaw deg, averaged over the cells of a grid around them all.
+def fuse(point: np.ndarray, place: np.ndarray, evidence: np.ndarray) -> Fused:
+    """Evidence (T, Q) of skin at (Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid around them.
 
-    Rows with NaN heights (an image whose pins were not identified) are left out. Cells between are interpolated linearly.
+    Rows with NaN evidence (an image whose pins were not identified) are left out.
     """
-    told = ~np.isnan(height).any(axis=-1) & ~np.isnan(point[:, 0])
-    place = skin_places(sensor)
+    told = ~np.isnan(evidence).any(axis=-1) & ~np.isnan(point[:, 0])
     x, y = np.moveaxis(to_target(point[told], place), -1, 0)
-    weight = np.broadcast_to(nearness(place), x.shape)
-    reach = np.abs(point[told, :2]).max(initial=0.0) + sensor.dome_radius_mm
+    reach = np.abs(point[told, :2]).max(initial=0.0) + np.abs(place).max() + 4 * BLUR_MM
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
-    total = np.histogram2d(y.ravel(), x.ravel(), (edges, edges), weights=weight.ravel())[0]
-    summed = np.histogram2d(y.ravel(), x.ravel(), (edges, edges), weights=(weight * height[told]).ravel())[0]
+
+    def gathered(weights: np.ndarray) -> np.ndarray:
+        cells = np.histogram2d(y.ravel(), x.ravel(), (edges, edges), weights=weights.ravel())[0]
+        return ndimage.gaussian_filter(cells, BLUR_MM / CELL_MM)
+
+    total = gathered(np.ones_like(x))
     touched = total > LEAST
-    mean = np.divide(summed, total, out=np.full(total.shape, np.nan), where=touched)
+    mean = np.divide(gathered(evidence[told]), total, out=np.full(total.shape, np.nan), where=touched)
     middle = (edges[1:] + edges[:-1]) / 2
-    return Fused(middle, middle, _without_gaps(mean, touched))
+    return Fused(middle, middle, mean)
 
 
-def _without_gaps(mean: np.ndarray, touched: np.ndarray) -> np.ndarray:
-    gaps = ~touched & (ndimage.distance_transform_edt(~touched) <= GAP_MM / CELL_MM)
-    if np.count_nonzero(touched) < 4 or not gaps.any():
-        return mean
-    filled = mean.copy()
-    filled[gaps] = griddata(np.argwhere(touched), mean[touched], np.argwhere(gaps), "linear")
-    return filled
+def filled_shape(fused: Fused) -> np.ndarray:
+    """(K, K) bool: the largest region that was felt to lie over the object, and all that it surrounds."""
+    regions = label(np.nan_to_num(fused.evidence) > 0, connectivity=1)
+    if regions.max() == 0:
+        return np.zeros(regions.shape, bool)
+    filled = [ndimage.binary_fill_holes(regions == number) for number in _largest(regions)]
+    return max(filled, key=np.count_nonzero)
 
 
-def filled_shape(fused: Fused, threshold: float) -> np.ndarray:
-    """(K, K) bool: cells pressed in by more than `threshold`, and all that they surround but for what was felt to be free."""
-    felt = ~np.isnan(fused.height)
-    solid = felt & (np.nan_to_num(fused.height) > threshold)
-    return ndimage.binary_fill_holes(solid) & ~(felt & ~solid)
+def _largest(regions: np.ndarray) -> np.ndarray:
+    """Numbers of the few largest regions: a thin band may surround more than a broad speck."""
+    sizes = np.bincount(regions.ravel())[1:]
+    return 1 + np.argsort(sizes)[::-1][:5]
 
 
 class Likeness(NamedTuple):
@@ -103,19 +96,3 @@ def likeness(fused: Fused, shape: np.ndarray, true: np.ndarray, line: Outline) -
     outline = fused.x[0] + CELL_MM * (np.concatenate(curves)[:, ::-1] - 1)
     there, back = cKDTree(line.points).query(outline)[0], cKDTree(outline).query(line.points)[0]
     return Likeness(float(iou), float((there.mean() + back.mean()) / 2), float(max(there.max(), back.max())))
-
-
-def best_threshold(height: np.ndarray, inside: np.ndarray, weight: np.ndarray) -> float:
-    """The height (mm) that parts skin over the object from skin beside it: heights (N, P), inside (N, P) bool, weights (P,).
-
-    Both sides count the same; NaN heights are left out.
-    """
-    told = ~np.isnan(height)
-    values, solid = height[told], inside[told]
-    share = np.broadcast_to(weight, height.shape)[told]
-    order = np.argsort(values)
-    values, solid, share = values[order], solid[order], share[order]
-    over = np.where(solid, share, 0) / np.sum(share[solid])
-    beside = np.where(solid, 0, share) / np.sum(share[~solid])
-    missed = np.cumsum(over) + 1 - np.cumsum(beside)  # of a threshold just above each value
-    return float(values[np.argmin(missed)])

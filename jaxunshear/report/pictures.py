@@ -1,4 +1,4 @@
-"""Images of the montage as PNG data addresses, and the difference of two images in colour."""
+"""PNG data addresses, and the difference of two images in colour."""
 
 import base64
 import io
@@ -13,7 +13,12 @@ def png_address(pixels: np.ndarray) -> str:
     """(H, W) or (H, W, 3) uint8 -> a `data:` address of a PNG."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "png", optimize=True)
-    return "data:image/png;base64," + base64.b64encode(buffer.getvalue()).decode()
+    return address_of(buffer.getvalue())
+
+
+def address_of(png: bytes) -> str:
+    """A `data:` address of a PNG, so that the page needs no second file."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def difference(image: np.ndarray, tap: np.ndarray) -> np.ndarray:

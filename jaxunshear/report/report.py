@@ -13,7 +13,7 @@ from jaxunshear.evaluation.measurements import measurements
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.experiment import ALL_NETWORKS
 from jaxunshear.progress import duration
-from jaxunshear.report import figures, montage, page
+from jaxunshear.report import applications, figures, montage, page
 from jaxunshear.report.history import History, read_history
 from jaxunshear.report.page import number
 from jaxunshear.storage import read_json, write_bytes, write_text
@@ -70,6 +70,7 @@ def write_report(run_dir: Path) -> Path:
             _further(results),
             _pins(results),
             _swap(results),
+            *applications.sections(run_dir),
             _training(histories, summaries),
             _times(results, histories),
             _contacts(results),

@@ -108,9 +108,12 @@ def load_best(folder: Path) -> dict[str, Any]:
 
 
 def write_weights(folder: Path, variables: dict[str, Any], modules: Sequence[str] = ()) -> None:
-    """Writes the arrays of `variables` to weights.npz in `folder`; with `modules` named, those of these parts of the network."""
+    """Writes the arrays of `variables` to weights.npz in `folder`; with `modules` named, those of these parts of the network.
+
+    Kernels are kept as float16, which halves the file; biases and statistics as they are.
+    """
     arrays = {
-        name: np.asarray(leaf)
+        name: np.asarray(leaf, np.float16 if np.ndim(leaf) > 1 else None)
         for name, leaf in _named(jax.device_get(variables)).items()
         if not modules or name.split(".")[1] in modules
     }
@@ -132,14 +135,14 @@ def _read_weights(path: Path) -> dict[str, np.ndarray]:
 
 
 def _tree(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """{"params.E.First_0.kernel": ...} as nested dictionaries of arrays on the device."""
+    """{"params.E.First_0.kernel": ...} as nested dictionaries of arrays on the device, of 32 bits at least."""
     variables: dict[str, Any] = {}
     for name, array in arrays.items():
         *modules, last = name.split(".")
         place = variables
         for module in modules:
             place = place.setdefault(module, {})
-        place[last] = jax.numpy.asarray(array)
+        place[last] = jax.numpy.asarray(array, np.promote_types(array.dtype, np.float32))
     return variables
 
 

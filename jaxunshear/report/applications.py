@@ -1,0 +1,127 @@
+"""What the networks were put to: sections of a run's page, for those of the commands whose results lie in the run's folder."""
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+from jaxunshear.report import page
+from jaxunshear.report.page import number
+from jaxunshear.report.pictures import address_of
+from jaxunshear.report.walk_figure import WORDS
+from jaxunshear.storage import read_json
+
+FOLDERS = {"reconstruct": "servo"}  # it works on what `servo` left
+KINDS = {"tap": "tap", "sheared": "sheared, as felt"} | {
+    name: WORDS[name] for name in WORDS if "unsheared" in WORDS[name]
+}
+
+
+def sections(run_dir: Path) -> list[str]:
+    """HTML, in the order geometry, walks, objects, stream; nothing for a command that has not been run. Raises `UserError`."""
+    found = []
+    for name, part in (("geometry", _geometry), ("servo", _walks), ("reconstruct", _objects), ("stream", _stream)):
+        folder = run_dir / FOLDERS.get(name, name)
+        file = folder / f"{name}.json"
+        if not file.is_file():
+            continue
+        try:
+            found.append(part(read_json(file), folder))
+        except (KeyError, TypeError, AttributeError) as error:
+            raise UserError(f"{file} lacks {error}: run `jaxunshear {name}` again, or delete it") from error
+    return found
+
+
+def _geometry(results: dict[str, Any], folder: Path) -> str:
+    rows = [
+        [
+            KINDS.get(row["kind"], escape(row["kind"])),
+            _spanned(row, "correlation"),
+            _spanned(row, "rmse_mm"),
+            f"{row['unmatched']} of {row['contacts']}",
+            number(row["ms_per_image"], 1),
+        ]
+        for row in results["rows"]
+        if row["stimulus"] == "all"
+    ]
+    head = ["image", "correlation", "error, mm rms", "pins not sure", "ms an image"]
+    lead = (
+        "How far the skin is pressed in, from the Voronoi cells of the pins, against the simulator's own indentation; contacts that "
+        "no network has seen, each with a 95 % interval. Images whose pins cannot be told for sure are left out and counted."
+    )
+    return page.section(
+        "Contact geometry", lead, page.table(head, rows), _picture(folder / "geometry.png"), _command(results)
+    )
+
+
+def _walks(results: dict[str, Any], folder: Path) -> str:
+    def cell(row: dict[str, Any]) -> str:
+        return (
+            f"{row['closed']} of {row['starts']}"
+            f"<small>{number(row['mean_mm'])} / {number(row['p95_mm'])} / {number(row['largest_mm'])}</small>"
+        )
+
+    lead = (
+        "The sensor follows outlines in the simulator, steered by what each way of perceiving tells it. Walks that closed the outline; "
+        "below, how far the sensor was from it in mm: mean / 95th percentile / largest."
+    )
+    ways = {row["way"]: row["perceive_ms"] for row in results["rows"]}
+    times = "; ".join(f"{WORDS.get(way, way)} {ms:.1f} ms" for way, ms in ways.items() if way != "true")
+    names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
+    return page.section(
+        "Around objects by touch",
+        lead,
+        _by_way(results["rows"], cell),
+        f"<p class=soft>Perceiving takes, a step: {escape(times)}.</p>",
+        *(_picture(folder / f"{name}.png") for name in names),
+        _command(results),
+    )
+
+
+def _objects(results: dict[str, Any], folder: Path) -> str:
+    def cell(row: dict[str, Any]) -> str:
+        return f"{number(row['iou'], 3)}<small>{number(row['mean_mm'])} / {number(row['hausdorff_mm'], 1)}</small>"
+
+    lead = (
+        "The shape that each walk's images enclose, against the true one: area shared over area of either, mean of the walks; below, "
+        "the outlines' mean and largest distance in mm."
+    )
+    names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
+    pictures = (_picture(folder / f"{name}-object.png") for name in names)
+    return page.section("Whole objects", lead, _by_way(results["rows"], cell), *pictures, _command(results))
+
+
+def _stream(results: dict[str, Any], folder: Path) -> str:
+    latency = results["latency_ms"] or {}
+    rows = [[name, str(results[name])] for name in ("used", "skipped", "dropped")]
+    rows += [[f"{name}, ms", number(value, 1)] for name, value in latency.items()]
+    lead = "Frames from a source to unsheared image, pose and confidence, as on a robot."
+    return page.section("As a stream", lead, page.table(("frames", ""), rows), _command(results))
+
+
+def _by_way(rows: list[dict[str, Any]], cell: Any) -> str:
+    """A line an object, a column a way of perceiving."""
+    ways = list(dict.fromkeys(row["way"] for row in rows))
+    found = {(row["stimulus"], row["way"]): cell(row) for row in rows}
+    names = list(dict.fromkeys(row["stimulus"] for row in rows))
+    lines = [[escape(name), *(found.get((name, way), "") for way in ways)] for name in names]
+    return page.table(["object", *(escape(WORDS.get(way, way)).replace(", ", ",<br>") for way in ways)], lines)
+
+
+def _spanned(row: dict[str, Any], name: str) -> str:
+    if name not in row:
+        return number(None)
+    low, high = row[f"{name}_interval"]
+    return f"{number(row[name], 3)} <small>[{low:.3f}, {high:.3f}]</small>"
+
+
+def _picture(file: Path) -> str:
+    return (
+        f'<figure><img src="{address_of(file.read_bytes())}" alt="{escape(file.stem)}"></figure>'
+        if file.is_file()
+        else ""
+    )
+
+
+def _command(results: dict[str, Any]) -> str:
+    return f"<pre>{escape(results['command'])}</pre>"
