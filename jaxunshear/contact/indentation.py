@@ -1,14 +1,17 @@
 """How far the skin has been pressed in above each pin: the truth that a reconstructed contact geometry is held against."""
 
 import numpy as np
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 
 from jaxunshear.contact.simulate import Skins, dome
 from jaxunshear.scene.sensor import Sensor, pin_lattice
 
 
 def indentation(sensor: Sensor, skins: Skins) -> np.ndarray:
-    """(B, P) mm: inward normal displacement of the dome's outer face above each pin, positive where it is pressed in."""
+    """(B, P) mm: inward normal displacement of the dome's outer face above each pin, positive where it is pressed in.
+
+    Of a pin beyond the contact nodes, where nothing ever touches, that of the nearest node.
+    """
     whole = dome(sensor)
     outward = whole.nodes - np.array([0, 0, sensor.dome_radius_mm])
     outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
@@ -27,8 +30,10 @@ def _above_pins(sensor: Sensor, outward: np.ndarray) -> tuple[np.ndarray, np.nda
     flat = outward[:, :2] * (arc / np.maximum(across, 1e-12))[:, None]
     mesh, pins = Delaunay(flat), pin_lattice(sensor)
     triangle = mesh.find_simplex(pins)
-    if np.any(triangle < 0):
-        raise ValueError(f"sensor '{sensor.name}' has pins beyond its contact nodes")
+    beyond = triangle < 0
     transform = mesh.transform[triangle]
     first = np.einsum("pij,pj->pi", transform[:, :2], pins - transform[:, 2])
-    return mesh.simplices[triangle], np.column_stack([first, 1 - first.sum(axis=-1)])
+    corners, shares = mesh.simplices[triangle], np.column_stack([first, 1 - first.sum(axis=-1)])
+    corners[beyond] = cKDTree(flat).query(pins[beyond])[1][:, None]
+    shares[beyond] = [1, 0, 0]
+    return corners, shares
