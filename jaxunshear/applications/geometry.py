@@ -11,8 +11,8 @@ import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.spatial import Delaunay, Voronoi
 
+from jaxunshear.image.growing import filled
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import filled
 
 
 def relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:

@@ -12,8 +12,7 @@ from jaxunshear.applications.perception import Unshear, in_batches
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import find_pins
-from jaxunshear.image.tracking import follow_all
+from jaxunshear.image.measuring import tracks_of
 
 SEED = 0
 
@@ -39,9 +38,8 @@ def known_growths(lattice: Lattice, known: FreshContacts) -> np.ndarray:
 
 def growths(lattice: Lattice, images: np.ndarray) -> np.ndarray:
     """Smoothed relative growth (N, P) of the pins' cells in images (N, S, S); NaN rows where pins were not identified for sure."""
-    tracks = follow_all(lattice, [find_pins(image) for image in images])
     growth = np.full((len(images), len(lattice.place)), np.nan)
-    for row, track in enumerate(tracks):
+    for row, track in enumerate(tracks_of(lattice, images)):
         if track.sure:
             growth[row] = smoothed(lattice, relative_growth(lattice, track.motion))
     return growth

@@ -14,9 +14,10 @@ from jaxunshear.dataset.recordings import Box, Recordings, read_image, read_reco
 from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import Layout, fit_lattice
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import find_pins
+from jaxunshear.image.measuring import measured_all
+from jaxunshear.image.pins import Found, look
 from jaxunshear.image.settings import Preprocess
-from jaxunshear.image.tracking import Track, follow_all
+from jaxunshear.image.tracking import Track
 from jaxunshear.progress import Progress
 from jaxunshear.storage import csv_text, write_bytes, write_text
 
@@ -56,13 +57,13 @@ def pins_of_recordings(
     if isinstance(lattice, Layout):
         origin = origin if rest is not None else "the pins' mean place in these images"
         some = found if rest is None else _found(read_recordings(rest, preprocess), box)[0]
-        whole = [pins for pins in some if len(pins) >= 0.7 * len(lattice.flat)]
+        whole = [each.pins for each in some if len(each.pins) >= 0.7 * len(lattice.flat)]
         if not whole:
-            most = max(map(len, some))
+            most = max(len(each.pins) for each in some)
             raise UserError(f"at most {most} pins are found in an image, where {lattice.name} has {len(lattice.flat)}")
         lattice = fit_lattice(whole[:: -(-len(whole) // FITTED_TO)], lattice)
     fitted = time.perf_counter()
-    tracks = follow_all(lattice, found)
+    tracks = measured_all(lattice, found)
     spent += time.perf_counter() - fitted
     rows = [_row(name, track) for name, track in zip(names, tracks, strict=True)]
     place = lattice.place + np.array([np.where(t.sure, t.motion, np.nan) for t in tracks])
@@ -89,9 +90,9 @@ def pins_of_recordings(
     return measured, lattice, [(names[i], image, tracks[i]) for i, image in drawn.items()]
 
 
-def _found(recordings: Recordings, box: Box | None) -> tuple[list[np.ndarray], list[str], dict[int, np.ndarray], float]:
-    """Pins (N, 2) and names of all images that can be read, some of the images, and the seconds that finding took."""
-    found: list[np.ndarray] = []
+def _found(recordings: Recordings, box: Box | None) -> tuple[list[Found], list[str], dict[int, np.ndarray], float]:
+    """Pins and names of all images that can be read, some of the images, and the seconds that finding took."""
+    found: list[Found] = []
     names: list[str] = []
     wanted = set(np.linspace(0, len(recordings) - 1, min(DRAWN, len(recordings))).round().astype(int).tolist())
     drawn: dict[int, np.ndarray] = {}
@@ -99,7 +100,7 @@ def _found(recordings: Recordings, box: Box | None) -> tuple[list[np.ndarray], l
     with Progress(f"pins {recordings.path.name}", len(recordings)) as progress:
         for row, name, image in recordings.frames(box):
             began = time.perf_counter()
-            found.append(find_pins(image))
+            found.append(look(image))
             spent += time.perf_counter() - began
             if row in wanted:
                 drawn[len(names)] = image
@@ -114,7 +115,7 @@ def _row(name: str, track: Track) -> dict[str, Any]:
     finite = np.isfinite(track.doubt)
     return {
         "name": name,
-        "matched": int(np.sum(track.which >= 0)) if track.sure else 0,
+        "matched": int(track.seen.sum()) if track.sure else 0,
         "sure": track.sure,
         "doubt": round(track.doubt, 4) if finite else None,
         "missed": track.missed,

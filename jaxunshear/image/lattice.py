@@ -8,14 +8,15 @@ from scipy.spatial import cKDTree
 from jaxunshear.scene.sensor import Sensor
 
 NEIGHBOURS = 18  # pins that tell where another one is
-DEGREES = (2, 2, 2, 3, 3, 3, 4, 4)  # of the polynomials that a motion is refined by, one after the other
+DEGREES = (2, 3, 4)  # of the polynomials that a motion is refined by, one after the other
 
 
 class Lattice(NamedTuple):
     place: np.ndarray  # (P, 2) px as (column, row), in the order of the sensor's lattice
     shell: np.ndarray  # (P,) 0 in the middle, the largest on the rim
     spacing: float  # px, usual distance between neighbours
-    around: np.ndarray  # (P, P): weights of the nearest other pins
+    near: np.ndarray  # (P, NEIGHBOURS) the nearest other pins, the nearest first
+    around: np.ndarray  # (P, P): their weights
     powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the place
 
     @property
@@ -38,9 +39,12 @@ def shells_of(place: np.ndarray) -> np.ndarray:
 def make_lattice(place: np.ndarray, shell: np.ndarray | None = None) -> Lattice:
     """A lattice from the places (P, 2) px of its pins."""
     offset = place - place.mean(axis=0)
-    powers = {degree: _powers(offset / np.abs(offset).max(), degree) for degree in set(DEGREES)}
+    powers = {degree: _powers(offset / np.abs(offset).max(), degree) for degree in DEGREES}
     shell = shells_of(place) if shell is None else shell
-    return Lattice(place, shell, _spacing(place), _around(place), powers)
+    near = cKDTree(place).query(place, k=min(NEIGHBOURS + 1, len(place)))[1][:, 1:]
+    around = np.zeros((len(place), len(place)))
+    np.put_along_axis(around, near, weights(place[near] - place[:, None], _spacing(place)), axis=1)
+    return Lattice(place, shell, _spacing(place), near, around, powers)
 
 
 def _spacing(place: np.ndarray) -> float:
@@ -48,20 +52,21 @@ def _spacing(place: np.ndarray) -> float:
 
 
 def _powers(x: np.ndarray, degree: int) -> np.ndarray:
-    """Monomials (N, terms) of x (N, 2) up to a degree."""
+    """Monomials (..., terms) of x (..., 2) up to a degree."""
     pairs = [(i, n - i) for n in range(degree + 1) for i in range(n + 1)]
-    return np.stack([x[:, 0] ** i * x[:, 1] ** j for i, j in pairs], axis=-1)
+    return np.stack([x[..., 0] ** i * x[..., 1] ** j for i, j in pairs], axis=-1)
 
 
-def _around(place: np.ndarray) -> np.ndarray:
-    """(P, P): a quadratic motion fitted to the nearest other pins, read at each pin."""
-    spacing, weights = _spacing(place), np.zeros((len(place), len(place)))
-    count = min(NEIGHBOURS + 1, len(place))
-    for pin, near in enumerate(cKDTree(place).query(place, k=count)[1]):
-        near = near[near != pin]
-        offset = (place[near] - place[pin]) / spacing
-        share = 1 / (1 + (offset**2).sum(-1))
-        design = _powers(offset, 2)
-        ridge = np.diag([0.0, 0.05, 0.05, 0.5, 0.5, 0.5])  # towards fewer terms, on the rim above all
-        weights[pin, near] = np.linalg.solve(design.T @ (share[:, None] * design) + ridge, design.T * share)[0]
-    return weights
+def weights(offset: np.ndarray, spacing: float, known: np.ndarray | None = None) -> np.ndarray:
+    """(M, N) weights of other pins at offsets (M, N, 2) px: of a quadratic motion fitted to theirs, read at the pin itself.
+
+    Those not `known` (M, N) have none.
+    """
+    offset = offset / spacing
+    share = 1 / (1 + (offset**2).sum(-1))
+    if known is not None:
+        share = share * known
+    design = _powers(offset, 2)
+    ridge = np.diag([1e-12, 0.05, 0.05, 0.5, 0.5, 0.5])  # towards fewer terms, on the rim above all
+    weighted = np.swapaxes(design * share[..., None], -1, -2)
+    return np.linalg.solve(weighted @ design + ridge, weighted)[..., 0, :]

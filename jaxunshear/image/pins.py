@@ -13,19 +13,33 @@ MERGED_AREA = 1.45
 MERGED_LENGTH = 1.6
 
 
+class Found(NamedTuple):
+    """The pins of an image, and what is needed to look again."""
+
+    pins: np.ndarray  # (N, 2) px, centroids as (column, row)
+    white: np.ndarray  # (S, S) bool, without the housing ring
+    radius: float  # px, of the usual pin; 0 where there is none
+
+
 def find_pins(image: np.ndarray) -> np.ndarray:
     """Binary (or nearly binary) image (S, S), uint8 of {0, 255} or in [0, 1] -> centroids (N, 2) px as (column, row).
 
     Pins that touch are parted at the waist. The housing ring and specks are left out: they are too long, too large,
     too small or too far from other pins.
     """
+    return look(image).pins
+
+
+def look(image: np.ndarray) -> Found:
+    """`find_pins`, with what it saw."""
     image = np.asarray(image)
     if image.ndim != 2:
         raise ValueError(f"find_pins takes one image (S, S), got shape {image.shape}")
     parts = _parts(image > (127 if image.dtype == np.uint8 else 0.5))
     kept = _without_ring(parts)
+    white = np.append(False, kept)[parts.labels]
     if not kept.any():
-        return np.zeros((0, 2))
+        return Found(np.zeros((0, 2)), white, 0.0)
     centre, area = parts.centre[kept], parts.area[kept]
     usual = _usual(area)
     diameter = 2 * np.sqrt(usual / np.pi)
@@ -34,7 +48,8 @@ def find_pins(image: np.ndarray) -> np.ndarray:
     centre = np.concatenate([centre[~merged], *(piece[0] for piece in pieces)])
     area = np.concatenate([area[~merged], *(piece[1] for piece in pieces)])
     usual = _usual(area)
-    return in_company(centre[(area > 0.4 * usual) & (area < 3 * usual)])
+    pins = in_company(centre[(area > 0.4 * usual) & (area < 3 * usual)])
+    return Found(pins, white, float(np.sqrt(usual / np.pi)))
 
 
 class _Parts(NamedTuple):

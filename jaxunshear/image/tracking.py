@@ -3,7 +3,7 @@
 A slide moves pins by more than their spacing, so the nearest lattice point is the wrong one. But the skin is smooth: taken as a whole, the
 pins move by a low polynomial of their place, to well below half a spacing. Mean and spread of all found pins give a first affine
 motion; pairs of mutually nearest pins then refine polynomials of rising degree, and last each pin follows its neighbours. What is
-not smooth in the end is told as doubt.
+not smooth in the end is taken back there and grown anew from the pins around; what is not smooth then is told as doubt.
 
 Where pins have left the view, mean and spread mislead. Then the frames that went well help: motions of one sensor differ in two or
 three ways (slides along x and y, and the depth), so a grid over these is laid on the found pins, and the best are refined.
@@ -20,32 +20,39 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from jaxunshear.image.growing import CALM, filled, mended, off_neighbours, rated
 from jaxunshear.image.lattice import DEGREES, Lattice
 
-SURE = 0.22  # of the spacing: how far from its neighbours' motion a pin may stand
+SURE = 0.42  # of the spacing, how far a pin may stand from its neighbours' motion: levers turn sharply at an edge
+FEW = 0.01  # share of the pins: of a sure frame, that stand off their neighbours; or that are missing while others are left over
+HOLES = 0.004  # share of the pins, that a sure frame may lack within its outer rings
+INNER = 0.75  # of the outermost shell
 SEEN = 0.9  # share of the pins that a sure frame shows
 LIMIT = 0.75  # of the spacing: beyond it a found pin is another one
+REPEATS = 3  # of a polynomial's fit, fewer where pairs come no nearer than
+AT_REST = 0.9  # of their distance before
 LEARNT_FROM = 10  # sure frames, at least
 MODES = 3
 STEP = 0.6  # of the spacing, by which neighbours on the grid of motions may differ at a pin
 GRID = 15  # points along a mode, at most
 TRIED = 6  # of the grid's motions
+MENDED = 2  # of the motions that were tried
 
 
 class Track(NamedTuple):
     """One image's pins by identity."""
 
     motion: np.ndarray  # (P, 2) px from the lattice; NaN for pins that were not found
-    which: np.ndarray  # (P,) row of the found pins; -1 for those not found
-    doubt: (
-        float  # largest distance of a pin from where its neighbours put it, over the spacing; inf if too few are found
-    )
+    which: np.ndarray  # (P,) row of the found pins; -1 for those that are none of them
+    doubt: float  # how far a pin stands from where its neighbours put it, at most, over the spacing; inf if too few are found
     missed: int
     extra: int
+    sure: bool
 
     @property
-    def sure(self) -> bool:
-        return self.doubt <= SURE
+    def seen(self) -> np.ndarray:
+        """(P,) bool"""
+        return ~np.isnan(self.motion[:, 0])
 
 
 class Usual(NamedTuple):
@@ -69,16 +76,43 @@ def follow_all(lattice: Lattice, frames: list[np.ndarray]) -> list[Track]:
 def follow_pins(lattice: Lattice, found: np.ndarray, usual: Usual | None = None) -> Track:
     """Identities for found pins (N, 2) px as (column, row)."""
     pins = len(lattice.place)
-    best = Track(np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found))
+    best = Track(np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found), False)
     if len(found) < 0.7 * pins:
         return best
     tree = cKDTree(found)
+    settled = []
     for motion in _first_motions(lattice, found, usual):
-        track = _settled(lattice, found, tree, motion)
+        which = _settled(lattice, found, tree, motion)
+        settled.append((rated(lattice, found, which), which))
+        if settled[-1][0].calm:
+            break
+    for rating, which in sorted(settled, key=lambda pair: pair[0].faults)[:MENDED]:
+        if not rating.calm:
+            which = mended(lattice, found, tree, which)
+        track = judged(lattice, np.where(which[:, None] >= 0, found[which] - lattice.place, np.nan), which, len(found))
         if track.sure:
             return track
         best = min(best, track, key=lambda other: (other.missed, other.doubt))
     return best
+
+
+def judged(lattice: Lattice, motion: np.ndarray, which: np.ndarray, found: int) -> Track:
+    """A track of these motions (P, 2), NaN where a pin is not seen.
+
+    It is sure where motions are smooth, nothing is missing within, and not both pins and found ones are left over: identities that are
+    one place off leave a row of each.
+    """
+    pins = len(motion)
+    unseen = np.isnan(motion[:, 0])
+    missed, extra = int(np.sum(unseen)), int(found - np.sum(which >= 0))
+    if missed > (1 - SEEN) * pins:
+        return Track(motion, which, float("inf"), missed, extra, False)
+    off = off_neighbours(lattice, motion)
+    holes = np.sum(unseen & (lattice.shell < INNER * lattice.shell.max()))
+    most = max(1, FEW * pins)
+    smooth = off.max() <= SURE and np.sum(off > CALM) <= most
+    sure = smooth and holes <= HOLES * pins and min(missed, extra) <= most
+    return Track(motion, which, float(off.max()), missed, extra, bool(sure))
 
 
 def usual_motions(lattice: Lattice, tracks: list[Track]) -> Usual | None:
@@ -98,14 +132,6 @@ def usual_motions(lattice: Lattice, tracks: list[Track]) -> Usual | None:
     grid = mean + np.tensordot(amounts, right[: len(axes)].reshape(-1, *mean.shape), 1)
     off = np.linalg.norm(lattice.place + np.array([track.motion for track in sure]) - _centre(lattice), axis=-1)
     return Usual(grid.astype(np.float32), float(np.nanmax(off)) + 0.1 * lattice.spacing)
-
-
-def filled(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
-    """A motion (P, 2) whose missing rows follow the nearest known ones."""
-    known = ~np.isnan(motion[:, 0])
-    nearest = cKDTree(lattice.place[known]).query(lattice.place)[1]
-    guess = motion[known][nearest]
-    return np.where(known[:, None], motion, lattice.around @ guess)
 
 
 def _centre(lattice: Lattice) -> np.ndarray:
@@ -168,34 +194,33 @@ def _root(matrix: np.ndarray) -> np.ndarray:
     return (vectors * np.sqrt(np.maximum(values, 0))) @ vectors.T
 
 
-def _settled(lattice: Lattice, found: np.ndarray, tree: cKDTree, motion: np.ndarray) -> Track:
-    """From a first motion (P, 2) to identities."""
+def _settled(lattice: Lattice, found: np.ndarray, tree: cKDTree, motion: np.ndarray) -> np.ndarray:
+    """From a first motion (P, 2) to the rows (P,) of the found pins, -1 for none."""
     place, pins = lattice.place, len(lattice.place)
+    pairs = _pairs(place + motion, found, tree)
     for degree in DEGREES:
-        rows, columns, off = _pairs(place + motion, found, tree)
-        share = 1 / (1 + (off / max(2.5 * np.median(off), 0.06 * lattice.spacing)) ** 2)
-        powers = lattice.powers[degree][rows]
-        normal = (powers.T * share) @ powers + 1e-3 * np.eye(powers.shape[1])
-        motion = lattice.powers[degree] @ np.linalg.solve(normal, (powers.T * share) @ (found[columns] - place[rows]))
-    index = np.full(pins, -1)
+        for _ in range(REPEATS):
+            rows, columns, off = pairs
+            middle = np.median(off)
+            share = 1 / (1 + (off / max(2.5 * middle, 0.06 * lattice.spacing)) ** 2)
+            powers = lattice.powers[degree]
+            weighted = powers[rows].T * share
+            normal = weighted @ powers[rows] + 1e-3 * np.eye(powers.shape[1])
+            motion = powers @ np.linalg.solve(normal, weighted @ (found[columns] - place[rows]))
+            pairs = _pairs(place + motion, found, tree)
+            if np.median(pairs[2]) > AT_REST * middle:
+                break
+    which = np.full(pins, -1)
     for _ in range(4):
-        rows, columns, off = _pairs(place + motion, found, tree)
+        rows, columns, off = pairs
         near = off <= LIMIT * lattice.spacing
-        before, index = index, np.full(pins, -1)
-        index[rows[near]] = columns[near]
-        seen = index >= 0
-        known = np.where(seen[:, None], found[index] - place, motion)
-        motion = lattice.around @ known
-        if np.array_equal(before, index):
+        before, which = which, np.full(pins, -1)
+        which[rows[near]] = columns[near]
+        if np.array_equal(before, which):
             break
-    off = np.linalg.norm(known - motion, axis=-1)[seen] / lattice.spacing
-    return Track(
-        np.where(seen[:, None], known, np.nan),
-        index,
-        float(off.max(initial=0.0)) if seen.mean() > SEEN else float("inf"),
-        int(pins - seen.sum()),
-        int(len(found) - seen.sum()),
-    )
+        motion = lattice.around @ np.where(which[:, None] >= 0, found[which] - place, motion)
+        pairs = _pairs(place + motion, found, tree)
+    return which
 
 
 def _pairs(expected: np.ndarray, found: np.ndarray, tree: cKDTree) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

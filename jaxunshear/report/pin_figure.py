@@ -27,7 +27,7 @@ def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, Track]]) -> 
         axes.set_title(f"{name[-28:]}\n{_words(lattice, track)}", fontsize=8)
         if not track.sure:
             continue
-        seen = track.which >= 0
+        seen = track.seen
         ends = np.stack([lattice.place, lattice.place + track.motion], 1)[seen]
         axes.add_collection(LineCollection(list(ends), colors=colours[seen], linewidths=1))
         axes.scatter(*ends[:, 1].T, s=5, c=colours[seen])

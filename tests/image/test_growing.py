@@ -1,0 +1,74 @@
+"""Pins that settled one place too far are taken back and come out right."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from jaxunshear.image.growing import CALM, filled, mended, off_neighbours, rated
+from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.image.tracking import judged
+from jaxunshear.scene.sensor import TACTIP_331, pin_lattice
+
+PLACE = pin_lattice(TACTIP_331) / 2.0 * 4.5 + 64
+LATTICE = make_lattice(PLACE, shells(TACTIP_331))
+
+
+def moved():
+    bell = np.exp(-np.sum((PLACE - 64) ** 2, axis=-1) / (2 * 14**2))
+    return PLACE + 5 * np.stack([bell, 0.3 * bell], axis=-1) + np.random.default_rng(0).normal(0, 0.1, PLACE.shape)
+
+
+def one_place_off(place, count=6):
+    """Rows of the found pins, a row of them each in its neighbour's stead; the last has none."""
+    which = np.arange(len(place))
+    row = np.flatnonzero(LATTICE.shell == 6)[:count]
+    which[row[:-1]] = row[1:]
+    which[row[-1]] = -1
+    return which, row
+
+
+def test_a_row_one_place_off_is_mended():
+    found = moved()
+    wrong, row = one_place_off(found)
+    before = rated(LATTICE, found, wrong)
+    assert not before.calm and before.off[row].max() > 2 * CALM
+    right = mended(LATTICE, found, cKDTree(found), wrong)
+    np.testing.assert_array_equal(right, np.arange(len(found)))
+
+
+def test_what_is_right_stays():
+    found = moved()
+    which = np.arange(len(found))
+    assert rated(LATTICE, found, which).calm
+    np.testing.assert_array_equal(mended(LATTICE, found, cKDTree(found), which), which)
+
+
+def test_a_hidden_side_stays_empty():
+    found = moved()
+    found = found[found[:, 0] < 100]
+    which = cKDTree(found).query(moved())
+    which = np.where(which[0] < 1e-9, which[1], -1)
+    got = mended(LATTICE, found, cKDTree(found), which)
+    np.testing.assert_array_equal(got, which)
+
+
+def test_a_row_one_place_off_is_not_sure_though_it_is_smooth_elsewhere():
+    found = moved()
+    wrong, _ = one_place_off(found)
+    motion = np.where(wrong[:, None] >= 0, found[wrong] - PLACE, np.nan)
+    assert not judged(LATTICE, motion, wrong, len(found)).sure
+    assert judged(LATTICE, found - PLACE, np.arange(len(found)), len(found)).sure
+
+
+def test_pins_missing_on_one_side_and_left_over_on_the_other_are_not_sure():
+    which = np.where(PLACE[:, 0] > np.sort(PLACE[:, 0])[5], np.arange(len(PLACE)), -1)
+    motion = np.where(which[:, None] >= 0, 0.0, np.nan) + np.zeros_like(PLACE)
+    assert judged(LATTICE, motion, which, len(PLACE) - 6).sure  # hidden ones
+    assert not judged(LATTICE, motion, which, len(PLACE)).sure
+
+
+def test_filled_and_off_neighbours():
+    flat = np.tile([1.5, -0.5], (len(PLACE), 1))
+    flat[40:50] = np.nan
+    np.testing.assert_allclose(filled(LATTICE, flat), np.tile([1.5, -0.5], (len(PLACE), 1)), atol=0.02)
+    off = off_neighbours(LATTICE, flat)
+    assert off.max() < 0.01 and (off[40:50] == 0).all()

@@ -1,0 +1,73 @@
+"""Pins measured once more where finding them left doubt: glints, faint pins, the housing."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.image.measuring import tracks_of
+from jaxunshear.scene.sensor import TACTIP_331, pin_lattice
+
+SIZE, RADIUS = 256, 2.9
+PLACE = pin_lattice(TACTIP_331) / 20.0 * 92 + 127.5
+LATTICE = make_lattice(PLACE, shells(TACTIP_331))
+
+
+def picture(place, radius=None):
+    """(S, S) uint8 with a disc at each place (P, 2) px."""
+    radius = np.full(len(place), RADIUS) if radius is None else radius
+    image = np.zeros((SIZE, SIZE), bool)
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    for (x, y), r in zip(place, radius, strict=True):
+        image |= (columns - x) ** 2 + (rows - y) ** 2 <= r**2
+    return image.astype(np.uint8) * 255
+
+
+def slid():
+    bell = np.exp(-np.sum((PLACE - 127.5) ** 2, axis=-1) / (2 * 45**2))
+    return PLACE + 9 * np.stack([bell, 0.4 * bell], axis=-1)
+
+
+def error(track):
+    return np.linalg.norm(LATTICE.place + track.motion - slid(), axis=-1)
+
+
+def test_a_clean_image():
+    (track,) = tracks_of(LATTICE, [picture(slid())])
+    assert track.sure and track.seen.all() and track.extra == 0
+    assert np.sqrt(np.mean(error(track) ** 2)) < 0.15 and error(track).max() < 0.4
+
+
+def test_a_glint_that_touches_a_pin_does_not_draw_it_away():
+    pin = 331 - 30
+    outward = (PLACE[pin] - 127.5) / np.linalg.norm(PLACE[pin] - 127.5)
+    glint = slid()[pin] + 4.4 * outward
+    (track,) = tracks_of(LATTICE, [picture(np.vstack([slid(), glint]), np.append(np.full(331, RADIUS), 1.9))])
+    assert track.sure and track.seen[pin] and error(track)[pin] < 0.8
+    np.testing.assert_array_less(np.delete(error(track), pin), 0.5)
+
+
+def test_faint_pins_are_seen():
+    radius = np.full(331, RADIUS)
+    faint = [7, 150, 260]
+    radius[faint] = 1.5
+    (track,) = tracks_of(LATTICE, [picture(slid(), radius)])
+    assert track.sure and track.seen[faint].all() and error(track)[faint].max() < 0.5
+
+
+def test_pins_that_are_not_there_are_not_made_up():
+    gone = [7, 150, 260]
+    (track,) = tracks_of(LATTICE, [picture(np.delete(slid(), gone, axis=0))])
+    assert not track.seen[gone].any() and track.missed == 3
+
+
+@pytest.mark.parametrize("image", [np.zeros((SIZE, SIZE), np.uint8), np.full((SIZE, SIZE), 255, np.uint8)])
+def test_nothing_to_see(image):
+    (track,) = tracks_of(LATTICE, [image])
+    assert not track.sure and not track.seen.any()
+
+
+def test_half_an_image_is_not_sure():
+    image = picture(slid())
+    image[:, 120:] = 0
+    (track,) = tracks_of(LATTICE, [image])
+    assert not track.sure
