@@ -58,6 +58,8 @@ def mended(lattice: Lattice, found: np.ndarray, tree: cKDTree, which: np.ndarray
             break
         erased = cKDTree(lattice.place[rating.off > CALM]).query(lattice.place)[0] < reach * lattice.spacing
         other = _grown(lattice, found, tree, np.where(erased, -1, which))
+        if np.array_equal(other, which):
+            break  # grown back as it was
         other_rating = rated(lattice, found, other)
         if other_rating.faults < rating.faults:
             which, rating = other, other_rating

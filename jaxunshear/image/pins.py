@@ -17,7 +17,7 @@ class Found(NamedTuple):
     """The pins of an image, and what is needed to look again."""
 
     pins: np.ndarray  # (N, 2) px, centroids as (column, row)
-    white: np.ndarray  # (S, S) bool, without the housing ring
+    white: np.ndarray  # (S, S) bool, without parts as long as those of the housing ring
     radius: float  # px, of the usual pin; 0 where there is none
 
 
@@ -36,8 +36,9 @@ def look(image: np.ndarray) -> Found:
     if image.ndim != 2:
         raise ValueError(f"find_pins takes one image (S, S), got shape {image.shape}")
     parts = _parts(image > (127 if image.dtype == np.uint8 else 0.5))
-    kept = _without_ring(parts)
-    white = np.append(False, kept)[parts.labels]
+    short = parts.length < len(image) / 5
+    kept = short & _within(parts)
+    white = np.append(False, short)[parts.labels]
     if not kept.any():
         return Found(np.zeros((0, 2)), white, 0.0)
     centre, area = parts.centre[kept], parts.area[kept]
@@ -77,12 +78,12 @@ def _centres(labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([column, row], -1) / area[:, None], area
 
 
-def _without_ring(parts: _Parts) -> np.ndarray:
-    """(N,) bool: without parts that reach the edge of the circular mask, and those much longer than pins."""
+def _within(parts: _Parts) -> np.ndarray:
+    """(N,) bool: parts that do not reach the edge of the circular mask."""
     height, width = parts.labels.shape
     rows, columns = np.arange(height) - (height - 1) / 2, np.arange(width) - (width - 1) / 2
-    kept = parts.length < height / 5
     at_edge = parts.labels[np.hypot(rows[:, None], columns) >= 0.47 * height]
+    kept = np.ones(len(parts.area), bool)
     kept[np.unique(at_edge[at_edge > 0]) - 1] = False
     return kept
 

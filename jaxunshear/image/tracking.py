@@ -36,7 +36,8 @@ MODES = 3
 STEP = 0.6  # of the spacing, by which neighbours on the grid of motions may differ at a pin
 GRID = 15  # points along a mode, at most
 TRIED = 6  # of the grid's motions
-MENDED = 2  # of the motions that were tried
+CLOSE = 0.1  # share of the pins that are at fault in a motion worth mending at once
+MENDED = 2  # of the others
 
 
 class Track(NamedTuple):
@@ -80,20 +81,31 @@ def follow_pins(lattice: Lattice, found: np.ndarray, usual: Usual | None = None)
     if len(found) < 0.7 * pins:
         return best
     tree = cKDTree(found)
-    settled = []
+    left = []
     for motion in _first_motions(lattice, found, usual):
         which = _settled(lattice, found, tree, motion)
-        settled.append((rated(lattice, found, which), which))
-        if settled[-1][0].calm:
+        rating = rated(lattice, found, which)
+        if rating.faults > CLOSE * pins:
+            left.append((rating.faults, which))
+            continue
+        best = min(best, _mended(lattice, found, tree, which), key=_worth)
+        if best.sure:
+            return best
+    for _, which in sorted(left, key=lambda pair: pair[0])[:MENDED]:
+        best = min(best, _mended(lattice, found, tree, which), key=_worth)
+        if best.sure:
             break
-    for rating, which in sorted(settled, key=lambda pair: pair[0].faults)[:MENDED]:
-        if not rating.calm:
-            which = mended(lattice, found, tree, which)
-        track = judged(lattice, np.where(which[:, None] >= 0, found[which] - lattice.place, np.nan), which, len(found))
-        if track.sure:
-            return track
-        best = min(best, track, key=lambda other: (other.missed, other.doubt))
     return best
+
+
+def _mended(lattice: Lattice, found: np.ndarray, tree: cKDTree, which: np.ndarray) -> Track:
+    which = mended(lattice, found, tree, which)
+    motion = np.where(which[:, None] >= 0, found[which] - lattice.place, np.nan)
+    return judged(lattice, motion, which, len(found))
+
+
+def _worth(track: Track) -> tuple[bool, int, float]:
+    return not track.sure, track.missed, track.doubt
 
 
 def judged(lattice: Lattice, motion: np.ndarray, which: np.ndarray, found: int) -> Track:
