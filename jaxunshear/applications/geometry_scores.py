@@ -12,7 +12,7 @@ from jaxunshear.applications.perception import Unshear, in_batches
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.measuring import tracks_of
+from jaxunshear.image.tracking import tracks_of
 
 SEED = 0
 

@@ -14,10 +14,10 @@ from jaxunshear.dataset.recordings import Box, Recordings, read_image, read_reco
 from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import Layout, fit_lattice
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.measuring import measured_all
 from jaxunshear.image.pins import Found, look
 from jaxunshear.image.settings import Preprocess
-from jaxunshear.image.tracking import Track
+from jaxunshear.image.track import Track
+from jaxunshear.image.tracking import follow_all
 from jaxunshear.progress import Progress
 from jaxunshear.storage import csv_text, write_bytes, write_text
 
@@ -63,7 +63,7 @@ def pins_of_recordings(
             raise UserError(f"at most {most} pins are found in an image, where {lattice.name} has {len(lattice.flat)}")
         lattice = fit_lattice(whole[:: -(-len(whole) // FITTED_TO)], lattice)
     fitted = time.perf_counter()
-    tracks = measured_all(lattice, found)
+    tracks = follow_all(lattice, found)
     spent += time.perf_counter() - fitted
     rows = [_row(name, track) for name, track in zip(names, tracks, strict=True)]
     place = lattice.place + np.array([np.where(t.sure, t.motion, np.nan) for t in tracks])

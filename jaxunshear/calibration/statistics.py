@@ -14,7 +14,7 @@ from skimage.measure import label
 from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import find_pins
+from jaxunshear.image.pins import Found, find_pins
 from jaxunshear.image.tracking import follow_all
 from jaxunshear.scene.sensor import Sensor
 
@@ -69,7 +69,7 @@ def observe(images: Iterable[np.ndarray], sensor: Sensor) -> Seen:
         raise UserError(f"at most {most} pins are found in an image, where sensor '{sensor.name}' has {sensor.pins}")
     good = [pins for pins, use in zip(found, enough, strict=True) if use]
     lattice = fit_lattice(good[:: -(-len(good) // LATTICE_IMAGES)], layout_of(sensor))
-    tracks = follow_all(lattice, found)
+    tracks = follow_all(lattice, [Found(pins) for pins in found])
     diameters = [pin_diameters(image, pins) for image, pins in zip(images, found, strict=True)]
     diameter = [
         np.where(track.which >= 0, np.append(d, np.nan)[track.which], np.nan)

@@ -16,7 +16,6 @@ from jaxunshear.dataset.configs import PAIRED, sensor_of
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.measuring import measured
 from jaxunshear.image.pins import look
 from jaxunshear.image.settings import Nuisance
 from jaxunshear.image.tracking import follow_pins, usual_motions
@@ -61,19 +60,17 @@ def _rows(config: str, size: int, frames: int) -> list[dict[str, Any]]:
 def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> dict[str, Any]:
     """Of images (N, S, S) with true pins (N, P, 2) px: errors of found pins, identities, and milliseconds a frame."""
     found, find_ms = _timed(look, images)
-    tracks, follow_ms = _timed(lambda each: follow_pins(lattice, each.pins), found)
+    tracks, follow_ms = _timed(lambda each: follow_pins(lattice, each), found)
     usual = usual_motions(lattice, tracks)
     for row, track in enumerate(tracks):
         if usual is not None and not track.sure:
-            (tracks[row],), more = _timed(lambda each: follow_pins(lattice, each.pins, usual), found[row : row + 1])
+            (tracks[row],), more = _timed(lambda each: follow_pins(lattice, each, usual), found[row : row + 1])
             follow_ms[row] += more[0]
-    tracks, measure_ms = _timed(lambda pair: measured(lattice, *pair), zip(tracks, found, strict=True))
     motion = np.array([track.motion for track in tracks])
     off = np.linalg.norm(lattice.place + motion - true, axis=-1)
     mistaken = off > 0.5 * lattice.spacing
     sure = np.array([track.sure for track in tracks])
     right = off[~np.isnan(off) & ~mistaken]
-    follow_ms += measure_ms
     whole = find_ms + follow_ms
     return {
         "frames": len(images),

@@ -8,6 +8,7 @@ from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice, shells, shells_of
+from jaxunshear.image.pins import Found
 from jaxunshear.image.tracking import follow_all
 from jaxunshear.scene.sensor import Sensor, pin_lattice
 
@@ -64,7 +65,7 @@ def fit_lattice(frames: list[np.ndarray], layout: Layout) -> Lattice:
     place = _first_guess(frames, layout)
     for _ in range(2):
         lattice = make_lattice(place, layout.shell)
-        tracks = follow_all(lattice, frames)
+        tracks = follow_all(lattice, [Found(pins) for pins in frames])
         motion = np.array([track.motion for track in tracks if track.sure] or [track.motion for track in tracks])
         count = np.isfinite(motion[..., 0]).sum(axis=0)
         if np.mean(count > 0) < 0.9 or np.median([track.extra for track in tracks]) > 0.1 * len(place):

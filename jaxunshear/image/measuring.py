@@ -1,20 +1,15 @@
-"""From images to every pin's motion: found, given identities, and where that leaves doubt, measured once more in their own windows.
+"""Pins measured once more, each in a window of its own.
 
 A pin that touches a glint is found between the two, a faint one not at all. Once its neighbours say where it must be, the white
 within one pin's radius of there is its own.
-
-    tracks = tracks_of(lattice, images)
-    motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is not seen
 """
-
-from collections.abc import Iterable
 
 import numpy as np
 
 from jaxunshear.image.growing import filled, off_neighbours
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import Found, look
-from jaxunshear.image.tracking import Track, follow_all, judged
+from jaxunshear.image.pins import Found
+from jaxunshear.image.track import Track, judged
 
 AGREED = 0.1  # of the spacing off its neighbours: pins nearer than this are taken as they were found
 AWAY = 0.3  # of the spacing: a window may lead this far
@@ -23,20 +18,9 @@ STEPS = 3
 BRINKS = 3  # pins deep, at most, that one left out leads to others
 
 
-def tracks_of(lattice: Lattice, images: Iterable[np.ndarray]) -> list[Track]:
-    """Of binary images (S, S) of one camera, in their order."""
-    return measured_all(lattice, [look(image) for image in images])
-
-
-def measured_all(lattice: Lattice, found: list[Found]) -> list[Track]:
-    """The same, of images that were looked at before."""
-    tracks = follow_all(lattice, [each.pins for each in found])
-    return [measured(lattice, track, each) for track, each in zip(tracks, found, strict=True)]
-
-
 def measured(lattice: Lattice, track: Track, found: Found) -> Track:
-    """A track whose missing and doubtful pins are looked for in their windows."""
-    if track.seen.mean() < 0.6:
+    """A track whose missing and doubtful pins are looked for in their windows, where there is an image."""
+    if found.white is None or track.seen.mean() < 0.6:
         return track
     motion = filled(lattice, track.motion)
     expected = lattice.place + lattice.around @ motion

@@ -17,8 +17,8 @@ class Found(NamedTuple):
     """The pins of an image, and what is needed to look again."""
 
     pins: np.ndarray  # (N, 2) px, centroids as (column, row)
-    white: np.ndarray  # (S, S) bool, without parts as long as those of the housing ring
-    radius: float  # px, of the usual pin; 0 where there is none
+    white: np.ndarray | None = None  # (S, S) bool, without parts as long as those of the housing ring
+    radius: float = 0.0  # px, of the usual pin; 0 where there is none
 
 
 def find_pins(image: np.ndarray) -> np.ndarray:

@@ -9,25 +9,23 @@ Where pins have left the view, mean and spread mislead. Then the frames that wen
 three ways (slides along x and y, and the depth), so a grid over these is laid on the found pins, and the best are refined.
 
     lattice = fit_lattice([find_pins(image) for image in images[:30]], layout_of(TACTIP_331))
-    tracks = follow_all(lattice, [find_pins(image) for image in images])
-    motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin was not found
+    tracks = tracks_of(lattice, images)
+    motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is not seen
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from jaxunshear.image.growing import CALM, filled, mended, off_neighbours, rated
+from jaxunshear.image.growing import filled, mended, rated
 from jaxunshear.image.lattice import DEGREES, Lattice
+from jaxunshear.image.measuring import measured
+from jaxunshear.image.pins import Found, look
+from jaxunshear.image.track import Track, judged
 
-SURE = 0.42  # of the spacing, how far a pin may stand from its neighbours' motion: levers turn sharply at an edge
-FEW = 0.01  # share of the pins: of a sure frame, that stand off their neighbours; or that are missing while others are left over
-HOLES = 0.004  # share of the pins, that a sure frame may lack within its outer rings
-INNER = 0.75  # of the outermost shell
-SEEN = 0.9  # share of the pins that a sure frame shows
 LIMIT = 0.75  # of the spacing: beyond it a found pin is another one
 REPEATS = 3  # of a polynomial's fit, fewer where pairs come no nearer than
 AT_REST = 0.9  # of their distance before
@@ -40,22 +38,6 @@ CLOSE = 0.1  # share of the pins that are at fault in a motion worth mending at 
 MENDED = 2  # of the others
 
 
-class Track(NamedTuple):
-    """One image's pins by identity."""
-
-    motion: np.ndarray  # (P, 2) px from the lattice; NaN for pins that were not found
-    which: np.ndarray  # (P,) row of the found pins; -1 for those that are none of them
-    doubt: float  # how far a pin stands from where its neighbours put it, at most, over the spacing; inf if too few are found
-    missed: int
-    extra: int
-    sure: bool
-
-    @property
-    def seen(self) -> np.ndarray:
-        """(P,) bool"""
-        return ~np.isnan(self.motion[:, 0])
-
-
 class Usual(NamedTuple):
     """How the pins of a set usually move."""
 
@@ -63,8 +45,13 @@ class Usual(NamedTuple):
     view: float  # px from the lattice's centre within which pins are seen
 
 
-def follow_all(lattice: Lattice, frames: list[np.ndarray]) -> list[Track]:
-    """Identities for the found pins (N, 2) px of images of one camera; the sure ones help with the others."""
+def tracks_of(lattice: Lattice, images: Iterable[np.ndarray]) -> list[Track]:
+    """Every pin's identity and motion in binary images (S, S) of one camera, in their order."""
+    return follow_all(lattice, [look(image) for image in images])
+
+
+def follow_all(lattice: Lattice, frames: list[Found]) -> list[Track]:
+    """The same, of pins found before; the frames that are sure help with the others."""
     tracks = [follow_pins(lattice, found) for found in frames]
     usual = usual_motions(lattice, tracks)
     if usual is None:
@@ -74,9 +61,9 @@ def follow_all(lattice: Lattice, frames: list[np.ndarray]) -> list[Track]:
     ]
 
 
-def follow_pins(lattice: Lattice, found: np.ndarray, usual: Usual | None = None) -> Track:
-    """Identities for found pins (N, 2) px as (column, row)."""
-    pins = len(lattice.place)
+def follow_pins(lattice: Lattice, seen: Found, usual: Usual | None = None) -> Track:
+    """Of one image."""
+    found, pins = seen.pins, len(lattice.place)
     best = Track(np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found), False)
     if len(found) < 0.7 * pins:
         return best
@@ -88,43 +75,25 @@ def follow_pins(lattice: Lattice, found: np.ndarray, usual: Usual | None = None)
         if rating.faults > CLOSE * pins:
             left.append((rating.faults, which))
             continue
-        best = min(best, _mended(lattice, found, tree, which), key=_worth)
+        best = min(best, _ended(lattice, seen, tree, which), key=_worth)
         if best.sure:
             return best
     for _, which in sorted(left, key=lambda pair: pair[0])[:MENDED]:
-        best = min(best, _mended(lattice, found, tree, which), key=_worth)
+        best = min(best, _ended(lattice, seen, tree, which), key=_worth)
         if best.sure:
             break
     return best
 
 
-def _mended(lattice: Lattice, found: np.ndarray, tree: cKDTree, which: np.ndarray) -> Track:
-    which = mended(lattice, found, tree, which)
-    motion = np.where(which[:, None] >= 0, found[which] - lattice.place, np.nan)
-    return judged(lattice, motion, which, len(found))
+def _ended(lattice: Lattice, seen: Found, tree: cKDTree, which: np.ndarray) -> Track:
+    """From rows (P,) of the found pins: mended, then measured where that leaves doubt."""
+    which = mended(lattice, seen.pins, tree, which)
+    motion = np.where(which[:, None] >= 0, seen.pins[which] - lattice.place, np.nan)
+    return measured(lattice, judged(lattice, motion, which, len(seen.pins)), seen)
 
 
 def _worth(track: Track) -> tuple[bool, int, float]:
     return not track.sure, track.missed, track.doubt
-
-
-def judged(lattice: Lattice, motion: np.ndarray, which: np.ndarray, found: int) -> Track:
-    """A track of these motions (P, 2), NaN where a pin is not seen.
-
-    It is sure where motions are smooth, nothing is missing within, and not both pins and found ones are left over: identities that are
-    one place off leave a row of each.
-    """
-    pins = len(motion)
-    unseen = np.isnan(motion[:, 0])
-    missed, extra = int(np.sum(unseen)), int(found - np.sum(which >= 0))
-    if missed > (1 - SEEN) * pins:
-        return Track(motion, which, float("inf"), missed, extra, False)
-    off = off_neighbours(lattice, motion)
-    holes = np.sum(unseen & (lattice.shell < INNER * lattice.shell.max()))
-    most = max(1, FEW * pins)
-    smooth = off.max() <= SURE and np.sum(off > CALM) <= most
-    sure = smooth and holes <= HOLES * pins and min(missed, extra) <= most
-    return Track(motion, which, float(off.max()), missed, extra, bool(sure))
 
 
 def usual_motions(lattice: Lattice, tracks: list[Track]) -> Usual | None:

@@ -8,7 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import Track
+from jaxunshear.image.track import Track
 
 COLUMNS = 4
 

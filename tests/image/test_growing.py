@@ -5,7 +5,7 @@ from scipy.spatial import cKDTree
 
 from jaxunshear.image.growing import CALM, filled, mended, off_neighbours, rated
 from jaxunshear.image.lattice import make_lattice, shells
-from jaxunshear.image.tracking import judged
+from jaxunshear.image.track import judged
 from jaxunshear.scene.sensor import TACTIP_331, pin_lattice
 
 PLACE = pin_lattice(TACTIP_331) / 2.0 * 4.5 + 64

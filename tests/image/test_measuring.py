@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.image.lattice import make_lattice, shells
-from jaxunshear.image.measuring import tracks_of
+from jaxunshear.image.tracking import tracks_of
 from jaxunshear.scene.sensor import TACTIP_331, pin_lattice
 
 SIZE, RADIUS = 256, 2.9

@@ -6,6 +6,7 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.image.pins import Found
 from jaxunshear.image.tracking import follow_pins
 from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_lattice
 
@@ -29,7 +30,7 @@ def test_identities(sensor, shift_px):
     place = _flat(sensor)
     order = rng.permutation(len(place))
     found = (_slid(place, shift_px) + rng.normal(0, 0.1, place.shape))[order]
-    track = follow_pins(make_lattice(place, shells(sensor)), found)
+    track = follow_pins(make_lattice(place, shells(sensor)), Found(found))
     assert track.sure and track.missed == track.extra == 0
     np.testing.assert_array_equal(order[track.which], np.arange(len(place)))
 
@@ -44,7 +45,7 @@ def test_nearest_would_be_wrong():
 def test_missing_and_extra_pins_are_counted():
     place = _flat(TACTIP_331)
     found = np.concatenate([np.delete(_slid(place, 3.0), [0, 40, 200], axis=0), [[70.3, 66.1], [20.0, 40.0]]])
-    track = follow_pins(make_lattice(place), found)
+    track = follow_pins(make_lattice(place), Found(found))
     assert track.missed <= 3 and track.extra >= 1  # an extra pin may stand in for a missing neighbour
     assert np.isnan(track.motion).any(axis=-1).sum() == track.missed
 
@@ -52,8 +53,8 @@ def test_missing_and_extra_pins_are_counted():
 def test_scrambled_pins_are_not_sure():
     rng = np.random.default_rng(1)
     place = _flat(TACTIP_331)
-    assert not follow_pins(make_lattice(place), rng.uniform(16, 112, place.shape)).sure
-    assert not follow_pins(make_lattice(place), place[:100]).sure
+    assert not follow_pins(make_lattice(place), Found(rng.uniform(16, 112, place.shape))).sure
+    assert not follow_pins(make_lattice(place), Found(place[:100])).sure
 
 
 def test_lattice_is_found_turned_and_shifted():

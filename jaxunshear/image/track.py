@@ -1,0 +1,49 @@
+"""One image's pins by identity, and how sure these are."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.image.growing import CALM, off_neighbours
+from jaxunshear.image.lattice import Lattice
+
+SURE = 0.42  # of the spacing, how far a pin may stand from its neighbours' motion: levers turn sharply at an edge
+FEW = 0.01  # share of the pins: of a sure frame, that stand off their neighbours; or that are missing while others are left over
+HOLES = 0.004  # share of the pins, that a sure frame may lack within its outer rings
+INNER = 0.75  # of the outermost shell
+SEEN = 0.9  # share of the pins that a sure frame shows
+
+
+class Track(NamedTuple):
+    """One image's pins by identity."""
+
+    motion: np.ndarray  # (P, 2) px from the lattice; NaN for pins that were not found
+    which: np.ndarray  # (P,) row of the found pins; -1 for those that are none of them
+    doubt: float  # how far a pin stands from where its neighbours put it, at most, over the spacing; inf if too few are found
+    missed: int
+    extra: int
+    sure: bool
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(P,) bool"""
+        return ~np.isnan(self.motion[:, 0])
+
+
+def judged(lattice: Lattice, motion: np.ndarray, which: np.ndarray, found: int) -> Track:
+    """A track of these motions (P, 2), NaN where a pin is not seen.
+
+    It is sure where motions are smooth, nothing is missing within, and not both pins and found ones are left over: identities that are
+    one place off leave a row of each.
+    """
+    pins = len(motion)
+    unseen = np.isnan(motion[:, 0])
+    missed, extra = int(np.sum(unseen)), int(found - np.sum(which >= 0))
+    if missed > (1 - SEEN) * pins:
+        return Track(motion, which, float("inf"), missed, extra, False)
+    off = off_neighbours(lattice, motion)
+    holes = np.sum(unseen & (lattice.shell < INNER * lattice.shell.max()))
+    most = max(1, FEW * pins)
+    smooth = off.max() <= SURE and np.sum(off > CALM) <= most
+    sure = smooth and holes <= HOLES * pins and min(missed, extra) <= most
+    return Track(motion, which, float(off.max()), missed, extra, bool(sure))
