@@ -7,11 +7,11 @@ from tests.image.test_measuring import LATTICE, picture, slid
 
 
 def test_errors_identities_and_times():
-    true = np.stack([slid(), slid() + [0.5, 0]])
+    true = np.stack([slid(), slid() + np.array([0.5, 0])])
     row = bench_pins.compare(LATTICE, np.stack([picture(each) for each in true]), true)
     assert row["frames"] == 2 and row["sure"] == 1 and row["wrong"] == 0 and row["missed"] == row["extra"] == 0
     assert 0 < row["rms_px"] < 0.15
-    assert 0 < row["find_ms"] and 0 < row["follow_ms"] and row["ms"] <= row["ms_p95"]
+    assert row["find_ms"] > 0 and row["follow_ms"] > 0 and row["ms"] <= row["ms_p95"]
 
 
 def test_a_wrong_name_in_a_sure_frame_is_counted():
