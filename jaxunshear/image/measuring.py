@@ -40,11 +40,11 @@ def measured(lattice: Lattice, track: Track, found: Found) -> Track:
 
 
 def _at_the_brink(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
-    """(P,) bool: pins off their neighbours and next to several that are not seen: the housing hides part of them, or all."""
+    """(P,) bool: pins off their neighbours and next to one that is not seen: the housing hides part of them, or all."""
     unseen = np.isnan(motion[:, 0])
     if not unseen.any():
         return unseen
-    return (off_neighbours(lattice, motion) > AGREED) & (unseen[lattice.near[:, :8]].sum(axis=1) >= 2)
+    return (off_neighbours(lattice, motion) > AGREED) & unseen[lattice.near[:, :8]].any(axis=1)
 
 
 def _centroids(white: np.ndarray, at: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
