@@ -2,10 +2,10 @@
 
     jaxunshear sweep experiments/standard.py --seeds 0,1,2        # one seed: jaxunshear run experiments/standard.py
 
-Measured on two cores, with other work beside (docs/results/standard.json): 48 to 54 minutes for the networks of a
-seed, beside 5 for the data, which all seeds share; MS-SSIM 0.975, edge distance to 0.32 mm. Images of 128 px, camera
-noise and drift on. Tests of their own: the four shapes that no network has seen, and taps whose depth misses the slide's by up
-to 1 mm, as the paper pairs them.
+Expected on two cores, as measured with other work beside (docs/results/standard.json): 48 to 54 minutes for the
+networks of a seed, beside 5 for the data, which all seeds share; MS-SSIM 0.975, edge distance to 0.32 mm. Images of
+128 px, camera noise and drift on. Tests of their own: the four shapes that no network has seen, and taps whose depth
+misses the slide's by up to 1 mm, as the paper pairs them.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
