@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
 
 if TYPE_CHECKING:
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
 
 KNOWN = 300  # simulated taps that scales are fitted to
 COMMANDS = ("pins", "geometry", "servo", "reconstruct", "stream")
-FOLDERS = {"reconstruct": "servo"}  # it works on what `servo` left
 DEFAULT = Path("standard")  # of the released weights
 
 
@@ -101,8 +101,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     keep_freed_memory()
     model = _model(arguments) if arguments.model else None
     finished = model is not None and (model[0] / "results.json").is_file()
-    name = FOLDERS.get(arguments.command, arguments.command)
-    home = model[0] / name if model and finished else Path(name)
+    home = results_folder(model[0] if model and finished else Path(), arguments.command)
     out = home if arguments.command == "stream" else arguments.out or home
     if out.exists() and not out.is_dir():
         raise UserError(f"--out {out} is a file: name a folder")

@@ -16,9 +16,10 @@ from jaxunshear.image.lattice import Lattice
 
 
 def relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
-    """(P,) area of each pin's cell over that of the undeformed sensor, less one; motion (P, 2) px, NaN for pins not seen."""
-    motion = filled(lattice, motion)
-    return cell_areas(lattice, motion) / cell_areas(lattice, np.zeros_like(motion)) - 1
+    """(..., P) area of each pin's cell over that of the undeformed sensor, less one; motion (..., P, 2) px, NaN for pins not seen."""
+    rest = cell_areas(lattice, np.zeros_like(lattice.place))
+    each = motion.reshape(-1, *motion.shape[-2:])
+    return np.reshape([cell_areas(lattice, filled(lattice, one)) / rest - 1 for one in each], motion.shape[:-1])
 
 
 def cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
@@ -39,10 +40,10 @@ def cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
 
 
 def smoothed(lattice: Lattice, heights: np.ndarray) -> np.ndarray:
-    """Heights (P,) averaged over each pin and its neighbours: half a pixel of noise in a pin is a tenth of its cell."""
+    """Heights (..., P) averaged over each pin and its neighbours: half a pixel of noise in a pin is a tenth of its cell."""
     start, neighbours = Delaunay(lattice.place).vertex_neighbor_vertices
     count = np.diff(start)
-    around = np.add.reduceat(heights[neighbours], start[:-1])
+    around = np.add.reduceat(heights[..., neighbours], start[:-1], axis=-1)
     return (heights + around) / (1 + count)
 
 

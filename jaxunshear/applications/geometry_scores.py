@@ -39,9 +39,11 @@ def known_growths(lattice: Lattice, known: FreshContacts) -> np.ndarray:
 def growths(lattice: Lattice, images: np.ndarray) -> np.ndarray:
     """Smoothed relative growth (N, P) of the pins' cells in images (N, S, S); NaN rows where pins were not identified for sure."""
     growth = np.full((len(images), len(lattice.place)), np.nan)
-    for row, track in enumerate(tracks_of(lattice, images)):
-        if track.sure:
-            growth[row] = smoothed(lattice, relative_growth(lattice, track.motion))
+    tracks = tracks_of(lattice, images)
+    sure = np.array([track.sure for track in tracks])
+    if sure.any():
+        motion = np.stack([track.motion for track in tracks])[sure]
+        growth[sure] = smoothed(lattice, relative_growth(lattice, motion))
     return growth
 
 

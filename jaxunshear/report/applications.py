@@ -4,6 +4,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
 from jaxunshear.report import page
 from jaxunshear.report.page import number
@@ -11,7 +12,6 @@ from jaxunshear.report.pictures import address_of
 from jaxunshear.report.walk_figure import WORDS
 from jaxunshear.storage import read_json
 
-FOLDERS = {"reconstruct": "servo"}  # it works on what `servo` left
 KINDS = {"tap": "tap", "sheared": "sheared, as felt"} | {
     name: WORDS[name] for name in WORDS if "unsheared" in WORDS[name]
 }
@@ -21,7 +21,7 @@ def sections(run_dir: Path) -> list[str]:
     """HTML, in the order geometry, walks, objects, stream; nothing for a command that has not been run. Raises `UserError`."""
     found = []
     for name, part in (("geometry", _geometry), ("servo", _walks), ("reconstruct", _objects), ("stream", _stream)):
-        folder = run_dir / FOLDERS.get(name, name)
+        folder = results_folder(run_dir, name)
         file = folder / f"{name}.json"
         if not file.is_file():
             continue
