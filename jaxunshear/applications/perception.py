@@ -4,16 +4,20 @@
 >>> edge_mm, edge_deg = perceive(images)                       # (B, S, S) uint8 of {0, 255} -> (B,) each
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from jax import Array
 
+from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.model.layers import in_precision
+from jaxunshear.model.ready import ready
 from jaxunshear.training.checkpoint import holds_model, load_best, read_net
 
 TRUE = "true"  # the pose that the simulator knows
@@ -27,6 +31,8 @@ WAYS = {  # name: the networks it runs, the last of them a PoseNet
     "learnt": ("posenet_sheared",),
 }
 Perceive = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+# (variables by network, images (B, S, S) uint8 of {0, 255}) -> what PoseNet sees (B, S, S, 1) in [0, 1], pose by quantity, each (B,)
+Look = Callable[[Mapping[str, Any], Array], tuple[Array, dict[str, Array]]]
 BATCH = 32
 Unshear = Callable[[np.ndarray], np.ndarray]
 
@@ -46,7 +52,7 @@ def perceptions(model: Path, experiment: Experiment, ways: tuple[str, ...]) -> d
     unknown = [way for way in ways if way not in WAYS]
     if unknown:
         raise UserError(f"perception '{unknown[0]}' is unknown: use {TRUE}, {', '.join(WAYS)}")
-    return {way: _perception(model, experiment, WAYS[way]) for way in ways}
+    return {way: _perception(model, experiment, way) for way in ways}
 
 
 def unshearers(model: Path, names: tuple[str, ...]) -> dict[str, Unshear]:
@@ -63,33 +69,49 @@ def in_batches(unshear: Unshear, images: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def _unshearer(model: Path, name: str) -> Unshear:
-    net, variables = read_net(model / name), load_best(model / name)
-    run = jax.jit(lambda variables, images: _unshear(name, net, variables, _unit(images))[..., 0])
-    return lambda images: jax.device_get(run(variables, images))
+def look_of(nets: Mapping[str, Any], ranges: Ranges, precision: str = "float32") -> Look:
+    """Of networks by name, in the order in which they look, the last of them a PoseNet that was trained on poses in `ranges`."""
+    *unshearing, last = nets
 
-
-def _perception(model: Path, experiment: Experiment, networks: tuple[str, ...]) -> Perceive:
-    nets: list[Any] = [read_net(model / name) for name in networks]
-    variables = [load_best(model / name) for name in networks]
-    ranges = (experiment.paired if networks[-1] == "posenet_sheared" else experiment.pose).ranges
-
-    @jax.jit
-    def run(variables, images):
+    def look(variables, images):
         seen = _unit(images)
-        for name, net, known in zip(networks[:-1], nets[:-1], variables[:-1], strict=True):
-            seen = _unshear(name, net, known, seen)
-        pose = posenet.pose_from_outputs(posenet.predict(nets[-1], variables[-1], seen), ranges)
+        for name in unshearing:
+            seen = _unshear(name, nets[name], variables[name], in_precision(seen, precision))
+        return seen, posenet.pose_from_outputs(posenet.predict(nets[last], variables[last], seen), ranges)
+
+    return look
+
+
+def read_look(model: Path, experiment: Experiment, way: str, precision: str = "float32") -> tuple[Look, Any]:
+    """A way of looking and its networks' variables, from the folder of a run. Raises `UserError`."""
+    names = WAYS[way]
+    ranges = (experiment.paired if names[-1] == "posenet_sheared" else experiment.pose).ranges
+    nets = {name: read_net(model / name) for name in names}
+    return look_of(nets, ranges, precision), {name: load_best(model / name) for name in names}
+
+
+def _unshearer(model: Path, name: str) -> Unshear:
+    net = read_net(model / name)
+    run = ready(lambda known, images: _unshear(name, net, known, _unit(images))[..., 0], load_best(model / name))
+    return lambda images: jax.device_get(run(images))
+
+
+def _perception(model: Path, experiment: Experiment, way: str) -> Perceive:
+    look, variables = read_look(model, experiment, way)
+
+    def edge(variables, images):
+        _, pose = look(variables, images)
         return pose["edge_mm"], pose["edge_deg"]
 
-    return lambda images: jax.device_get(run(variables, images))
+    run = ready(edge, variables)
+    return lambda images: jax.device_get(run(images))
 
 
-def _unit(images: jax.Array) -> jax.Array:
+def _unit(images: Array) -> Array:
     """(B, S, S) uint8 -> (B, S, S, 1) float32 in [0, 1]."""
     return images[..., None].astype(np.float32) / 255
 
 
-def _unshear(name: str, net: Any, variables: Any, images: jax.Array) -> jax.Array:
+def _unshear(name: str, net: Any, variables: Any, images: Array) -> Array:
     module: Any = unet if name == "unet" else unshearnet
     return module.unshear(net, variables, images)

@@ -1,7 +1,7 @@
 """Perception for a robot: frame in; unsheared image, pose and a confidence out, as a JSON line each.
 
-The step is compiled once, before the first frame, and holds E, DC and PoseNet: no shear code, no DS. A frame that cannot be used is told
-and counted, and the next one comes.
+The step is compiled once, before the first frame, and holds E, DC and PoseNet with their weights: no shear code, no DS. A frame that
+cannot be used is told and counted, and the next one comes.
 """
 
 import base64
@@ -18,44 +18,39 @@ import numpy as np
 from jax import Array
 from PIL import Image
 
+from jaxunshear.applications.perception import Look, read_look
 from jaxunshear.applications.sources import Frame
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.preprocess import prepare_frame
-from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.layers import in_precision
+from jaxunshear.infer import QUANTITIES
+from jaxunshear.model.ready import ready
 from jaxunshear.storage import write_bytes
-from jaxunshear.training.checkpoint import load_best, read_net
 
 Step = Callable[[np.ndarray], tuple[np.ndarray, dict[str, float], float]]
 
 
 def step_of(model: Path, experiment: Experiment, precision: str = "float32") -> Step:
     """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already."""
-    unshear_net, unshear_variables = read_net(model / "disentangled"), load_best(model / "disentangled")
-    pose_net, pose_variables = read_net(model / "posenet"), load_best(model / "posenet")
-    run = jax.jit(perceive_of(unshear_net, pose_net, experiment.pose.ranges, precision))
+    look, variables = read_look(model, experiment, "disentangled", precision)
+    run = ready(perceive_of(look), variables)
     size = experiment.paired.preprocess.size
-    image = jax.ShapeDtypeStruct((size, size), np.uint8)
-    compiled = run.lower(unshear_variables, pose_variables, image).compile()
-    given = jax.device_put((unshear_variables, pose_variables))
 
     def step(image: np.ndarray) -> tuple[np.ndarray, dict[str, float], float]:
-        after, pose, sure = jax.device_get(compiled(*given, image))
-        return after, {name: float(value[0]) for name, value in pose.items()}, float(sure)
+        after, (*pose, sure) = jax.device_get(run(image))
+        return after, dict(zip(QUANTITIES, map(float, pose), strict=True)), float(sure)
 
-    step(np.zeros((size, size), np.uint8))  # warm
+    step(np.zeros((size, size), np.uint8))  # compiles
     return step
 
 
-def perceive_of(unshear_net: Any, pose_net: Any, ranges: Any, precision: str):
-    """The function (unshearing network's variables, PoseNet's, image (S, S) uint8), not yet jitted."""
+def perceive_of(look: Look) -> Callable[[Any, Array], tuple[Array, Array]]:
+    """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
+    the quantities of the pose and the confidence."""
 
-    def perceive(unshear_variables, pose_variables, image):
-        sheared = image[None, ..., None].astype(np.float32) / 255
-        after = unshearnet.unshear(unshear_net, unshear_variables, in_precision(sheared, precision))
-        outputs = posenet.predict(pose_net, pose_variables, after)
-        return after[0, ..., 0], posenet.pose_from_outputs(outputs, ranges), confidence(after[0])
+    def perceive(variables, image):
+        seen, pose = look(variables, image[None])
+        return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in QUANTITIES), confidence(seen[0])])
 
     return perceive
 

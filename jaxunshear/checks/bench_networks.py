@@ -14,12 +14,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxunshear.applications.perception import look_of
 from jaxunshear.applications.stream import perceive_of
 from jaxunshear.checks.clock import SIZE, matrix_product, seconds
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.ready import ready
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
 from jaxunshear.training.loop import run_once
@@ -136,9 +138,9 @@ def _inference_sides(size: int, batch: int) -> Sides:
     def ours() -> Work:
         first = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
         variables = first(net, jax.random.key(0))
-        run = jax.jit(lambda variables, images: unshearnet.unshear(net, variables, images))
+        run = ready(lambda variables, images: unshearnet.unshear(net, variables, images), variables)
         given = np.asarray(sheared, np.float32) / 255
-        return lambda: np.asarray(run(variables, given)) is None
+        return lambda: np.asarray(run(given)) is None
 
     def theirs(compiled: bool) -> Work:
         import torch
@@ -166,11 +168,14 @@ def _stream_sides(size: int, batch: int) -> Sides:
     image = _images(size, batch)[1][0, ..., 0]
 
     def ours() -> Work:
-        variables = [
-            jax.jit(m.init, static_argnums=0)(n, jax.random.key(0)) for m, n in ((unshearnet, net), (posenet, pose_net))
-        ]
-        run = jax.jit(perceive_of(net, pose_net, Ranges(), "float32"))
-        return lambda: jax.device_get(run(*variables, image)) is None
+        key = jax.random.key(0)
+        variables = {
+            "disentangled": jax.jit(unshearnet.init, static_argnums=0)(net, key),
+            "posenet": jax.jit(posenet.init, static_argnums=0)(pose_net, key),
+        }
+        look = look_of({"disentangled": net, "posenet": pose_net}, Ranges())
+        run = ready(perceive_of(look), variables)
+        return lambda: jax.device_get(run(image)) is None
 
     def theirs(compiled: bool) -> Work:
         import torch

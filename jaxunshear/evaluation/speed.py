@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 from jax import Array
 
 from jaxunshear.experiment import POSENETS
 from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.model.ready import ready
 from jaxunshear.training.checkpoint import load_best, read_net
 
 CALLS = 40
@@ -22,8 +22,8 @@ def ms_per_image(run_dir: Path, names: Sequence[str], precision: str) -> dict[st
     found = {}
     for name in names:
         net: Any = read_net(Path(run_dir) / name)
-        run = jax.jit(function_of(name, net, "float32" if name in POSENETS else precision))
-        found[name] = timed(run, load_best(Path(run_dir) / name), net.size)
+        answer = function_of(name, net, "float32" if name in POSENETS else precision)
+        found[name] = timed(ready(answer, load_best(Path(run_dir) / name)), net.size)
     return found
 
 
@@ -33,12 +33,12 @@ def function_of(name: str, net: Any, precision: str) -> Callable[[Any, Array], A
     return lambda variables, images: answer(net, variables, in_precision(images, precision))
 
 
-def timed(run: Callable[[Any, np.ndarray], Array], variables: Any, size: int, calls: int = CALLS) -> dict[str, float]:
+def timed(run: Callable[[np.ndarray], Array], size: int, calls: int = CALLS) -> dict[str, float]:
     """Milliseconds of one call with one image (1, S, S, 1) float32."""
     image = (np.random.default_rng(0).random((1, size, size, 1)) < 0.2).astype(np.float32)
     spent = []
     for _ in range(calls + 3):  # the first compile and warm up
         begun = time.perf_counter()
-        np.asarray(run(variables, image))
+        np.asarray(run(image))
         spent.append(1e3 * (time.perf_counter() - begun))
     return {"median": float(np.median(spent[3:])), "p95": float(np.percentile(spent[3:], 95))}

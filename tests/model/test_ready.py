@@ -1,0 +1,39 @@
+"""Weights as constants: the same answers, nothing left to do for each image but what depends on it."""
+
+import re
+
+import jax
+import numpy as np
+import pytest
+
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.ready import ready
+from jaxunshear.model.settings import PoseNet, UnshearNet
+
+UNSHEAR = UnshearNet(size=32, widths=(4, 8, 8), pose_channels=6, shear_channels=5)
+
+
+def unshear(variables, images):
+    return unshearnet.unshear(UNSHEAR, variables, images)
+
+
+def predict(variables, images):
+    return posenet.predict(PoseNet(size=32, widths=(4, 8, 8, 8, 8), hidden=8), variables, images)
+
+
+@pytest.mark.parametrize(
+    ("run", "variables"),
+    [
+        (unshear, unshearnet.init(UNSHEAR, jax.random.key(0))),
+        (predict, posenet.init(PoseNet(size=32, widths=(4, 8, 8, 8, 8), hidden=8), jax.random.key(1))),
+    ],
+    ids=["unshear", "posenet"],
+)
+def test_ready_networks_answer_alike_and_take_images_alone(run, variables):
+    images = np.random.default_rng(0).random((2, 32, 32, 1), np.float32)
+    prepared, plain = ready(run, variables), jax.jit(run)
+    np.testing.assert_allclose(prepared(images), plain(variables, images), rtol=1e-5, atol=1e-6)
+    compiled = prepared.lower(images).compile()
+    assert len(re.findall(r" parameter\(\d+\)", compiled.as_text().split("ENTRY")[1])) == 1
+    # the first and last kernels, spread by einsums on every call, are no longer part of the work
+    assert compiled.cost_analysis()["flops"] < plain.lower(variables, images).compile().cost_analysis()["flops"]
