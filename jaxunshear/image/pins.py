@@ -1,5 +1,6 @@
 """Pins of a binary image: parts of their size, in each other's company, parted where they touch."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -66,26 +67,31 @@ class _Parts(NamedTuple):
 def _parts(white: np.ndarray) -> _Parts:
     labels, count = ndimage.label(white)
     boxes = ndimage.find_objects(labels)
-    length = np.array([max(side.stop - side.start for side in box) for box in boxes])
+    length = np.array([max(rows.stop - rows.start, columns.stop - columns.start) for rows, columns in boxes])
     return _Parts(labels, boxes, *_centres(labels, count), length)
 
 
 def _centres(labels: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Centroids (count, 2) px as (column, row) and areas (count,) of the parts 1 to count."""
-    rows, columns = np.nonzero(labels)
-    number = labels[rows, columns] - 1
+    white = np.flatnonzero(labels)
+    rows, columns = np.divmod(white, labels.shape[1])
+    number = labels.ravel()[white] - 1
     area, row, column = (np.bincount(number, weights, count) for weights in (None, rows, columns))
     return np.stack([column, row], -1) / area[:, None], area
 
 
 def _within(parts: _Parts) -> np.ndarray:
     """(N,) bool: parts that do not reach the edge of the circular mask."""
-    height, width = parts.labels.shape
+    at_edge = np.zeros(len(parts.area) + 1, bool)
+    at_edge[parts.labels.ravel()[_edge(*parts.labels.shape)]] = True
+    return ~at_edge[1:]
+
+
+@lru_cache(maxsize=8)
+def _edge(height: int, width: int) -> np.ndarray:
+    """Flat places of the pixels of an image at the edge of the circular mask, or beyond."""
     rows, columns = np.arange(height) - (height - 1) / 2, np.arange(width) - (width - 1) / 2
-    at_edge = parts.labels[np.hypot(rows[:, None], columns) >= 0.47 * height]
-    kept = np.ones(len(parts.area), bool)
-    kept[np.unique(at_edge[at_edge > 0]) - 1] = False
-    return kept
+    return np.flatnonzero(np.hypot(rows[:, None], columns) >= 0.47 * height)
 
 
 def _usual(area: np.ndarray) -> float:
@@ -110,19 +116,24 @@ def in_company(centre: np.ndarray) -> np.ndarray:
 
     On the outline, where glints of the housing lie and the skin hardly stretches, within 1.5 times.
     """
+    distance = _to_two_nearest(centre)
     for outline_only in (False, True, True):
         if len(centre) < 10:
             return centre
-        distance = cKDTree(centre).query(centre, k=3)[0]
-        usual = np.median(distance[:, 1:])
-        if outline_only:
-            lonely = np.zeros(len(centre), bool)
+        usual = np.median(distance)
+        lonely = distance[:, 1] > (1.5 if outline_only else 2) * usual
+        if outline_only and lonely.any():
             try:
                 outline = ConvexHull(centre).vertices
             except QhullError:  # all on one line: no outline to speak of
                 return centre
-            lonely[outline] = distance[outline, 2] > 1.5 * usual
-        else:
-            lonely = distance[:, 2] > 2 * usual
-        centre = centre[~lonely]
+            lonely &= np.isin(np.arange(len(centre)), outline)
+        if lonely.any():
+            centre = centre[~lonely]
+            distance = _to_two_nearest(centre)
     return centre
+
+
+def _to_two_nearest(centre: np.ndarray) -> np.ndarray:
+    """(N, 2) px from each point (N, 2) to the next two."""
+    return cKDTree(centre).query(centre, k=3)[0][:, 1:]
