@@ -4,14 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.image.growing import CALM, off_neighbours
+from jaxunshear.image.growing import CALM, ENOUGH, off_neighbours
 from jaxunshear.image.lattice import Lattice
 
 SURE = 0.42  # of the spacing, how far a pin may stand from its neighbours' motion: levers turn sharply at an edge
-FEW = 0.01  # share of the pins: of a sure frame, that stand off their neighbours; or that are missing while others are left over
-HOLES = 0.004  # share of the pins, that a sure frame may lack within its outer rings
+FEW = 0.015  # share of the pins: of a sure frame, that stand off their neighbours; or that are missing while others are left over
+HOLES = 0.007  # share of the pins, that a sure frame may lack within its outer rings
 INNER = 0.75  # of the outermost shell
-SEEN = 0.9  # share of the pins that a sure frame shows
+SEEN = 0.8  # share of the pins that a sure frame shows: the housing hides up to a tenth on a long slide
 
 
 class Track(NamedTuple):
@@ -34,10 +34,12 @@ def judged(lattice: Lattice, motion: np.ndarray, which: np.ndarray, found: int) 
     """A track of these motions (P, 2), NaN where a pin is not seen.
 
     It is sure where motions are smooth, nothing is missing within, and not both pins and found ones are left over: identities that are
-    one place off leave a row of each.
+    one place off leave a row of each. A pin without the company to vouch for it counts as not seen.
     """
     pins = len(motion)
     unseen = np.isnan(motion[:, 0])
+    alone = ~unseen & (np.sum(~unseen[lattice.near[:, :8]], axis=1) < ENOUGH)
+    motion, unseen = np.where(alone[:, None], np.nan, motion), unseen | alone
     missed, extra = int(np.sum(unseen)), int(found - np.sum(which >= 0))
     if missed > (1 - SEEN) * pins:
         return Track(motion, which, float("inf"), missed, extra, False)

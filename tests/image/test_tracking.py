@@ -7,6 +7,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.lattice import make_lattice, shells
 from jaxunshear.image.pins import Found
+from jaxunshear.image.track import judged
 from jaxunshear.image.tracking import follow_pins
 from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_lattice
 
@@ -76,3 +77,14 @@ def test_lattice_is_found_turned_and_shifted():
 def test_another_sensor_is_refused():
     with pytest.raises(UserError, match="tactip127"):
         fit_lattice([_flat(TACTIP_331)], layout_of(TACTIP_127))
+
+
+def test_a_pin_without_company_counts_as_not_seen():
+    place = _flat(TACTIP_331)
+    lattice = make_lattice(place, shells(TACTIP_331))
+    motion = np.zeros_like(place)
+    rim = int(np.argmax(place[:, 0]))
+    motion[lattice.near[rim, :7]] = np.nan
+    motion[rim] = (0.9 * lattice.spacing, 0)  # the neighbour's place: nobody is left who could tell
+    track = judged(lattice, motion, np.arange(len(place)), len(place))
+    assert not track.seen[rim] and track.missed == 8
