@@ -2,9 +2,9 @@
 
     jaxunshear run experiments/demo.py          # `make demo` does this after setting up
 
-Expected on two cores, within 8 to 12 minutes, on poses never trained on: MS-SSIM to the tap of at least 0.90 (0.45 at most for
-the sheared image itself), and a PoseNet trained on taps that errs, in edge distance and edge angle, at most 0.6 times as
-much on the unsheared images as on the sheared ones.
+Expected on two cores, within 12 to 19 minutes (by how busy the machine is), on poses never trained on: MS-SSIM to the tap of
+at least 0.90 (0.45 at most for the sheared image itself), and a PoseNet trained on taps that errs, in edge distance and edge
+angle, at most 0.6 times as much on the unsheared images as on the sheared ones.
 
 Its pins end flush with the skin. Pins as levers, which real ones are (calibrated.py has them), show how the skin turns at an edge,
 and so much of the pose is read from a sheared image that minutes of training do not improve on it.

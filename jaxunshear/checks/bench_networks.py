@@ -32,6 +32,7 @@ from jaxunshear.training.tasks import unshear_task
 TRAINED = ((256, 8), (128, 32))  # size in px, batch
 INFERRED = (256, 128)
 ROUNDS = 7
+FROZEN = {"freezing": True}  # PyTorch's weights as constants too
 ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
@@ -148,7 +149,7 @@ def _inference_sides(size: int, batch: int) -> Sides:
         from jaxunshear.checks import torch_twin
 
         twin = torch_twin.channels_last(torch_twin.Twin(net)).eval()
-        run = torch.compile(twin.unshear) if compiled else twin.unshear
+        run = torch.compile(twin.unshear, options=FROZEN) if compiled else twin.unshear
         given = torch.from_numpy(sheared.transpose(0, 3, 1, 2).astype(np.float32) / 255)
         given = given.contiguous(memory_format=torch.channels_last)
 
@@ -189,7 +190,7 @@ def _stream_sides(size: int, batch: int) -> Sides:
             after = twin.unshear(image[None, None].float() / 255)
             return after, pose(after)
 
-        run = torch.compile(perceive) if compiled else perceive
+        run = torch.compile(perceive, options=FROZEN) if compiled else perceive
         given = torch.from_numpy(image.copy())
 
         def work() -> None:
