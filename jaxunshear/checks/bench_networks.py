@@ -32,7 +32,7 @@ from jaxunshear.training.tasks import unshear_task
 TRAINED = ((256, 8), (128, 32))  # size in px, batch
 INFERRED = (256, 128)
 ROUNDS = 7
-FROZEN = {"freezing": True}  # PyTorch's weights as constants too
+FROZEN: dict[str, Any] = {"freezing": True}  # PyTorch's weights as constants too
 ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
