@@ -23,7 +23,7 @@ from jaxunshear.applications.sources import Frame
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.preprocess import prepare_frame
-from jaxunshear.infer import QUANTITIES
+from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model.ready import ready
 from jaxunshear.storage import write_bytes
 

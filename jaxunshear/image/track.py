@@ -11,7 +11,7 @@ SURE = 0.42  # of the spacing, how far a pin may stand from its neighbours' moti
 FEW = 0.015  # share of the pins: of a sure frame, that stand off their neighbours; or that are missing while others are left over
 HOLES = 0.007  # share of the pins, that a sure frame may lack within its outer rings
 INNER = 0.75  # of the outermost shell
-SEEN = 0.8  # share of the pins that a sure frame shows: the housing hides up to a tenth on a long slide
+SEEN = 0.8  # share of the pins that a sure frame shows: on a long slide the housing hides more than a tenth
 
 
 class Track(NamedTuple):

@@ -11,6 +11,7 @@ from jaxunshear.model.ready import ready
 from jaxunshear.model.settings import PoseNet, UnshearNet
 
 UNSHEAR = UnshearNet(size=32, widths=(4, 8, 8), pose_channels=6, shear_channels=5)
+POSE = PoseNet(size=32, widths=(4, 8, 8, 8, 8), hidden=8)
 
 
 def unshear(variables, images):
@@ -18,18 +19,16 @@ def unshear(variables, images):
 
 
 def predict(variables, images):
-    return posenet.predict(PoseNet(size=32, widths=(4, 8, 8, 8, 8), hidden=8), variables, images)
+    return posenet.predict(POSE, variables, images)
 
 
 @pytest.mark.parametrize(
-    ("run", "variables"),
-    [
-        (unshear, unshearnet.init(UNSHEAR, jax.random.key(0))),
-        (predict, posenet.init(PoseNet(size=32, widths=(4, 8, 8, 8, 8), hidden=8), jax.random.key(1))),
-    ],
+    ("run", "init", "net"),
+    [(unshear, unshearnet.init, UNSHEAR), (predict, posenet.init, POSE)],
     ids=["unshear", "posenet"],
 )
-def test_ready_networks_answer_alike_and_take_images_alone(run, variables):
+def test_ready_networks_answer_alike_and_take_images_alone(run, init, net):
+    variables = init(net, jax.random.key(0))
     images = np.random.default_rng(0).random((2, 32, 32, 1), np.float32)
     prepared, plain = ready(run, variables), jax.jit(run)
     np.testing.assert_allclose(prepared(images), plain(variables, images), rtol=1e-5, atol=1e-6)
