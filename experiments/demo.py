@@ -23,7 +23,7 @@ experiment = Experiment(
     pose=POSE["demo"],
     unshear=UnshearNet(widths=(16, 32, 64, 128, 256)),
     train=Training(
-        epochs=8,
+        epochs=5,
         batch=8,
         optimiser="muon",
         learning_rate=6e-3,
@@ -31,5 +31,5 @@ experiment = Experiment(
         reconstruction_weight=0.3,
         validate_every=270,
     ),
-    train_posenet=Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375),
+    train_posenet=Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375),
 )

@@ -54,6 +54,7 @@ def add_parsers(commands: Any) -> None:
     parser.add_argument("--level", choices=LEVEL_NAMES, help="sim: only rows of this level")
     parser.add_argument("--batch", metavar="N", type=int, help="only rows with N scenes or images in a batch")
     parser.add_argument("--size", metavar="PX", type=int, help="all but sim: only images of this size")
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="pins: of the contacts (0)")
 
     parser = command("calibrate", "fit camera, pins, friction and stiffness to recordings", "folder for figures")
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
@@ -177,7 +178,9 @@ def _bench_pins(arguments: argparse.Namespace, keep: Keep) -> int:
 
     if arguments.size is not None and not 64 <= arguments.size <= 1024:
         raise UserError(f"--size {arguments.size}: use 64 to 1024 px")
-    rows = bench_pins.bench_pins(arguments.size)
+    if arguments.seed < 0:
+        raise UserError(f"--seed {arguments.seed}: use 0 or more")
+    rows = bench_pins.bench_pins(arguments.size, arguments.seed)
     print(plain_table(rows, bench_pins.COLUMNS))
     keep(rows)
     return 0

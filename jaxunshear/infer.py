@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from jaxunshear.dataset.recordings import Recordings
 
 BATCH = 32
-QUANTITIES = {"x_mm": "mm", "yaw_deg": "deg", "edge_mm": "mm", "edge_deg": "deg"}
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 SIMULATION_ONLY = (
     "These networks have seen simulated touches only. On real recordings their images and poses are untested: "
@@ -100,7 +99,8 @@ def pose_of_recordings(path: Path, model: Path, log: Log = print, note: Log | No
             for kind, poses in (("as_recorded", answers.as_recorded), ("unsheared", answers.after)):
                 for quantity, values in poses.items():
                     line[f"{kind}_{quantity}"] = f"{values[i]:.4f}"
-                    rows_out.append(_row(f"{name}.{kind}.{quantity}", float(values[i]), QUANTITIES[quantity]))
+                    unit = quantity.split("_")[-1]
+                    rows_out.append(_row(f"{name}.{kind}.{quantity}", float(values[i]), unit))
             table.append(line | _recorded(recordings, row))
     log(csv_text(table).rstrip("\n"))
     _tell(recordings.notes, note or (lambda text: print(text, file=sys.stderr)))
@@ -136,6 +136,7 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
     import jax
 
     from jaxunshear.model import posenet, unshearnet
+    from jaxunshear.model.ready import ready
     from jaxunshear.training.checkpoint import holds_model, load_best, read_net
 
     wanted = ["disentangled"]
@@ -144,8 +145,7 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
     nets: dict[str, Any] = {name: read_net(model / name) for name in wanted}
     variables = {name: load_best(model / name) for name in wanted}
 
-    @jax.jit
-    def run(variables: dict[str, Any], images: jax.Array) -> tuple[jax.Array, dict[str, Any], dict[str, Any]]:
+    def look(variables: dict[str, Any], images: jax.Array) -> tuple[jax.Array, dict[str, Any], dict[str, Any]]:
         recorded = images[..., None].astype(np.float32) / 255
         after = unshearnet.unshear(nets["disentangled"], variables["disentangled"], recorded)
 
@@ -154,7 +154,8 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
 
         return after[..., 0], pose(recorded) if pose_needed else {}, pose(after) if "posenet" in nets else {}
 
-    return lambda images: Answers(*jax.device_get(run(variables, images)))
+    run = ready(look, variables)
+    return lambda images: Answers(*jax.device_get(run(images)))
 
 
 def _settings_for(path: Path, model: Path) -> Experiment:

@@ -26,19 +26,19 @@ SIZES = (128, 256)
 FRAMES = 400
 
 
-def bench_pins(size: int | None = None, frames: int = FRAMES) -> list[dict[str, Any]]:
-    """Rows of about `frames` taps and as many slides for each sensor."""
+def bench_pins(size: int | None = None, seed: int = 0, frames: int = FRAMES) -> list[dict[str, Any]]:
+    """Rows of about `frames` taps and as many slides for each sensor; another `seed` gives other contacts."""
     rows = []
     sizes = SIZES if size is None else (size,)
     with Progress("bench pins", len(CONFIGS) * len(sizes), unit="sensors and sizes") as progress:
         for config in CONFIGS:
             for px in sizes:
-                rows += _rows(config, px, frames)
+                rows += _rows(config, px, seed, frames)
                 progress.advance()
     return rows
 
 
-def _rows(config: str, size: int, frames: int) -> list[dict[str, Any]]:
+def _rows(config: str, size: int, seed: int, frames: int) -> list[dict[str, Any]]:
     before = PAIRED[config]
     paired = replace(
         before,
@@ -47,7 +47,7 @@ def _rows(config: str, size: int, frames: int) -> list[dict[str, Any]]:
         nuisance=Nuisance(drift_px=1.0 * size / 128, drift_brightness=0.1),
     )
     experiment = Experiment("bench_pins", "none", sensor=sensor_of(config), paired=paired)
-    contacts = fresh_contacts(experiment, frames)
+    contacts = fresh_contacts(experiment, frames, seed)
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     seen = {"tap": (contacts.tap, contacts.tap_pins), "sheared": (contacts.sheared, contacts.sheared_pins)}
     return [
