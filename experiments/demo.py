@@ -2,7 +2,7 @@
 
     jaxunshear run experiments/demo.py          # `make demo` does this after setting up
 
-Expected on two cores, within 12 to 19 minutes (by how busy the machine is), on poses never trained on: MS-SSIM to the tap of
+Expected on two cores, within 10 minutes (half as much again where the machine is busy), on poses never trained on: MS-SSIM to the tap of
 at least 0.90 (0.45 at most for the sheared image itself), and a PoseNet trained on taps that errs, in edge distance and edge
 angle, at most 0.6 times as much on the unsheared images as on the sheared ones.
 

@@ -1,14 +1,16 @@
 """The picture of a sweep over a list of settings: error against seconds of training, and against milliseconds an image."""
 
 import io
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from jaxunshear.report.figures import COLOURS, FAINT, INK, STYLE
+from jaxunshear.report.figures import COLOURS, FAINT, STYLE
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "ms_ssim/disentangled": ("likeness to the tap, MS-SSIM", True),
@@ -45,56 +47,71 @@ def efficient(summary: dict[str, Any]) -> dict[str, dict[str, list[str]]]:
 def points(summary: dict[str, Any], metric: str, cost: str) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
 
-    MS-SSIM of other scales than the first cell's (other image sizes) is another quantity, and left out.
+    Milliseconds are those of all cells with the same network, since nothing else tells them apart. MS-SSIM of other scales than the
+    first cell's (other image sizes) is another quantity, and left out.
     """
     found = []
     cells = [cell for cell in summary["cells"] if metric in cell["metrics"]]
     for cell in cells:
         if metric.startswith("ms_ssim") and cell["metric"]["ms_ssim"] != cells[0]["metric"]["ms_ssim"]:
             continue
-        spent = [seconds for costs in cell["costs"].values() if (seconds := _spent(costs, cost)) is not None]
-        if spent:
+        alike = [cell] if cost != "ms_per_image" else [other for other in cells if _network(other) == _network(cell)]
+        if spent := [seconds for each in alike for seconds in _spent(each, cost)]:
             found.append((cell["label"], float(np.mean(spent)), cell["metrics"][metric]["mean"]))
     labels, x, y = zip(*found, strict=True) if found else ((), (), ())
     return list(labels), np.array(x), np.array(y)
 
 
-def _spent(costs: dict[str, Any], cost: str) -> float | None:
-    entry = costs.get(cost, {}).get(NETWORK)
-    return entry["median"] if isinstance(entry, dict) else entry
+def _network(cell: dict[str, Any]) -> dict[str, str]:
+    return {name: value for name, value in cell["settings"].items() if name.startswith("unshear.")}
+
+
+def _spent(cell: dict[str, Any], cost: str) -> list[float]:
+    """Of every seed that has it."""
+    entries = [costs.get(cost, {}).get(NETWORK) for costs in cell["costs"].values()]
+    return [entry["median"] if isinstance(entry, dict) else entry for entry in entries if entry is not None]
 
 
 def frontier_figure(summary: dict[str, Any]) -> bytes | None:
-    """PNG: a row a cost, a column an error; what no other setting beats is joined and named. None where nothing can be drawn."""
+    """PNG: a row a cost, a column an error; what no other setting beats is joined. None where nothing can be drawn."""
     metrics = [metric for metric in ERRORS if len(points(summary, metric, "train_seconds")[0]) > 1]
     if not metrics:
         return None
+    number = {cell["label"]: str(place + 1) for place, cell in enumerate(summary["cells"])}
     with rc_context(STYLE):
-        figure = Figure(figsize=(5.0 * len(metrics), 4.2 * len(COSTS)), layout="constrained")
+        figure = Figure(figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained")
         places = figure.subplots(len(COSTS), len(metrics), squeeze=False)
         for row, (cost, cost_label) in zip(places, COSTS.items(), strict=True):
             for axes, metric in zip(row, metrics, strict=True):
-                _panel(axes, summary, metric, cost)
                 axes.set(xlabel=cost_label, ylabel=ERRORS[metric][0], xscale="log")
-        figure.suptitle(f"{summary['sweep']}: means over {len(summary['seeds'])} seeds; joined: beaten by none")
+                axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+                axes.xaxis.set_major_formatter("{x:g}")
+                axes.xaxis.set_minor_formatter(NullFormatter())
+                _panel(axes, summary, metric, cost, number)
+        seeds = len(summary["seeds"])
+        names = "      ".join(f"{digit} {label}" for label, digit in number.items())
+        figure.suptitle(f"{summary['sweep']}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none")
+        figure.supxlabel("\n".join(wrap(names, 42 * len(metrics))), fontsize=9)
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=100, metadata={"Software": ""})
     return picture.getvalue()
 
 
-def _panel(axes: Any, summary: dict[str, Any], metric: str, cost: str) -> None:
+def _panel(axes: Any, summary: dict[str, Any], metric: str, cost: str, number: dict[str, str]) -> None:
     labels, x, y = points(summary, metric, cost)
     best = frontier(x, -y if ERRORS[metric][1] else y)
-    axes.plot(x, y, "o", color=FAINT, markersize=5)
-    axes.plot(x[best], y[best], "o-", color=COLOURS[NETWORK], markersize=6)
+    axes.plot(x[best], y[best], "-", color=COLOURS[NETWORK])
     for index, label in enumerate(labels):
         on = index in best
         axes.annotate(
-            label,
+            number[label],
             (x[index], y[index]),
-            xytext=(4, 4),
-            textcoords="offset points",
+            ha="center",
+            va="center",
             fontsize=7,
-            color=INK if on else FAINT,
+            color="white",
+            bbox={"boxstyle": "circle,pad=0.25", "facecolor": COLOURS[NETWORK] if on else FAINT, "edgecolor": "white"},
+            zorder=3 + on,
         )
-    axes.margins(x=0.2, y=0.15)
+    axes.plot(x, y, "o", alpha=0)  # so that the axes reach as far as the numbers
+    axes.margins(x=0.12, y=0.12)

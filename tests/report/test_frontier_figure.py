@@ -18,7 +18,15 @@ def summary(settings, seeds=("0", "1")):
             }
             for seed in seeds
         }
-        cells.append({"label": label, "metric": {"ms_ssim": "ms_ssim@4"}, "metrics": value, "costs": costs})
+        cells.append(
+            {
+                "label": label,
+                "settings": {"unshear.size": label},
+                "metric": {"ms_ssim": "ms_ssim@4"},
+                "metrics": value,
+                "costs": costs,
+            }
+        )
     return {"sweep": "frontier", "seeds": [0, 1], "cells": cells}
 
 
@@ -63,3 +71,11 @@ def test_likeness_of_other_scales_is_not_compared():
 def test_a_picture_is_drawn_where_there_is_something_to_draw():
     assert frontier_figure(summary(THREE)).startswith(b"\x89PNG")
     assert frontier_figure(summary(THREE[:1])) is None
+
+
+def test_cells_of_one_network_take_equally_long_for_an_image():
+    made = summary(THREE)
+    for cell in (0, 1, 3):
+        made["cells"][cell]["settings"] = {"train.epochs": str(cell)}
+    cost = dict(zip(*points(made, "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
+    assert cost == pytest.approx({"small": 5, "middling": 5, "wasteful": 3, "large": 5})
