@@ -7,26 +7,19 @@ after these minutes: the fitted skin slips at half the pull, its pins are levers
 0.5 mm on sheared images, and as much on unsheared ones.
 """
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import Experiment
-from jaxunshear.model.settings import UnshearNet
-from jaxunshear.training.settings import Training
+from dataclasses import replace
+from pathlib import Path
 
-experiment = Experiment(
+from jaxunshear.config import load_experiment
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+
+DEMO = load_experiment(Path(__file__).with_name("demo.py"))
+
+experiment = replace(
+    DEMO,
     name="calibrated",
     claim="A network takes the slide out of images of a sensor that was fitted to real ones.",
     sensor=sensor_of("calibrated"),
     paired=PAIRED["calibrated"],
     pose=POSE["calibrated"],
-    unshear=UnshearNet(widths=(16, 32, 64, 128, 256)),
-    train=Training(
-        epochs=8,
-        batch=8,
-        optimiser="muon",
-        learning_rate=6e-3,
-        shift=0.01,
-        reconstruction_weight=0.3,
-        validate_every=270,
-    ),
-    train_posenet=Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375),
 )
