@@ -153,9 +153,12 @@ def test_a_split_too_large_for_memory_is_the_same(made, monkeypatch, paired, sen
 def test_reading_keeps_up_with_training(made):
     steps = made.train_batches(16, 0, 0.015)(0)
     next(steps)
-    start = time.perf_counter()
-    take(steps, 40)
-    assert 640 / (time.perf_counter() - start) > 500  # training takes 50-100 pairs/s; measured: several thousand
+    seconds = []
+    for _ in range(3):  # the best one: other work may hold up any of them
+        start = time.perf_counter()
+        take(steps, 20)
+        seconds.append(time.perf_counter() - start)
+    assert 320 / min(seconds) > 500  # training takes 50-100 pairs/s; measured: several thousand
 
 
 @pytest.mark.parametrize("damage", ["truncated", "changed", "missing", "empty"])
