@@ -3,8 +3,8 @@
 XLA's CPU backend runs forward convolutions at the machine's peak, but the gradients that `jax.grad` derives from them
 at a few per cent of it (strided and transposed ones above all). Two rewritings cure that, on every backend exactly:
 
-1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel a few
-   plain matrix products.
+1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel (on CPU)
+   plain matrix products over a few images at a time.
 2. A 4x4 convolution of stride 2 is a 2x2 convolution between *blocks*: `to_blocks` moves each 2x2 block of pixels into
    the channels. The transposed convolution writes blocks instead of reading them.
 
@@ -16,12 +16,14 @@ at a few per cent of it (strided and transposed ones above all). Two rewritings 
 lies outside the image and must be zero (`layers.inside`).
 """
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-GROUPS = 8  # of images in a kernel's gradient: products with a long inner side are twice as fast in a few pieces (CPU)
+SLICE = 5000  # pixels of one step of a kernel's gradient (CPU): a few MB at the widths of these networks
 _NHWC = ("NHWC", "HWIO", "NHWC")
 
 
@@ -45,44 +47,75 @@ def from_blocks(x: Array, side: int) -> Array:
     return x.reshape(b, h * side, w * side, c // (side * side))
 
 
-@jax.custom_vjp
-def conv_valid(x: Array, w: Array) -> Array:
+@partial(jax.custom_vjp, nondiff_argnums=(2,))
+def conv_valid(x: Array, w: Array, border: int = 0) -> Array:
     """Convolution (as networks say; a correlation) without padding: x (B, H, W, C), w (k, k, C, N) -> (B, H-k+1,
-    W-k+1, N)."""
+    W-k+1, N).
+
+    The outermost `border` < k pixels of x must be zeros that depend on nothing (padding): their gradient is left out, given as
+    zero.
+    """
     return lax.conv_general_dilated(x, w, (1, 1), "VALID", dimension_numbers=_NHWC)
 
 
-def _forward(x: Array, w: Array) -> tuple[Array, tuple[Array, Array]]:
-    return conv_valid(x, w), (x, w)
+def _forward(x: Array, w: Array, border: int) -> tuple[Array, tuple[Array, Array]]:
+    return conv_valid(x, w, border), (x, w)
 
 
-def _backward(saved: tuple[Array, Array], dy: Array) -> tuple[Array, Array]:
+def _backward(border: int, saved: tuple[Array, Array], dy: Array) -> tuple[Array, Array]:
     x, w = saved
     k = w.shape[0]
     turned = jnp.flip(w, (0, 1)).swapaxes(2, 3)
-    return conv_valid(pad(dy, k - 1), turned), _kernel_gradient(x, dy, k)
+    return pad(conv_valid(pad(dy, k - 1 - border), turned), border), _kernel_gradient(x, dy, k, border)
 
 
 conv_valid.defvjp(_forward, _backward)
 
 
-def _kernel_gradient(x: Array, dy: Array, k: int) -> Array:
-    """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place], as matrix products. The narrower of the two
-    arrays is the one that is shifted, since each shift is a copy."""
+def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
+    """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place]: (k, k, C, N)."""
+    return lax.platform_dependent(
+        x, dy, cpu=partial(_gradient_in_slices, k=k, border=border), default=_gradient_as_convolution
+    )
+
+
+def _gradient_as_convolution(x: Array, dy: Array) -> Array:
+    """The images as channels, the output's gradient as kernel."""
+    return lax.conv_general_dilated(x, dy, (1, 1), "VALID", dimension_numbers=("CHWN", "IHWO", "HWNC"))
+
+
+def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
+    """Matrix products, one for each shift (i, j), over a few images at a time: all shifts read them from the cache.
+
+    The smaller array stays, the larger one is shifted: x, or dy where x without its border is the smaller. The one with more
+    channels is the right factor, whose rows are contiguous.
+    """
     c, n = x.shape[-1], dy.shape[-1]
+    images, h, w = dy.shape[:3]
     shifts = [(i, j) for i in range(k) for j in range(k)]
-    if c <= n:
-        h, w = dy.shape[1:3]
-        rows = dy.reshape(-1, n)
-        parts = [x[:, i : i + h, j : j + w].reshape(-1, c).T @ rows for i, j in shifts]
-        return jnp.stack(parts).reshape(k, k, c, n)
-    groups = np.gcd(len(x), GROUPS)
-    images = x.reshape(groups, -1, c)
-    parts = []
-    for i, j in shifts:
-        moved = jnp.pad(dy, ((0, 0), (i, k - 1 - i), (j, k - 1 - j), (0, 0))).reshape(groups, -1, n)
-        parts.append(jnp.einsum("gpc,gpn->gnc", images, moved).sum(0).T)
-    return jnp.stack(parts).reshape(k, k, c, n)
+    inner = k > 1 and border == k - 1
+    if inner:
+        h, w = h - border, w - border
+    step = max(s for s in range(1, images + 1) if images % s == 0 and (s == 1 or s * h * w <= SLICE))
+    wide = jnp.promote_types(x.dtype, jnp.float32)
+    product = partial(jnp.matmul, preferred_element_type=wide)
+
+    def at(array, turn, i, j):
+        part = lax.dynamic_slice(array, (turn * step, i, j, 0), (step, h, w, array.shape[-1]))
+        return part.reshape(-1, array.shape[-1])
+
+    def add(turn, sums):
+        if inner:
+            still = at(x, turn, border, border)
+            pairs = [(still, at(dy, turn, i, j)) for i, j in shifts[::-1]]
+        else:
+            still = at(dy, turn, 0, 0)
+            pairs = [(at(x, turn, i, j), still) for i, j in shifts]
+        return [s + (product(a.T, b) if c <= n else product(b.T, a)) for s, (a, b) in zip(sums, pairs, strict=True)]
+
+    zero = jnp.zeros((c, n) if c <= n else (n, c), wide)
+    sums = jnp.stack(lax.fori_loop(0, images // step, add, [zero] * len(shifts))).astype(x.dtype)
+    return (sums if c <= n else sums.swapaxes(1, 2)).reshape(k, k, c, n)
 
 
 def down_kernel(w: Array) -> Array:

@@ -180,7 +180,7 @@ class Same(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (3, 3, x.shape[-1], self.width)).astype(x.dtype)
-        return NormRelu(name="norm")(conv.conv_valid(conv.pad(x, 1), w), train)
+        return NormRelu(name="norm")(conv.conv_valid(conv.pad(x, 1), w, 1), train)
 
 
 class Up(nn.Module):
@@ -192,7 +192,7 @@ class Up(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
-        return NormRelu(bordered=True, name="norm")(conv.conv_valid(x, conv.up_kernel(w)), train)
+        return NormRelu(bordered=True, name="norm")(conv.conv_valid(x, conv.up_kernel(w), 1), train)
 
 
 class Last(nn.Module):

@@ -48,6 +48,33 @@ def test_conv_valid_is_the_plain_convolution(k, c, n, dtype):
     same_function(conv.conv_valid, plain, normal(3, 9, 7, c, dtype=dtype), normal(k, k, c, n, dtype=dtype), dtype)
 
 
+@pytest.mark.parametrize(("k", "c", "n"), [(2, 3, 5), (2, 5, 3), (3, 4, 4), (3, 2, 7), (4, 6, 1)])
+@pytest.mark.parametrize("border", [1, 2])
+def test_a_border_of_zeros_is_left_out_of_the_gradient(border, k, c, n, dtype):
+    border = min(border, k - 1)
+    width = 2 * [(border, border)]
+    same_function(
+        lambda x, w: conv.conv_valid(conv.pad(x, border), w, border),
+        lambda x, w: plain(x, w, padding=width),
+        normal(3, 9, 7, c, dtype=dtype),
+        normal(k, k, c, n, dtype=dtype),
+        dtype,
+    )
+    x, w = conv.pad(normal(3, 9, 7, c, dtype=dtype), border), normal(k, k, c, n, dtype=dtype)
+    dx = jax.grad(lambda x: jnp.sum(conv.conv_valid(x, w, border) ** 2))(x)
+    np.testing.assert_array_equal(dx[0, :border], 0)
+    np.testing.assert_array_equal(dx[0, :, -border:], 0)
+
+
+@pytest.mark.parametrize("images", [1, 7, 12])
+@pytest.mark.parametrize(("k", "border", "c", "n"), [(2, 0, 3, 5), (2, 1, 5, 3), (3, 1, 4, 4)])
+def test_both_forms_of_a_kernels_gradient_agree(k, border, c, n, images, dtype, monkeypatch):
+    monkeypatch.setattr(conv, "SLICE", 200)  # pixels: several images in a slice, several slices
+    x = conv.pad(normal(images, 9, 8, c, dtype=dtype), border)
+    dy = normal(images, x.shape[1] - k + 1, x.shape[2] - k + 1, n, dtype=dtype)
+    close(conv._gradient_in_slices(x, dy, k, border), conv._gradient_as_convolution(x, dy), dtype)
+
+
 def test_down_is_a_convolution_of_stride_two(dtype):
     def ours(x, w):
         return conv.conv_valid(conv.to_blocks(conv.pad(x, 1), 2), conv.down_kernel(w))
@@ -81,7 +108,7 @@ def transposed(x, w):
 
 def test_up_is_a_transposed_convolution_in_bordered_blocks(dtype):
     def ours(x, w):
-        return conv.from_blocks(conv.conv_valid(conv.pad(x, 1), conv.up_kernel(w)), 2)[:, 1:-1, 1:-1]
+        return conv.from_blocks(conv.conv_valid(conv.pad(x, 1), conv.up_kernel(w), 1), 2)[:, 1:-1, 1:-1]
 
     same_function(ours, transposed, normal(2, 6, 5, 3, dtype=dtype), normal(4, 4, 3, 4, dtype=dtype), dtype)
 
