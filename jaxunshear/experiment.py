@@ -9,8 +9,9 @@ from jaxunshear.training.settings import Training
 
 NETWORKS = ("entangled", "disentangled", "posenet")  # the paper's
 RIVALS = ("entangled_large", "unet", "posenet_sheared")  # entangled with as many parameters; a U-Net; PoseNet on slides
-ALL_NETWORKS = (*NETWORKS, *RIVALS)
-POSENETS = ("posenet", "posenet_sheared")
+TEACHER = "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
+ALL_NETWORKS = (TEACHER, *NETWORKS, *RIVALS)
+POSENETS = ("posenet", "posenet_sheared", TEACHER)
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,11 @@ class Experiment:
     posenet: PoseNet = field(default_factory=PoseNet)
     train: Training = field(default_factory=Training)  # UnshearNets, and the U-Net of the same widths
     train_posenet: Training = field(default_factory=Training)  # both PoseNets
+
+
+def evaluated(experiment: Experiment) -> tuple[str, ...]:
+    """The networks that the results tell of."""
+    return tuple(name for name in experiment.networks if name != TEACHER)
 
 
 def further_tests(experiment: Experiment) -> dict[str, PairedData]:

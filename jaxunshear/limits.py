@@ -10,7 +10,7 @@ from dataclasses import replace
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
-from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, evaluated
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import Sensor, sensor_rules
 from jaxunshear.training.settings import Training
@@ -47,6 +47,13 @@ def _tests(experiment: Experiment) -> Iterator[Rule]:
     yield not unknown, "networks", f"network {unknown} is unknown: use {', '.join(ALL_NETWORKS)}"
     yield len(experiment.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
     yield len(set(experiment.networks)) == len(experiment.networks), "networks", "name each network once"
+    yield (
+        not experiment.train.pose_weight or experiment.networks[0] == TEACHER,
+        "networks",
+        f"train.pose_weight needs {TEACHER}, named first",
+    )
+    yield evaluated(experiment) != (), "networks", f"{TEACHER} alone has no results: name another"
+    yield experiment.train_posenet.pose_weight == 0, "train_posenet.pose_weight", "is for networks that unshear: use 0"
     unknown = ", ".join(name for name in experiment.unseen if name not in STIMULUS_NAMES)
     yield not unknown, "unseen", f"stimulus {unknown} is unknown: use {', '.join(STIMULUS_NAMES)}"
     trained = {*experiment.paired.stimuli, *experiment.pose.stimuli}
@@ -264,7 +271,7 @@ def _training(training: Training, group: str, size: int, examples: int) -> Itera
     yield epochs == sorted(set(epochs)), f"{group}.drops", "must be in the order of their epochs"
     for field in ("beta1", "beta2", "averaging"):
         yield 0 <= getattr(training, field) < 1, f"{group}.{field}", "use 0 up to, but not, 1"
-    for field in ("l1", "l2", "patch_weight", "reconstruction_weight"):
+    for field in ("l1", "l2", "patch_weight", "reconstruction_weight", "pose_weight"):
         yield getattr(training, field) >= 0, f"{group}.{field}", "must not be below zero"
     yield training.crops >= 1, f"{group}.crops", "must be at least 1; train.patch_weight 0 switches the patch loss off"
     yield 1 <= training.crop_px <= size, f"{group}.crop_px", f"must be 1 to the image's {size} px"

@@ -7,17 +7,23 @@ knows all stages; none of them knows another.
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, POSENETS, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, POSENETS, TEACHER, Experiment
 from jaxunshear.model.settings import UNet, UnshearNet
 from jaxunshear.storage import read_json, write_json
 
-FIELDS = {"posenet": ("image", "pose", "edge"), "posenet_sheared": ("sheared", "pose", "edge")}  # what a training reads
+FIELDS = {  # what a training reads; others the pair
+    "posenet": ("image", "pose", "edge"),
+    TEACHER: ("image", "pose", "edge"),
+    "posenet_sheared": ("sheared", "pose", "edge"),
+}
+TEACHER_SEED = 1000  # beyond the run's own
 
 
 def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str) -> dict[str, Any]:
@@ -83,16 +89,17 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     from jaxunshear.training.loop import train_posenet, train_unshear
 
     pose = network in POSENETS
-    settings: Any = experiment.pose if network == "posenet" else experiment.paired
+    settings: Any = experiment.pose if network in ("posenet", TEACHER) else experiment.paired
+    seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training = experiment.train_posenet if pose else experiment.train
     examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
     fields = FIELDS.get(network, ("canonical", "sheared"))
-    batches = examples.train_batches(training.batch, experiment.seed, training.shift, fields)
+    batches = examples.train_batches(training.batch, seed, training.shift, fields)
     common: dict[str, Any] = {
         "training": training,
         "batches": lambda start: map(_as_image, batches(start)),
         "validation": _first(examples.split, training.validation_images, fields),
-        "seed": experiment.seed,
+        "seed": seed,
         "folder": folder / network,
         "epoch_images": examples.length("train"),
         "origin": configs.describe(settings, experiment.sensor),
@@ -100,12 +107,24 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     if pose:
         summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
     else:
-        summary = train_unshear(unshear_net(experiment.unshear, network), **common)
+        teacher = _teacher(folder) if training.pose_weight else None
+        summary = train_unshear(unshear_net(experiment.unshear, network), teacher=teacher, **common)
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
     )
     return True
+
+
+def _teacher(folder: Path) -> Callable[[Any], Any]:
+    from jaxunshear.model import posenet
+    from jaxunshear.training.checkpoint import load_best, read_net
+
+    path = folder / TEACHER
+    if not (path / "summary.json").exists():
+        raise UserError(f"{path} is missing, and train.pose_weight needs it: train {TEACHER} first")
+    net: Any = read_net(path)
+    return partial(posenet.predict, net, load_best(path))
 
 
 def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:

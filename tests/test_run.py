@@ -76,6 +76,23 @@ def test_another_experiment_is_not_mixed_in(finished, command):
     assert answer.code == 2 and "train.epochs" in answer.err and answer.err.count("\n") == 1
 
 
+def test_a_network_is_taught_by_a_posenet_that_the_results_do_not_know(finished, command, tmp_path):
+    words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--train.pose_weight", 1]
+    refused = command("run", *words)
+    assert refused.code == 2 and "posenet_teacher, named first" in refused.err
+    done = command("run", *words, "--networks", "posenet_teacher,disentangled,posenet")
+    assert done.code == 0, done.err
+    folder = tmp_path / "tiny"
+    logged = json.loads((folder / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
+    assert logged["train"]["pose"] > 0 and logged["validation"]["pose"] > 0
+    teacher, other = (json.loads((folder / name / "model.json").read_text()) for name in ("posenet_teacher", "posenet"))
+    assert teacher["seed"] != other["seed"] and teacher["net"] == other["net"]
+    found = json.loads((folder / "results.json").read_text())
+    assert "disentangled" in found["ms_ssim"] and "posenet_teacher" not in json.dumps(found["ms_per_image"])
+    plain = json.loads((finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
+    assert "pose" not in plain["train"]
+
+
 def test_the_networks_take_images_of_people(finished, command, tmp_path):
     """Grey pins, colour, sixteen bits: all come out as images of the network's size, with a table of poses."""
     rows, columns = np.mgrid[:300, :300]

@@ -14,7 +14,7 @@ from jaxunshear.config import from_json, to_json
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import ALL_NETWORKS, Experiment
 from jaxunshear.storage import read_json, write_json
-from jaxunshear.sweep.rows import Row, training_part
+from jaxunshear.sweep.rows import Row, needed, training_part
 from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
 
 FINISHED = "summary.json"  # of a training
@@ -91,7 +91,7 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
                     needs.append(own.folder)
                     if part.name not in shared:
                         shared[part.name] = own
-                        write_json(own.folder / TASK, _described(part, own, (network,)) | common)
+                        write_json(own.folder / TASK, _described(part, own, needed(part, network)) | common)
         task = Task(folder / "rows" / row.experiment.name, "row", tuple(needs))
         more = {"ablation": ablation, "sources": sources, "label": row.label, "seed": row.experiment.seed}
         write_json(task.folder / TASK, _described(row.experiment, task, row.experiment.networks) | more | common)

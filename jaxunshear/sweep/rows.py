@@ -17,12 +17,16 @@ from typing import Any
 from jaxunshear.config import replaced, show, to_json, validate
 from jaxunshear.dataset.configs import VERSION
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, POSENETS, TEACHER, Experiment
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
 TESTS = ("networks", "unseen", "other_jitters_mm")  # what is trained and tested beside a training is not for it
-UNUSED = {"posenet": ("paired", "unshear", "train"), "posenet_sheared": ("pose", "unshear", "train")}
+UNUSED = {
+    "posenet": ("paired", "unshear", "train"),
+    TEACHER: ("paired", "unshear", "train"),
+    "posenet_sheared": ("pose", "unshear", "train"),
+}
 UNUSED_BY_UNSHEARERS = ("pose", "posenet", "train_posenet")
 
 
@@ -91,10 +95,16 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     Rows with equal parts share that training.
     """
     plain = Experiment(name="", claim="")
-    unused = ("name", "claim", *TESTS, *UNUSED.get(network, UNUSED_BY_UNSHEARERS))
+    taught = TEACHER in needed(experiment, network) and network != TEACHER
+    unused = ("name", "claim", *TESTS, *(() if taught else UNUSED.get(network, UNUSED_BY_UNSHEARERS)))
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     own = _digest({"experiment": to_json(part), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
+
+
+def needed(experiment: Experiment, network: str) -> tuple[str, ...]:
+    """The networks that must be trained in a folder, in this order, to have `network` there."""
+    return (network,) if network in POSENETS or not experiment.train.pose_weight else (TEACHER, network)
 
 
 def reference_of(sweep: Sweep, cells: list[Cell]) -> str | None:

@@ -32,16 +32,24 @@ class Task:
     rank: str  # the validation term that the best model is chosen by
 
 
-def unshear_task(net: settings.UnshearNet | settings.UNet, training: Training) -> Task:
+def unshear_task(
+    net: settings.UnshearNet | settings.UNet, training: Training, teacher: Callable[[Array], Array] | None = None
+) -> Task:
     """Of an entangled or disentangled UnshearNet, or a U-Net; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
 
-    Raises UserError where the network cannot be built, or a crop does not fit.
+    `teacher` is a trained PoseNet: images (B, S, S, 1) in [0, 1] -> outputs (B, 5), needed for `pose_weight` alone. Raises UserError where the network cannot be built, or a crop does not fit.
     """
     crop = training.crop_px
     if not 0 < crop <= net.size:
         raise UserError(f"crop_px: crops of {crop} px do not fit images of {net.size} px")
     if training.patch_weight and training.crops < 1:
         raise UserError(f"crops: {training.crops} of them leave no patch loss: use at least 1, or patch_weight 0")
+
+    watch = None
+    if training.pose_weight:
+        if teacher is None:
+            raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
+        watch = partial(_watched, teacher)
 
     kind = "unet" if isinstance(net, settings.UNet) else "unshear"
     module: Any = unet if kind == "unet" else unshearnet
@@ -56,23 +64,33 @@ def unshear_task(net: settings.UnshearNet | settings.UNet, training: Training) -
         if training.patch_weight:
             corners = losses.random_corners(key, len(image), training.crops, net.size, crop)
             named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, crop))
+        if watch:
+            named["pose"] = watch(image, canonical)
         if sheared_logits is not None:
             named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
         return named, batch_stats
 
     def validate(variables, batch):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
+        named = {}
         if isinstance(net, settings.UNet):
-            return {"supervised": losses.supervised(unet.unshear(net, variables, sheared), canonical)}
-        z_p, z_s = unshearnet.encode(net, variables, sheared)
-        image = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
-        named = {"supervised": losses.supervised(image, canonical)}
-        if z_s is not None:
-            again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
-            named["reconstruction"] = losses.reconstruction(again, sheared)
-        return named
+            image = unet.unshear(net, variables, sheared)
+        else:
+            z_p, z_s = unshearnet.encode(net, variables, sheared)
+            image = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
+            if z_s is not None:
+                again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
+                named["reconstruction"] = losses.reconstruction(again, sheared)
+        if watch:
+            named["pose"] = watch(image, canonical)
+        return {"supervised": losses.supervised(image, canonical)} | named
 
-    weights = {"supervised": 1.0, "patch": training.patch_weight, "reconstruction": training.reconstruction_weight}
+    weights = {
+        "supervised": 1.0,
+        "patch": training.patch_weight,
+        "pose": training.pose_weight,
+        "reconstruction": training.reconstruction_weight,
+    }
     return Task(kind, init, terms, weights, validate, "supervised")
 
 
@@ -95,6 +113,11 @@ def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> T
 
     _checked(posenet.check, net)
     return Task("posenet", lambda key: posenet.init(net, key), terms, {"pose": 1.0}, validate, "pose")
+
+
+def _watched(teacher: Callable[[Array], Array], image: Array, canonical: Array) -> Array:
+    """How far apart the poses lie that `teacher` reads off both images (B,): nothing that a label would tell enters."""
+    return losses.pose(teacher(image), jax.lax.stop_gradient(teacher(canonical)), posenet.WEIGHTS)
 
 
 def _unit(images: Array) -> Array:

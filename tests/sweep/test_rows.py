@@ -8,9 +8,9 @@ import pytest
 from jaxunshear import run
 from jaxunshear.config import field_types, replaced, validate
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment
 from jaxunshear.scene.sensor import TACTIP_331
-from jaxunshear.sweep.rows import cells_of, reference_of, row_digest, rows_of, training_part
+from jaxunshear.sweep.rows import cells_of, needed, reference_of, row_digest, rows_of, training_part
 from jaxunshear.sweep.settings import Sweep, check
 
 BASE = Experiment(name="plain", claim="none")
@@ -172,3 +172,19 @@ def test_equal_parts_are_equal_trainings(asked, network):
     changed = {field.name: getattr(whole, field.name) != getattr(part, field.name) for field in fields(Experiment)}
     assert changed["unseen"] and changed["networks"] and (changed["train"] != changed["train_posenet"])
     assert training_part(replace(whole, seed=6), network).name != part.name
+
+
+def test_a_taught_network_depends_on_its_teacher():
+    plain = replace(BASE, networks=(TEACHER, "disentangled", "posenet"))
+    taught = replace(plain, train=replace(plain.train, pose_weight=1.0))
+
+    def names(experiment, network):
+        wider = replace(experiment, posenet=replace(experiment.posenet, hidden=7))
+        return training_part(experiment, network).name, training_part(wider, network).name
+
+    assert len(set(names(plain, "disentangled"))) == 1
+    assert len(set(names(taught, "disentangled"))) == 2
+    assert names(plain, TEACHER) == names(taught, TEACHER)
+    assert needed(taught, "disentangled") == (TEACHER, "disentangled")
+    assert needed(plain, "disentangled") == ("disentangled",)
+    assert needed(taught, "posenet") == ("posenet",)

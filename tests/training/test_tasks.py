@@ -1,0 +1,95 @@
+"""The loss that reads a pose off the unsheared image."""
+
+import sys
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.model.settings import UNet
+from jaxunshear.training import losses
+from jaxunshear.training.tasks import unshear_task
+
+sys.path.insert(0, str(Path(__file__).parent))
+import small
+
+WATCHED = replace(small.TRAINING, pose_weight=0.5)
+
+
+@pytest.fixture(scope="module")
+def teacher():
+    fresh = posenet.init(small.POSENET, jax.random.key(9))
+    # fresh ones answer 0.5 whatever they see
+    wide = jax.tree.map(lambda leaf: 20 * leaf if leaf.ndim > 1 else leaf, fresh["params"])
+    return partial(posenet.predict, small.POSENET, fresh | {"params": wide})
+
+
+def gradient_of(task, variables, batch, name):
+    def term(params):
+        named, _ = task.terms(variables | {"params": params}, batch, jax.random.key(2))
+        return jnp.sum(named[name])
+
+    return jax.jit(jax.grad(term))(variables["params"])
+
+
+def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
+    task, batch = unshear_task(small.NET, WATCHED, teacher), small.pair(3, 4)
+    variables = task.init(jax.random.key(0))
+    canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
+    named = task.validate(variables, batch)
+    image = unshearnet.unshear(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    expected = losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS)
+    assert float(expected.min()) > 0
+    np.testing.assert_allclose(named["pose"], expected, rtol=1e-5)
+    assert task.weights["pose"] == 0.5
+
+
+def test_its_gradient_reaches_what_makes_the_image_and_nothing_else(teacher):
+    task, batch = unshear_task(small.NET, WATCHED, teacher), small.pair(3, 4)
+    gradient = gradient_of(task, task.init(jax.random.key(0)), batch, "pose")
+    largest = {
+        name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part)) for name, part in gradient.items()
+    }
+    assert all(largest[name] > 0 for name in ("E", "pose", "DC"))
+    assert all(largest[name] == 0 for name in ("shear", "DS"))
+
+
+def test_a_perfect_image_has_no_gradient(teacher):
+    """An image whose every pixel is right is where the term ends, whatever the teacher makes of it."""
+    canonical = jnp.asarray(small.dots(5, 3), jnp.float32) / 255
+
+    def term(image):
+        return jnp.sum(losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS))
+
+    np.testing.assert_array_equal(jax.grad(term)(canonical), 0)
+
+
+def test_without_weight_the_teacher_is_never_asked():
+    def asked(images):
+        raise AssertionError("asked")
+
+    task = unshear_task(small.NET, small.TRAINING, asked)
+    variables = task.init(jax.random.key(0))
+    assert "pose" not in task.terms(variables, small.pair(3, 4), jax.random.key(2))[0]
+    assert "pose" not in task.validate(variables, small.pair(3, 4))
+
+
+def test_a_u_net_can_be_taught_too(teacher):
+    net = UNet(small.SIZE, small.NET.widths)
+    task, batch = unshear_task(net, WATCHED, teacher), small.pair(3, 4)
+    variables = task.init(jax.random.key(0))
+    image = unet.unshear(net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
+    expected = losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS)
+    np.testing.assert_allclose(task.validate(variables, batch)["pose"], expected, rtol=1e-5)
+
+
+def test_a_weight_without_a_teacher_is_refused():
+    with pytest.raises(UserError, match="pose_weight"):
+        unshear_task(small.NET, WATCHED)
