@@ -37,7 +37,8 @@ def unshear_task(
 ) -> Task:
     """Of an entangled or disentangled UnshearNet, or a U-Net; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
 
-    `teacher` is a trained PoseNet: images (B, S, S, 1) in [0, 1] -> outputs (B, 5), needed for `pose_weight` alone. Raises UserError where the network cannot be built, or a crop does not fit.
+    `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, 5), needed for `pose_weight` alone.
+    Raises UserError where the network cannot be built, or a crop does not fit.
     """
     crop = training.crop_px
     if not 0 < crop <= net.size:
