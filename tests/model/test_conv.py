@@ -48,10 +48,10 @@ def test_conv_valid_is_the_plain_convolution(k, c, n, dtype):
     same_function(conv.conv_valid, plain, normal(3, 9, 7, c, dtype=dtype), normal(k, k, c, n, dtype=dtype), dtype)
 
 
-@pytest.mark.parametrize(("k", "c", "n"), [(2, 3, 5), (2, 5, 3), (3, 4, 4), (3, 2, 7), (4, 6, 1)])
-@pytest.mark.parametrize("border", [1, 2])
-def test_a_border_of_zeros_is_left_out_of_the_gradient(border, k, c, n, dtype):
-    border = min(border, k - 1)
+@pytest.mark.parametrize(
+    ("k", "border", "c", "n"), [(2, 1, 3, 5), (2, 1, 5, 3), (3, 1, 4, 4), (3, 2, 2, 7), (4, 2, 6, 1)]
+)
+def test_a_border_of_zeros_is_left_out_of_the_gradient(k, border, c, n, dtype):
     width = 2 * [(border, border)]
     same_function(
         lambda x, w: conv.conv_valid(conv.pad(x, border), w, border),
@@ -66,7 +66,7 @@ def test_a_border_of_zeros_is_left_out_of_the_gradient(border, k, c, n, dtype):
     np.testing.assert_array_equal(dx[0, :, -border:], 0)
 
 
-@pytest.mark.parametrize("images", [1, 7, 12])
+@pytest.mark.parametrize("images", [7, 12])
 @pytest.mark.parametrize(("k", "border", "c", "n"), [(2, 0, 3, 5), (2, 1, 5, 3), (3, 1, 4, 4)])
 def test_both_forms_of_a_kernels_gradient_agree(k, border, c, n, images, dtype, monkeypatch):
     monkeypatch.setattr(conv, "SLICE", 200)  # pixels: several images in a slice, several slices
