@@ -2,10 +2,11 @@
 
     jaxunshear sweep experiments/taught.py
 
-Expected on two cores: twenty minutes a seed; neither this nor the claim has been measured yet. The demo's networks, but that the disentangled one is also told how far apart the poses
-lie that a PoseNet reads off its image and off the tap, with a weight of 0 (the paper's losses) to 10. No label enters: pairs are
-all it takes. That PoseNet, `posenet_teacher`, learnt from another seed than the one that measures the pose errors, which a
-network trained through it could otherwise learn to please.
+Expected on two cores: twenty minutes a seed; neither this nor the claim has been measured yet. The demo's networks, but
+that the disentangled one is also told how far apart the poses lie that a PoseNet reads off its image and off the tap,
+with a weight of 0 (the paper's losses) to 10. No label enters: pairs are all it takes. That PoseNet, `posenet_teacher`,
+learnt from another seed than the one that measures the pose errors, which a network trained through it could otherwise
+learn to please.
 """
 
 from dataclasses import replace
