@@ -11,7 +11,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import networks
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_SHEARED, POSE_KINDS
-from jaxunshear.experiment import ALL_NETWORKS, NETWORKS
+from jaxunshear.experiment import NETWORKS, RIVALS
 from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model import unshearnet
 from jaxunshear.model.settings import UnshearNet
@@ -81,7 +81,7 @@ def test_a_missing_network_is_named(trained, tmp_path):
 
 
 def test_rivals_and_baselines_join_in(trained):
-    run = networks.load(trained, ALL_NETWORKS, Ranges(), Ranges(lateral_mm=10), taps=images(5))
+    run = networks.load(trained, NETWORKS + RIVALS, Ranges(), Ranges(lateral_mm=10), taps=images(5))
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
     assert set(outputs.poses) == set(POSE_KINDS)
