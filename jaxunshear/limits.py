@@ -48,7 +48,7 @@ def _tests(experiment: Experiment) -> Iterator[Rule]:
     yield len(experiment.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
     yield len(set(experiment.networks)) == len(experiment.networks), "networks", "name each network once"
     yield (
-        not experiment.train.pose_weight or experiment.networks[0] == TEACHER,
+        not experiment.train.pose_weight or experiment.networks[:1] == (TEACHER,),
         "networks",
         f"train.pose_weight needs {TEACHER}, named first",
     )

@@ -95,7 +95,7 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     Rows with equal parts share that training.
     """
     plain = Experiment(name="", claim="")
-    taught = TEACHER in needed(experiment, network) and network != TEACHER
+    taught = len(needed(experiment, network)) > 1
     unused = ("name", "claim", *TESTS, *(() if taught else UNUSED.get(network, UNUSED_BY_UNSHEARERS)))
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     own = _digest({"experiment": to_json(part), "network": network})
