@@ -118,7 +118,7 @@ def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> T
 
 def _watched(teacher: Callable[[Array], Array], image: Array, canonical: Array) -> Array:
     """How far apart the poses lie that `teacher` reads off both images (B,): nothing that a label would tell enters."""
-    return losses.pose(teacher(image), jax.lax.stop_gradient(teacher(canonical)), posenet.WEIGHTS)
+    return losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS)
 
 
 def _unit(images: Array) -> Array:
