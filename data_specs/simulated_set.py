@@ -56,6 +56,8 @@ class SimulatedSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # 
     RELEASE_NOTES: ClassVar[dict[str, str]] = {
         "2.0.0": "Pins as levers; contact to 60 deg from the apex.",
         "2.1.0": "Presses in increments of 3 mm.",
+        "2.3.0": "Polygons without a ridge along rows through a corner.",
+        "2.4.0": "Pairs drift too.",
         "1.0.0": "First release.",
     }
     engine: Engine | None = None  # tests put a fast stand-in for the simulator here

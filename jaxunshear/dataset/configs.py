@@ -11,7 +11,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 
-VERSION = "2.3.0"  # of the stored sets; raise it whenever the same settings give other bits
+VERSION = "2.4.0"  # of the stored sets; raise it whenever the same settings give other bits
 PAIRED_SET, POSE_SET = "tactip_paired", "tactip_pose"
 
 PAIRED = {
@@ -19,6 +19,7 @@ PAIRED = {
     "demo": PairedData(camera=FLUSH_CAMERA),
     "calibrated": PairedData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PairedData(config="standard", poses=1200, camera=FLUSH_CAMERA),
+    "best": PairedData(config="best", poses=3600, camera=FLUSH_CAMERA),
     "paper_short": PairedData(
         config="paper_short",
         poses=1200,
@@ -40,6 +41,7 @@ POSE = {
     "demo": PoseData(camera=FLUSH_CAMERA),
     "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PoseData(config="standard", poses=3000, camera=FLUSH_CAMERA),
+    "best": PoseData(config="best", poses=3000, camera=FLUSH_CAMERA),
     "paper_short": PoseData(
         config="paper_short", poses=3000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
     ),

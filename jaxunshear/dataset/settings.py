@@ -16,6 +16,9 @@ class Ranges:
     move_mm: float = 2.5  # slide offset in x and in y within +- this
 
 
+DRIFTING = Nuisance(drift_px=1.0, drift_brightness=0.1)  # a set is recorded over days (paper section 3.2.2)
+
+
 @dataclass(frozen=True)
 class PairedData:
     """`tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
@@ -30,13 +33,13 @@ class PairedData:
     friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
-    nuisance: Nuisance = field(default_factory=Nuisance)
+    nuisance: Nuisance = DRIFTING
     preprocess: Preprocess = field(default_factory=Preprocess)
 
 
 @dataclass(frozen=True)
 class PoseData:
-    """`tactip_pose`: taps at poses of their own, drawn separately and with drift (paper section 3.2.2)."""
+    """`tactip_pose`: taps at poses of their own, drawn separately (paper section 3.2.2)."""
 
     config: str = "demo"
     stimuli: tuple[str, ...] = ("disk", "clover", "teardrop")
@@ -45,5 +48,5 @@ class PoseData:
     friction: float | None = None  # as in `PairedData`
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
-    nuisance: Nuisance = field(default_factory=lambda: Nuisance(drift_px=1.0, drift_brightness=0.1))
+    nuisance: Nuisance = DRIFTING
     preprocess: Preprocess = field(default_factory=Preprocess)

@@ -20,6 +20,7 @@ from jaxunshear.model import conv
 INIT = nn.initializers.normal(0.02)  # paper, appendix B
 EPSILON = 1e-5
 MOMENTUM = 0.9  # of the running statistics
+GROUP = 8  # images summed at once
 
 
 def in_precision(images: Array, precision: str) -> Array:
@@ -67,8 +68,9 @@ def _norm_relu_backward(bordered, saved, cotangents):
     wide_factor, centred = _wide(factor, bordered), images - _wide(mean, bordered)
     active = images * wide_factor + _wide(bias - mean * factor, bordered) > 0
     dy = jnp.where(active, _images(cotangents[0]), 0)
-    d_bias = _sums(dy, x, bordered)
-    d_scale = _sums(dy * centred, x, bordered) * inverse
+    over_images = _both_over_images(dy, dy * centred)
+    d_bias, d_scale = (_over_pixels(numbers, x, bordered) for numbers in over_images)
+    d_scale = d_scale * inverse
     constant = _wide(factor * d_bias / count, bordered)
     slope = _wide(factor * inverse * d_scale / count, bordered)
     dx = _inside(dy * wide_factor - (constant + centred * slope), x, bordered)
@@ -111,9 +113,24 @@ def _wide(channels: Array, bordered: bool) -> Array:
 
 def _sums(images: Array, x: Array, bordered: bool) -> Array:
     """Sums over images and pixels inside, (C,): of `images` (B, H W, C) or (B, H W, 4 C), which has the layout of x."""
-    over_images = _inside(jnp.sum(images, 0), x, bordered)
+    return _over_pixels(jnp.sum(images, 0), x, bordered)
+
+
+def _both_over_images(a: Array, b: Array) -> tuple[Array, Array]:
+    """Sums over the first axis of both, in one pass: two sums would write ReLU's masked gradient out and read it twice. In groups of
+    at most GROUP images: longer strides through memory are slow."""
+    group = max(size for size in range(1, GROUP + 1) if len(a) % size == 0)
+    a, b = (numbers.reshape(-1, group, *numbers.shape[1:]) for numbers in (a, b))
+    zero = jnp.zeros((), a.dtype)
+    sums = jax.lax.reduce((a, b), (zero, zero), lambda x, y: (x[0] + y[0], x[1] + y[1]), (1,))
+    return sums[0].sum(0), sums[1].sum(0)
+
+
+def _over_pixels(numbers: Array, x: Array, bordered: bool) -> Array:
+    """Sums over pixels inside, (C,): of (H W, C) or (H W, 4 C), which has the layout of an image of x."""
+    numbers = _inside(numbers, x, bordered)
     # two rows of ones: a product with a vector would be fused with all that comes before, into one slow loop
-    columns = _exact(jnp.ones((2, len(over_images)), over_images.dtype), over_images)[0]
+    columns = _exact(jnp.ones((2, len(numbers)), numbers.dtype), numbers)[0]
     return columns.reshape(4, -1).sum(0) if bordered else columns
 
 

@@ -119,6 +119,7 @@ def test_changed_settings_have_a_name_of_their_own():
         "demo",
         "calibrated",
         "standard",
+        "best",
         "paper_short",
         "paper",
     ]
