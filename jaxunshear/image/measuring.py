@@ -5,6 +5,7 @@ within one pin's radius of there is its own.
 """
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from jaxunshear.image.growing import filled, off_neighbours
 from jaxunshear.image.lattice import Lattice
@@ -36,7 +37,24 @@ def measured(lattice: Lattice, track: Track, found: Found) -> Track:
     motion[again] = np.where(good[:, None], at - lattice.place[again], np.nan)
     for _ in range(BRINKS):
         motion[_at_the_brink(lattice, motion)] = np.nan
-    return judged(lattice, motion, track.which, len(found.pins))
+    return _as_found(lattice, judged(lattice, motion, track.which, len(found.pins)), again, found)
+
+
+def _as_found(lattice: Lattice, track: Track, again: np.ndarray, found: Found) -> Track:
+    """A track whose pins that were measured `again` (P,) stand on the whole dots that are near.
+
+    A whole dot's centroid is the better measurement: a window that is smaller than a pin finds white all over, and stays near where the
+    neighbours put it. That these expect the pin elsewhere is doubt, and was judged before.
+    """
+    rows = np.flatnonzero(again & track.seen)
+    dots = found.pins[found.whole]
+    if not (len(rows) and len(dots)):
+        return track
+    distance, nearest = cKDTree(dots).query(lattice.place[rows] + track.motion[rows])
+    near = distance < AGREED * lattice.spacing
+    motion = track.motion.copy()
+    motion[rows[near]] = dots[nearest[near]] - lattice.place[rows[near]]
+    return track._replace(motion=motion)
 
 
 def _at_the_brink(lattice: Lattice, motion: np.ndarray) -> np.ndarray:

@@ -12,12 +12,14 @@ from skimage.segmentation import watershed
 # A part of more than this times the usual pin's area, or length, may be several pins that touch.
 MERGED_AREA = 1.45
 MERGED_LENGTH = 1.6
+WHOLE = (0.65, 1.35)  # of the usual pin's area: a pin that something touches, or hides in part, is off by more
 
 
 class Found(NamedTuple):
     """The pins of an image, and what is needed to look again."""
 
     pins: np.ndarray  # (N, 2) px, centroids as (column, row)
+    whole: np.ndarray | None = None  # (N,) bool: a part of its own, of a pin's usual size
     white: np.ndarray | None = None  # (S, S) bool, without parts as long as those of the housing ring
     radius: float = 0.0  # px, of the usual pin; 0 where there is none
 
@@ -41,7 +43,7 @@ def look(image: np.ndarray) -> Found:
     kept = short & _within(parts)
     white = np.append(False, short)[parts.labels]
     if not kept.any():
-        return Found(np.zeros((0, 2)), white, 0.0)
+        return Found(np.zeros((0, 2)), white=white)
     centre, area = parts.centre[kept], parts.area[kept]
     usual = _usual(area)
     diameter = 2 * np.sqrt(usual / np.pi)
@@ -50,8 +52,10 @@ def look(image: np.ndarray) -> Found:
     centre = np.concatenate([centre[~merged], *(piece[0] for piece in pieces)])
     area = np.concatenate([area[~merged], *(piece[1] for piece in pieces)])
     usual = _usual(area)
-    pins = in_company(centre[(area > 0.4 * usual) & (area < 3 * usual)])
-    return Found(pins, white, float(np.sqrt(usual / np.pi)))
+    whole = (np.arange(len(area)) < np.sum(~merged)) & (area > WHOLE[0] * usual) & (area < WHOLE[1] * usual)
+    pins = np.flatnonzero((area > 0.4 * usual) & (area < 3 * usual))
+    pins = pins[in_company(centre[pins])]
+    return Found(centre[pins], whole[pins], white, float(np.sqrt(usual / np.pi)))
 
 
 class _Parts(NamedTuple):
@@ -112,26 +116,27 @@ def _parted(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, np
 
 
 def in_company(centre: np.ndarray) -> np.ndarray:
-    """Keeps of points (N, 2) those near two others: within twice the usual distance between neighbours.
+    """Rows of those points (N, 2) that are near two others: within twice the usual distance between neighbours.
 
     On the outline, where glints of the housing lie and the skin hardly stretches, within 1.5 times.
     """
+    kept = np.arange(len(centre))
     distance = _to_two_nearest(centre)
     for outline_only in (False, True, True):
-        if len(centre) < 10:
-            return centre
+        if len(kept) < 10:
+            return kept
         usual = np.median(distance)
         lonely = distance[:, 1] > (1.5 if outline_only else 2) * usual
         if outline_only and lonely.any():
             try:
-                outline = ConvexHull(centre).vertices
+                outline = ConvexHull(centre[kept]).vertices
             except QhullError:  # all on one line: no outline to speak of
-                return centre
-            lonely &= np.isin(np.arange(len(centre)), outline)
+                return kept
+            lonely &= np.isin(np.arange(len(kept)), outline)
         if lonely.any():
-            centre = centre[~lonely]
-            distance = _to_two_nearest(centre)
-    return centre
+            kept = kept[~lonely]
+            distance = _to_two_nearest(centre[kept])
+    return kept
 
 
 def _to_two_nearest(centre: np.ndarray) -> np.ndarray:

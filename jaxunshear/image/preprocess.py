@@ -209,7 +209,8 @@ def _pin_outline(white: np.ndarray) -> np.ndarray:
         return np.zeros((0, 2))
     typical = np.median(area[area > 2])
     dots = 1 + np.flatnonzero((area > 0.4 * typical) & (area < 2.5 * typical))
-    centres = in_company(np.array(ndimage.center_of_mass(white, parts, dots)))
+    centres = np.array(ndimage.center_of_mass(white, parts, dots))
+    centres = centres[in_company(centres)]
     return centres[ConvexHull(centres).vertices] if len(centres) >= 20 else np.zeros((0, 2))
 
 

@@ -32,7 +32,15 @@ def checksums(folder: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_standard_sets_are_known_to_tfds_by_name(name, engine, tmp_path):
-    assert list(BUILDERS[name].builder_configs) == ["tiny", "demo", "calibrated", "standard", "best", "paper_short", "paper"]
+    assert list(BUILDERS[name].builder_configs) == [
+        "tiny",
+        "demo",
+        "calibrated",
+        "standard",
+        "best",
+        "paper_short",
+        "paper",
+    ]
     builder = tfds.builder(f"{name}/tiny", data_dir=tmp_path)
     builder.engine = engine
     builder.download_and_prepare()

@@ -101,7 +101,7 @@ def test_friction_is_the_materials(paired):
         ({"slides": 0}, "slides = 0"),
         ({"taps": 3, "slides": 2}, "taps = 3 exceeds slides = 2"),
         ({"seed": -1}, "seed = -1"),
-        ({"config": "huge"}, "config 'huge'.*tiny, demo, calibrated, standard, paper"),
+        ({"config": "huge"}, "config 'huge'.*tiny, demo, calibrated, standard, best, paper"),
         ({"ranges": Ranges(depth_min_mm=0.0)}, "depth_min_mm = 0"),
         ({"ranges": Ranges(depth_min_mm=3, depth_max_mm=2)}, "depth_max_mm = 2"),
     ],

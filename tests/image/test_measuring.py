@@ -54,6 +54,18 @@ def test_faint_pins_are_seen():
     assert track.sure and track.seen[faint].all() and error(track)[faint].max() < 0.5
 
 
+def test_a_large_pin_off_its_neighbours_stands_where_it_is_seen():
+    place, radius = PLACE.copy(), np.full(331, 2.2)
+    place[100] += [
+        0.0,
+        1.3,
+    ]  # a lever that turns at an edge; a window smaller than the pin finds white wherever it looks
+    radius[100] *= 1.1
+    (track,) = tracks_of(LATTICE, [picture(place, radius)])
+    assert track.sure and track.doubt > 0.1
+    assert np.linalg.norm(LATTICE.place + track.motion - place, axis=-1)[100] < 0.2
+
+
 def test_pins_that_are_not_there_are_not_made_up():
     gone = [7, 150, 260]
     (track,) = tracks_of(LATTICE, [picture(np.delete(slid(), gone, axis=0))])
