@@ -63,12 +63,15 @@ class SimulatedSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # 
     engine: Engine | None = None  # tests put a fast stand-in for the simulator here
 
     def _set_info(self, features: dict, keys: tuple[str, str] | None) -> tfds.core.DatasetInfo:
-        return self.dataset_info_from_configs(
+        info = self.dataset_info_from_configs(
             features=tfds.features.FeaturesDict(features),
             supervised_keys=keys,
             metadata=tfds.core.MetadataDict(),
             homepage=HOMEPAGE,
         )
+        # TFDS would ask its own bucket for a set of this name, over the network, and leave an empty folder behind each time
+        info.initialize_from_bucket = lambda: None
+        return info
 
     @property
     def _unfinished(self) -> Path:

@@ -70,8 +70,9 @@ def card(results: dict[str, Any], name: str) -> str:
         "",
         f"* **Learnt from** simulated touches only: sensor `{sensor}`, shapes {shapes}; {results['counts']['train']} pairs, "
         f"{pose['poses'] * len(pose['stimuli'])} taps before a fifth each was put aside to validate and to test; images of "
-        f"{metric['image_px']} px, {paired['camera']['mm_across']:g} mm across, camera noise {paired['nuisance']['noise']:g}; over "
-        f"the set the view drifts by {paired['nuisance']['drift_px']:g} px of the camera's frame in pairs, {pose['nuisance']['drift_px']:g} px in taps.",
+        f"{metric['image_px']} px, {paired['camera']['mm_across']:g} mm across, camera noise {paired['nuisance']['noise']:g}; "
+        f"over the set the view drifts by {paired['nuisance']['drift_px']:g} px of the camera's frame in pairs, "
+        f"{pose['nuisance']['drift_px']:g} px in taps.",
         f"* **Poses** within {paired['ranges']['lateral_mm']:g} mm, {paired['ranges']['yaw_deg']:g} deg, depths "
         f"{paired['ranges']['depth_min_mm']:g} to {paired['ranges']['depth_max_mm']:g} mm; slides up to "
         f"{paired['ranges']['move_mm']:g} mm along each axis. Beyond them nothing is known.",

@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -31,7 +32,9 @@ def checksums(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", CONFIGS)
-def test_standard_sets_are_known_to_tfds_by_name(name, engine, tmp_path):
+def test_standard_sets_are_known_to_tfds_by_name(name, engine, tmp_path, monkeypatch):
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
     assert list(BUILDERS[name].builder_configs) == [
         "tiny",
         "demo",
@@ -58,6 +61,7 @@ def test_standard_sets_are_known_to_tfds_by_name(name, engine, tmp_path):
         assert example["pose"].dtype == np.float32
     assert not (tmp_path / "downloads").exists()
     assert list((tmp_path / ".partial").iterdir()) == []
+    assert not list((tmp_path / "temporary").iterdir())
 
 
 @pytest.mark.parametrize("name", CONFIGS)
