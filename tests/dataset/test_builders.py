@@ -35,15 +35,7 @@ def checksums(folder: Path) -> dict[str, str]:
 def test_standard_sets_are_known_to_tfds_by_name(name, engine, tmp_path, monkeypatch):
     (tmp_path / "temporary").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "temporary"))
-    assert list(BUILDERS[name].builder_configs) == [
-        "tiny",
-        "demo",
-        "calibrated",
-        "standard",
-        "best",
-        "paper_short",
-        "paper",
-    ]
+    assert list(BUILDERS[name].builder_configs) == list(CONFIGS[name])
     builder = tfds.builder(f"{name}/tiny", data_dir=tmp_path)
     builder.engine = engine
     builder.download_and_prepare()
