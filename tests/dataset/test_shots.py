@@ -24,6 +24,7 @@ def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
                 (1, 2),
             ]
             assert len(set(shots.split[here])) == 1
+            assert np.ptp(shots.age[here]) == 0  # a tap and its slides drift alike
             assert np.ptp(shots.scenes.pose[here], axis=0).max() == 0  # no depth jitter asked for
     assert not shots.scenes.move[~shots.slid].any()
     assert np.all(shots.scenes.move[shots.slid] != 0)
@@ -72,6 +73,11 @@ def test_a_stimulus_keeps_its_poses_beside_others_and_a_seed_changes_them():
 def test_the_two_sets_share_no_pose():
     paired, pose = draw_paired(PairedData(poses=20)), draw_pose(PoseData(poses=20))
     assert not set(paired.scenes.pose[:, 0]) & set(pose.scenes.pose[:, 0])
+
+
+def test_both_sets_drift():
+    for settings in (*PAIRED.values(), *POSE.values()):
+        assert settings.nuisance.drift_px == 1 and settings.nuisance.drift_brightness == 0.1
 
 
 def test_age_runs_from_first_to_last_and_tells_nothing_of_the_shape():
