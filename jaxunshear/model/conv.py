@@ -6,7 +6,8 @@ at a few per cent of it (strided and transposed ones above all). Two rewritings 
 1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel (on CPU)
    plain matrix products over a few images at a time.
 2. A 4x4 convolution of stride 2 is a 2x2 convolution between *blocks*: `to_blocks` moves each 2x2 block of pixels into
-   the channels. The transposed convolution writes blocks instead of reading them.
+   the channels. The transposed convolution writes blocks instead of reading them. Next to the image, whose one channel
+   would leave most of a vector unused, it is a product of 6x6 *windows* with blocks.
 
 >>> y = conv_valid(to_blocks(pad(x, 1), 2), down_kernel(w))    # (B, H, W, C) -> (B, H/2, W/2, N), w (4, 4, C, N)
 >>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks of
@@ -132,28 +133,42 @@ def up_kernel(w: Array) -> Array:
     return w.transpose(0, 2, 4, 1, 3, 5).reshape(2, 2, c, 4 * n)
 
 
+def windows(x: Array) -> Array:
+    """The 6x6 pixels of the image that the bordered blocks of half its size are read from: (B, 4H, 4W, C) -> (B, H+1, W+1,
+    36 C), channels ordered (row, column, channel), with zeros outside."""
+    b, h, w, c = x.shape
+    x = jnp.pad(x, ((0, 0), (3, 5), (3, 5), (0, 0))).reshape(b, h // 4 + 2, 4, w // 4 + 2, 4, c)
+    x = jnp.concatenate([x[:, :-1], x[:, 1:, :2]], 2)
+    x = jnp.concatenate([x[:, :, :, :-1], x[:, :, :, 1:, :2]], 4)
+    return x.transpose(0, 1, 3, 2, 4, 5).reshape(b, h // 4 + 1, w // 4 + 1, 36 * c)
+
+
+def from_windows(x: Array) -> Array:
+    """The transpose of `windows`: (B, H+1, W+1, 36 C) -> (B, 4H, 4W, C), sums where windows overlap."""
+    b, h, w, c = x.shape
+    image = jax.ShapeDtypeStruct((b, 4 * (h - 1), 4 * (w - 1), c // 36), x.dtype)
+    return jax.linear_transpose(windows, image)(x)[0]
+
+
 def first_kernel(w: Array) -> Array:
-    """(4, 4, C, N) of a stride-2 convolution -> (2, 2, 16C, 4N) from 4x4 blocks of the image, padded by 4, to the
-    bordered blocks of the output: what the next `down_kernel` reads, so the widest array of the network is never
-    rearranged."""
-    # the output's row 2p-1+a reads the image's rows 4p-3+2a+k, which is row t = 1+2a+k of the 4x4 blocks p and p+1
-    place = _placement(8, 2, lambda t, a: t - 1 - 2 * a, w.dtype)
+    """(4, 4, C, N) of a stride-2 convolution -> (1, 1, 36 C, 4N) from `windows` of the image to the bordered blocks of the
+    output: what the next `down_kernel` reads, so the widest array of the network is never rearranged."""
+    # of the window's rows t, the output's row a of a block reads 2a + k
+    place = _placement(lambda t, a: t - 2 * a, w.dtype)
     big = jnp.einsum("tak,sbl,klcn->tscabn", place, place, w, precision="highest")
-    t, s, c, a, b, n = big.shape
-    return big.reshape(2, 4, 2, 4, c, a * b * n).transpose(0, 2, 1, 3, 4, 5).reshape(2, 2, 16 * c, 4 * n)
+    return big.reshape(1, 1, 36 * w.shape[2], 4 * w.shape[3])
 
 
 def last_kernel(w: Array) -> Array:
-    """(4, 4, C, N) of a stride-2 transposed convolution -> (2, 2, 4C, 16N) from the bordered blocks of its input to
-    the 4x4 blocks of its output, nothing to crop."""
-    # the input's row 2q-1+s of blocks q and q+1 (s = 0..3) reaches the output's row 4q+u through k = 2s-u
-    place = _placement(4, 4, lambda s, u: 2 * s - u, w.dtype)
-    big = jnp.einsum("suk,tvl,klcn->stcuvn", place, place, w, precision="highest")
-    c, n = w.shape[2:]
-    return big.reshape(2, 2, 2, 2, c, 16 * n).transpose(0, 2, 1, 3, 4, 5).reshape(2, 2, 4 * c, 16 * n)
+    """(4, 4, C, N) of a stride-2 transposed convolution -> (1, 1, 4C, 36N) from the bordered blocks of its input to
+    `windows` of its output."""
+    # the input's row a of a block reaches the window's rows t through k = 3 - (t - 2a): Flax's kernels are turned
+    place = _placement(lambda t, a: 3 - t + 2 * a, w.dtype)
+    big = jnp.einsum("tak,sbl,klcn->abctsn", place, place, w, precision="highest")
+    return big.reshape(1, 1, 4 * w.shape[2], 36 * w.shape[3])
 
 
-def _placement(rows: int, columns: int, tap, dtype) -> Array:
-    """1 where kernel tap `tap(row, column)` is k, else 0: (rows, columns, 4)."""
-    row, column = np.indices((rows, columns))
-    return jnp.asarray(np.asarray(tap(row, column))[..., None] == np.arange(4), dtype)
+def _placement(tap, dtype) -> Array:
+    """1 where tap `tap(row of the window, row of the block)` of a kernel is k, else 0: (6, 2, 4)."""
+    row, column = np.indices((6, 2))
+    return jnp.asarray(tap(row, column)[..., None] == np.arange(4), dtype)

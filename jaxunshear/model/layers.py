@@ -172,8 +172,7 @@ class First(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
-        blocks = conv.to_blocks(conv.pad(x, 4), 4)
-        return NormRelu(bordered=True, name="norm")(conv.conv_valid(blocks, conv.first_kernel(w)), train)
+        return NormRelu(bordered=True, name="norm")(conv.conv_valid(conv.windows(x), conv.first_kernel(w)), train)
 
 
 class Down(nn.Module):
@@ -220,5 +219,5 @@ class Last(nn.Module):
     def __call__(self, x: Array) -> Array:
         w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, 1)).astype(x.dtype)
         bias = self.param("bias", nn.initializers.zeros, (1,))
-        image = conv.from_blocks(conv.conv_valid(x, conv.last_kernel(w)), 4)
+        image = conv.from_windows(conv.conv_valid(x, conv.last_kernel(w)))
         return image.astype(jnp.promote_types(x.dtype, jnp.float32)) + bias[None, None, None]

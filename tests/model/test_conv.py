@@ -90,7 +90,7 @@ def test_down_is_a_convolution_of_stride_two(dtype):
 
 def test_first_is_a_convolution_of_stride_two_in_bordered_blocks(dtype):
     def ours(x, w):
-        blocks = conv.conv_valid(conv.to_blocks(conv.pad(x, 4), 4), conv.first_kernel(w))
+        blocks = conv.conv_valid(conv.windows(x), conv.first_kernel(w))
         return conv.from_blocks(blocks, 2)[:, 1:-1, 1:-1]
 
     same_function(
@@ -113,10 +113,10 @@ def test_up_is_a_transposed_convolution_in_bordered_blocks(dtype):
     same_function(ours, transposed, normal(2, 6, 5, 3, dtype=dtype), normal(4, 4, 3, 4, dtype=dtype), dtype)
 
 
-def test_last_is_a_transposed_convolution_in_blocks_of_four(dtype):
+def test_last_is_a_transposed_convolution_in_windows(dtype):
     def ours(x, w):
         blocks = conv.to_blocks(conv.pad(x, 1), 2)
-        return conv.from_blocks(conv.conv_valid(blocks, conv.last_kernel(w)), 4)
+        return conv.from_windows(conv.conv_valid(blocks, conv.last_kernel(w)))
 
     same_function(ours, transposed, normal(2, 6, 8, 3, dtype=dtype), normal(4, 4, 3, 1, dtype=dtype), dtype)
 
