@@ -13,7 +13,6 @@ from pathlib import Path
 
 from jaxunshear.config import load_experiment
 from jaxunshear.dataset.configs import PAIRED, POSE
-from jaxunshear.experiment import TEACHER
 
 STANDARD = load_experiment(Path(__file__).with_name("standard.py"))
 
@@ -21,7 +20,7 @@ experiment = replace(
     STANDARD,
     name="best",
     claim="Three times the poses and a loss seen through a PoseNet leave little of the slide in the pose, at 128 px.",
-    networks=(TEACHER, "disentangled", "posenet"),
+    networks=("disentangled", "posenet"),
     paired=PAIRED["best"],
     pose=POSE["best"],
     train=replace(STANDARD.train, epochs=11, pose_weight=0.1),

@@ -9,14 +9,14 @@ misses the slide's by up to 1 mm, as the paper pairs them.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import NETWORKS, RIVALS, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, Experiment
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training.settings import Training
 
 experiment = Experiment(
     name="standard",
     claim="Three quarters of an hour of training: the paper's tables, with rivals and shapes that no network has seen.",
-    networks=(*NETWORKS, *RIVALS),
+    networks=ALL_NETWORKS,
     unseen=("flower", "leaf", "spiral_1", "spiral_2"),
     other_jitters_mm=(1.0,),
     sensor=sensor_of("standard"),

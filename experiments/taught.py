@@ -14,11 +14,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.config import load_experiment
-from jaxunshear.experiment import TEACHER
 from jaxunshear.sweep.settings import Sweep
 
 DEMO = load_experiment(Path(__file__).with_name("demo.py"))
-NETWORKS = (TEACHER, "disentangled", "posenet")
+NETWORKS = ("disentangled", "posenet")
 
 sweep = Sweep(
     name="taught",

@@ -198,8 +198,10 @@ def _run(argv: list[str]) -> int:
 
 
 def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> None:
+    from jaxunshear.experiment import trained
+
     experiment = _experiment(arguments.file, fields)
-    networks = experiment.networks
+    networks = trained(experiment)
     if getattr(arguments, "network", None):
         if arguments.network not in networks:
             raise UserError(f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}")

@@ -10,7 +10,7 @@ from jaxunshear.training.settings import Training
 NETWORKS = ("entangled", "disentangled", "posenet")  # the paper's
 RIVALS = ("entangled_large", "unet", "posenet_sheared")  # entangled with as many parameters; a U-Net; PoseNet on slides
 TEACHER = "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
-ALL_NETWORKS = (TEACHER, *NETWORKS, *RIVALS)
+ALL_NETWORKS = (*NETWORKS, *RIVALS)
 POSENETS = ("posenet", "posenet_sheared", TEACHER)
 
 
@@ -33,9 +33,10 @@ class Experiment:
     train_posenet: Training = field(default_factory=Training)  # both PoseNets
 
 
-def evaluated(experiment: Experiment) -> tuple[str, ...]:
-    """The networks that the results tell of."""
-    return tuple(name for name in experiment.networks if name != TEACHER)
+def trained(experiment: Experiment) -> tuple[str, ...]:
+    """The networks to train, in this order: those of the results, after a teacher where one of them is taught."""
+    taught = experiment.train.pose_weight and set(experiment.networks) - set(POSENETS)
+    return (TEACHER, *experiment.networks) if taught else experiment.networks
 
 
 def further_tests(experiment: Experiment) -> dict[str, PairedData]:

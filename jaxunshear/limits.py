@@ -10,7 +10,7 @@ from dataclasses import replace
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, evaluated
+from jaxunshear.experiment import ALL_NETWORKS, Experiment
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import Sensor, sensor_rules
 from jaxunshear.training.settings import Training
@@ -47,12 +47,6 @@ def _tests(experiment: Experiment) -> Iterator[Rule]:
     yield not unknown, "networks", f"network {unknown} is unknown: use {', '.join(ALL_NETWORKS)}"
     yield len(experiment.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
     yield len(set(experiment.networks)) == len(experiment.networks), "networks", "name each network once"
-    yield (
-        not experiment.train.pose_weight or experiment.networks[:1] == (TEACHER,),
-        "networks",
-        f"train.pose_weight needs {TEACHER}, named first",
-    )
-    yield evaluated(experiment) != (), "networks", f"{TEACHER} alone has no results: name another"
     yield experiment.train_posenet.pose_weight == 0, "train_posenet.pose_weight", "is for networks that unshear: use 0"
     unknown = ", ".join(name for name in experiment.unseen if name not in STIMULUS_NAMES)
     yield not unknown, "unseen", f"stimulus {unknown} is unknown: use {', '.join(STIMULUS_NAMES)}"

@@ -38,7 +38,7 @@ def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data:
         began = time.perf_counter()
         if stage == "data":
             worked = _make_data(experiment, data)
-        elif stage in ALL_NETWORKS:
+        elif stage in (TEACHER, *ALL_NETWORKS):
             worked = _train(experiment, stage, folder, data)
         elif stage == "evaluate":
             from jaxunshear.evaluation.evaluate import evaluate

@@ -10,7 +10,7 @@ from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import check
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import TEACHER, Experiment, further_tests
+from jaxunshear.experiment import TEACHER, Experiment, further_tests, trained
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import os_error, read_json
 
@@ -76,7 +76,7 @@ def _make(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path, engin
 def sets_of(experiment: Experiment) -> dict[str, PairedData | PoseData]:
     """The settings of all sets that an experiment needs, by the sets' names; those of further tests by the tests'."""
     sets: dict[str, PairedData | PoseData] = {configs.PAIRED_SET: experiment.paired}
-    if {"posenet", TEACHER} & set(experiment.networks):
+    if {"posenet", TEACHER} & set(trained(experiment)):
         sets[configs.POSE_SET] = experiment.pose
     return sets | further_tests(experiment)
 

@@ -24,7 +24,7 @@ from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, tables, typical
-from jaxunshear.experiment import Experiment, evaluated, further_tests
+from jaxunshear.experiment import Experiment, further_tests
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit, true_quantities
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.storage import read_json, write_bytes, write_json
@@ -54,7 +54,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
     taps = training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
     ranges, precision = (experiment.pose.ranges, experiment.paired.ranges), experiment.train.precision
-    run = load(run_dir, evaluated(experiment), *ranges, taps, precision)
+    run = load(run_dir, experiment.networks, *ranges, taps, precision)
     gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT)
     further = {}
     for name, settings in further_tests(experiment).items():
@@ -67,7 +67,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     results["counts"] |= {name: pairs.metadata["counts"][name] for name in ("contacts", "retried", "dropped")}
     times = run_dir / "times.json"
     results |= {
-        "ms_per_image": ms_per_image(run_dir, evaluated(experiment), precision),
+        "ms_per_image": ms_per_image(run_dir, experiment.networks, precision),
         "time_s": (read_json(times) if times.exists() else {}) | {"evaluate": time.perf_counter() - started},
         "machine": machine(),
         "versions": versions(),

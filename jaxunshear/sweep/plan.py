@@ -12,7 +12,7 @@ from pathlib import Path
 
 from jaxunshear.config import from_json, to_json
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep.rows import Row, needed, training_part
 from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
@@ -68,7 +68,7 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
     parts = {
         (row.digest, network): training_part(row.experiment, network)
         for row in rows
-        for network in row.experiment.networks
+        for network in trained(row.experiment)
         if not (folder / "rows" / row.experiment.name / network / FINISHED).exists()
     }
     users = Counter(part.name for part in parts.values())
@@ -76,7 +76,7 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
     tasks = []
     for row in rows:
         sources, needs = {}, []
-        for network in row.experiment.networks:
+        for network in trained(row.experiment):
             part = parts.get((row.digest, network))
             if part is None:
                 continue
@@ -94,7 +94,7 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
                         write_json(own.folder / TASK, _described(part, own, needed(part, network)) | common)
         task = Task(folder / "rows" / row.experiment.name, "row", tuple(needs))
         more = {"ablation": ablation, "sources": sources, "label": row.label, "seed": row.experiment.seed}
-        write_json(task.folder / TASK, _described(row.experiment, task, row.experiment.networks) | more | common)
+        write_json(task.folder / TASK, _described(row.experiment, task, trained(row.experiment)) | more | common)
         tasks.append(task)
     return [*shared.values(), *tasks]
 
@@ -107,13 +107,13 @@ def _finished_trainings(folder: Path) -> dict[str, Path]:
     """Folders of all trainings that were finished in this sweep's folder, by the names of their parts."""
     found: dict[str, Path] = {}
     for path in sorted([*(folder / "shared").glob("*/"), *(folder / "rows").glob("*/")]):
-        trained = [network for network in ALL_NETWORKS if (path / network / FINISHED).exists()]
-        if not trained:
+        done = [network for network in (TEACHER, *ALL_NETWORKS) if (path / network / FINISHED).exists()]
+        if not done:
             continue
         try:
             experiment = from_json(read_json(path / "experiment.json"))
         except UserError:
             continue  # of another version: its trainings are not those of today
-        for network in trained:
+        for network in done:
             found.setdefault(training_part(experiment, network).name, path / network)
     return found

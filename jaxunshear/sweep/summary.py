@@ -7,7 +7,6 @@ import numpy as np
 
 from jaxunshear.config import show, to_json
 from jaxunshear.evaluation import spread
-from jaxunshear.experiment import evaluated
 from jaxunshear.report.frontier_figure import efficient
 from jaxunshear.sweep.bootstrap import SEED, interval, resampled
 from jaxunshear.sweep.rows import Cell, axis_values, name_of
@@ -46,7 +45,7 @@ def summarise(
             for axis in sweep.grid
         ],
         "seeds": sweep.seeds,
-        "networks": list(dict.fromkeys(network for cell in cells for network in evaluated(cell.experiment))),
+        "networks": list(dict.fromkeys(network for cell in cells for network in cell.experiment.networks)),
         "spread": {
             "what": f"{spread.LEVEL:.0%} bootstrap interval of the mean over seeds and test poses, each drawn pose with all its slides "
             "and with every drawn seed; the same draws in all cells",

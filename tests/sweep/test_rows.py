@@ -8,7 +8,7 @@ import pytest
 from jaxunshear import run
 from jaxunshear.config import field_types, replaced, validate
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
 from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.sweep.rows import cells_of, needed, reference_of, row_digest, rows_of, training_part
 from jaxunshear.sweep.settings import Sweep, check
@@ -150,7 +150,7 @@ def asked(monkeypatch, tmp_path):
     return asked_of
 
 
-@pytest.mark.parametrize("network", ALL_NETWORKS)
+@pytest.mark.parametrize("network", [TEACHER, *ALL_NETWORKS])
 def test_equal_parts_are_equal_trainings(asked, network):
     """The part of an experiment asks for the very training that the whole one does, so rows that share a part may share it."""
     whole = Experiment(
@@ -174,8 +174,15 @@ def test_equal_parts_are_equal_trainings(asked, network):
     assert training_part(replace(whole, seed=6), network).name != part.name
 
 
+def test_a_teacher_is_trained_where_a_network_is_taught():
+    plain = replace(BASE, networks=("unet", "posenet"))
+    taught = replace(plain, train=replace(plain.train, pose_weight=1.0))
+    assert (trained(plain), trained(taught)) == (("unet", "posenet"), (TEACHER, "unet", "posenet"))
+    assert trained(replace(taught, networks=("posenet",))) == ("posenet",)
+
+
 def test_a_taught_network_depends_on_its_teacher():
-    plain = replace(BASE, networks=(TEACHER, "disentangled", "posenet"))
+    plain = replace(BASE, networks=("disentangled", "posenet"))
     taught = replace(plain, train=replace(plain.train, pose_weight=1.0))
 
     def names(experiment, network):
