@@ -11,6 +11,7 @@ NETWORKS = ("entangled", "disentangled", "posenet")  # the paper's
 RIVALS = ("entangled_large", "unet", "posenet_sheared")  # entangled with as many parameters; a U-Net; PoseNet on slides
 TEACHER = "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
 ALL_NETWORKS = (*NETWORKS, *RIVALS)
+TRAINABLE = (TEACHER, *ALL_NETWORKS)
 POSENETS = ("posenet", "posenet_sheared", TEACHER)
 
 

@@ -14,7 +14,7 @@ from typing import Any
 from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, POSENETS, TEACHER, Experiment
+from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment
 from jaxunshear.model.settings import UNet, UnshearNet
 from jaxunshear.storage import read_json, write_json
 
@@ -38,7 +38,7 @@ def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data:
         began = time.perf_counter()
         if stage == "data":
             worked = _make_data(experiment, data)
-        elif stage in (TEACHER, *ALL_NETWORKS):
+        elif stage in TRAINABLE:
             worked = _train(experiment, stage, folder, data)
         elif stage == "evaluate":
             from jaxunshear.evaluation.evaluate import evaluate

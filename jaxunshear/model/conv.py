@@ -10,8 +10,7 @@ at a few per cent of it (strided and transposed ones above all). Two rewritings 
    would leave most of a vector unused, it is a product of 6x6 *windows* with blocks.
 
 >>> y = conv_valid(to_blocks(pad(x, 1), 2), down_kernel(w))    # (B, H, W, C) -> (B, H/2, W/2, N), w (4, 4, C, N)
->>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks of
-2H
+>>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks
 
 *Bordered blocks* are the blocks of an image that was padded by one pixel: the outermost half of the outermost blocks
 lies outside the image and must be zero (`layers.inside`).

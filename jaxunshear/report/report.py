@@ -11,7 +11,7 @@ from typing import Any
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import measurements
 from jaxunshear.evaluation.score import shown_kind
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER
+from jaxunshear.experiment import TRAINABLE
 from jaxunshear.progress import duration
 from jaxunshear.report import applications, figures, montage, page
 from jaxunshear.report.history import History, read_history
@@ -55,7 +55,7 @@ def write_report(run_dir: Path) -> Path:
     times = run_dir / "times.json"
     if times.exists():  # it has grown since the evaluation
         results["time_s"] |= read_json(times)
-    logs = {name: read_history(run_dir / name / "log.jsonl") for name in (TEACHER, *ALL_NETWORKS)}
+    logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
     summaries = {name: read_json(path) for name, path in endings.items() if path.exists()}

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from jaxunshear.config import from_json, to_json
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
+from jaxunshear.experiment import TRAINABLE, Experiment, trained
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep.rows import Row, needed, training_part
 from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
@@ -107,7 +107,7 @@ def _finished_trainings(folder: Path) -> dict[str, Path]:
     """Folders of all trainings that were finished in this sweep's folder, by the names of their parts."""
     found: dict[str, Path] = {}
     for path in sorted([*(folder / "shared").glob("*/"), *(folder / "rows").glob("*/")]):
-        done = [network for network in (TEACHER, *ALL_NETWORKS) if (path / network / FINISHED).exists()]
+        done = [network for network in TRAINABLE if (path / network / FINISHED).exists()]
         if not done:
             continue
         try:

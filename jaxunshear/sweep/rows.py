@@ -17,7 +17,7 @@ from typing import Any
 from jaxunshear.config import replaced, show, to_json, validate
 from jaxunshear.dataset.configs import VERSION
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, POSENETS, TEACHER, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
@@ -104,7 +104,7 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
 
 def needed(experiment: Experiment, network: str) -> tuple[str, ...]:
     """The networks that must be trained in a folder, in this order, to have `network` there."""
-    return (network,) if network in POSENETS or not experiment.train.pose_weight else (TEACHER, network)
+    return trained(dataclasses.replace(experiment, networks=(network,)))
 
 
 def reference_of(sweep: Sweep, cells: list[Cell]) -> str | None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from jaxunshear.config import to_json
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment
+from jaxunshear.experiment import TRAINABLE, Experiment
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import work
 from jaxunshear.sweep.rows import training_part
@@ -45,7 +45,7 @@ def run_stages(experiment, stages, out, data, command):
     write_json(folder / "experiment.json", to_json(experiment))
     results = {}
     for stage in stages:
-        if stage in (TEACHER, *ALL_NETWORKS):
+        if stage in TRAINABLE:
             train(experiment, stage, folder, Path(data))
         elif stage == "evaluate":
             results = evaluate(experiment, folder)

@@ -8,7 +8,7 @@ import pytest
 from jaxunshear import run
 from jaxunshear.config import field_types, replaced, validate
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
+from jaxunshear.experiment import ALL_NETWORKS, TEACHER, TRAINABLE, Experiment, trained
 from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.sweep.rows import cells_of, needed, reference_of, row_digest, rows_of, training_part
 from jaxunshear.sweep.settings import Sweep, check
@@ -150,7 +150,7 @@ def asked(monkeypatch, tmp_path):
     return asked_of
 
 
-@pytest.mark.parametrize("network", [TEACHER, *ALL_NETWORKS])
+@pytest.mark.parametrize("network", TRAINABLE)
 def test_equal_parts_are_equal_trainings(asked, network):
     """The part of an experiment asks for the very training that the whole one does, so rows that share a part may share it."""
     whole = Experiment(
