@@ -19,7 +19,7 @@ PAIRED = {
     "demo": PairedData(camera=FLUSH_CAMERA),
     "calibrated": PairedData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PairedData(config="standard", poses=1200, camera=FLUSH_CAMERA),
-    "best": PairedData(config="best", poses=3600, camera=FLUSH_CAMERA),
+    "best": PairedData(config="best", poses=9000, camera=FLUSH_CAMERA),
     "paper_short": PairedData(
         config="paper_short",
         poses=1200,
@@ -41,7 +41,7 @@ POSE = {
     "demo": PoseData(camera=FLUSH_CAMERA),
     "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PoseData(config="standard", poses=3000, camera=FLUSH_CAMERA),
-    "best": PoseData(config="best", poses=3000, camera=FLUSH_CAMERA),
+    "best": PoseData(config="best", poses=6000, camera=FLUSH_CAMERA),
     "paper_short": PoseData(
         config="paper_short", poses=3000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
     ),
