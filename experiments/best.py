@@ -19,7 +19,7 @@ STANDARD = load_experiment(Path(__file__).with_name("standard.py"))
 experiment = replace(
     STANDARD,
     name="best",
-    claim="Eight times the poses and a loss seen through a PoseNet leave little of the slide in the pose, at 128 px.",
+    claim="More poses, and a loss seen through a PoseNet leave little of the slide in the pose, at 128 px.",
     networks=("disentangled", "posenet"),
     paired=PAIRED["best"],
     pose=POSE["best"],
