@@ -22,7 +22,8 @@ import numpy as np
 from jaxunshear.applications.contour import Outline, advance, outline
 from jaxunshear.applications.controller import Gains, Memory, control
 from jaxunshear.applications.perception import Perceive
-from jaxunshear.contact.simulate import Skins, follow
+from jaxunshear.contact.simulate import follow
+from jaxunshear.contact.skins import Skins
 from jaxunshear.dataset.chunks import look, pack
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError

@@ -20,9 +20,11 @@ from jaxunshear.checks.paper import KINDS, NAMES, paper_scenes
 from jaxunshear.checks.px import pin_error
 from jaxunshear.checks.rivals import RIVALS, exchanged
 from jaxunshear.checks.truth import true_pins
+from jaxunshear.contact import batches
 from jaxunshear.contact import simulate as simulator
 from jaxunshear.contact.plan import LEVELS, Level, unabridged
 from jaxunshear.contact.rings import ring_spacing
+from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
@@ -153,16 +155,16 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> dict
         "timed_scenes": len(scenes),
     }
     pins = _truth(sensor, setting, kind, effort)[: len(compared)]
-    contacts: list[simulator.Contacts] = []
+    contacts: list[Contacts] = []
     with ExitStack() as stack:
         stack.enter_context(exchanged(RIVALS[setting.solver]))
         here = sensor if setting.mesh_mm is None else stack.enter_context(spaced(sensor, setting.mesh_mm))
 
         def work() -> None:
-            simulator._system.cache_clear()
+            batches.system_of.cache_clear()
             contacts[:] = [simulator.simulate(here, NAMES, scenes, setting.how, setting.batch, retry=False)]
 
-        simulator.dome(here)
+        batches.dome(here)
         jax.clear_caches()
         product = matrix_product()
         try:
@@ -201,7 +203,7 @@ def _truth(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> np.nd
         return true_pins(finest, NAMES, scenes, replace(LEVELS["auto"], tolerance=0.02, limit=5000))
 
 
-def _failure(contacts: simulator.Contacts, rms_px: float, setting: Setting) -> str:
+def _failure(contacts: Contacts, rms_px: float, setting: Setting) -> str:
     """Why the row counts as a failure, or nothing."""
     if not np.isfinite(contacts.pins).all():
         lost = int(np.sum(~np.isfinite(contacts.pins).all(axis=(1, 2))))

@@ -12,7 +12,9 @@ import numpy as np
 
 from jaxunshear.checks.duplicates import follow_duplicated
 from jaxunshear.contact.plan import Level
-from jaxunshear.contact.simulate import Contacts, Skins, follow, level_named, simulate
+from jaxunshear.contact.scope import level_named
+from jaxunshear.contact.simulate import follow, simulate
+from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor

@@ -4,10 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxunshear.contact.batches import dome
 from jaxunshear.contact.friction import RHO, System, contact_state, follow_path, rest
 from jaxunshear.contact.obstacle import sample
 from jaxunshear.contact.plan import Level, increments
-from jaxunshear.contact.simulate import Contacts, dome
+from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.sensor import Sensor
 from jaxunshear.scene.stimuli import stimulus_named

@@ -13,9 +13,12 @@ import numpy as np
 from jaxunshear.checks.clock import seconds
 from jaxunshear.checks.paper import KINDS, NAMES, paper_scenes
 from jaxunshear.checks.px import pin_error
+from jaxunshear.contact import batches
 from jaxunshear.contact import simulate as simulator
 from jaxunshear.contact.obstacle import Obstacles, sample
 from jaxunshear.contact.plan import OMISSIONS, Batch, Level
+from jaxunshear.contact.scope import check_paths, level_named
+from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, YAW, Paths, path_of
@@ -48,10 +51,10 @@ class _Work(NamedTuple):
     paths: Paths
 
     def plan(self, level: Level) -> list[Batch]:
-        return simulator.plan_paths(self.sensor, self.obstacles, self.paths, level, simulator.BATCH)
+        return batches.plan_paths(self.sensor, self.obstacles, self.paths, level, simulator.BATCH)
 
-    def solve(self, level: Level) -> simulator.Contacts:
-        simulator._system.cache_clear()
+    def solve(self, level: Level) -> Contacts:
+        batches.system_of.cache_clear()
         return simulator.follow(self.sensor, self.names, self.paths, level, retry=False)[0]
 
 
@@ -74,14 +77,14 @@ def show_plan(
     points[0, DEPTH] = min(0.0, pose[3])
     mu = touched.friction if friction is None else friction
     paths = Paths(np.array([0]), np.array([float(mu)]), points[None])
-    how = simulator.level_named(level)
-    simulator.check(whose, (stimulus,), paths)
+    how = level_named(level)
+    check_paths(whose, 1, paths)
     work = _Work(whose, (stimulus,), sample((touched,)), paths)
-    simulator.dome(whose)
+    batches.dome(whose)
     with Progress("plan", len(OMISSIONS) + 1, unit="omissions") as progress:
         rows = _omissions(work, how, (*OMISSIONS, TOGETHER), progress)
     batch = work.plan(how)[0]
-    count, contacts = len(simulator.dome(whose).nodes), work.solve(how)
+    count, contacts = len(batches.dome(whose).nodes), work.solve(how)
     needs = {
         "omission": "",
         "level": level,
@@ -104,7 +107,7 @@ def show_grouping(count: int, level: str = "auto", sensor: str = "tactip331") ->
     """How `count` random slides and as many taps of the paper share batches, and what sharing by need saves."""
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
-    whose, how = sensor_named(sensor), simulator.level_named(level)
+    whose, how = sensor_named(sensor), level_named(level)
     obstacles = sample(tuple(stimulus_named(name) for name in NAMES))
     rows: list[dict[str, Any]] = []
     lines = []
@@ -158,7 +161,7 @@ def _omissions(work: _Work, level: Level, omissions: Sequence[str], progress: Pr
     return rows
 
 
-def _timed(work: _Work, level: Level) -> tuple[float, simulator.Contacts]:
+def _timed(work: _Work, level: Level) -> tuple[float, Contacts]:
     """Median of warm runs, each with its systems set up anew."""
     contacts = work.solve(level)
     spent = [seconds(lambda: work.solve(level))]

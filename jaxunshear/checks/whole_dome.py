@@ -11,7 +11,8 @@ from jaxunshear.checks.px import px_apart
 from jaxunshear.checks.tables import Row, vanishes
 from jaxunshear.contact.elasticity import sixfold
 from jaxunshear.contact.plan import LEVELS, Level
-from jaxunshear.contact.simulate import Contacts, follow
+from jaxunshear.contact.simulate import follow
+from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
 from jaxunshear.scene.sensor import Sensor, pin_tips
 from jaxunshear.scene.stimuli import Stimulus

@@ -24,11 +24,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.contact import dome as domes
+from jaxunshear.contact.batches import Stimuli, obstacles_of
 from jaxunshear.contact.friction import RHO, Skin, System
 from jaxunshear.contact.implicit import GOAL_MM, pin_state
 from jaxunshear.contact.obstacle import Obstacles
 from jaxunshear.contact.plan import Level, increments, reachable
-from jaxunshear.contact.simulate import Skins, Stimuli, _check_start, _obstacles, _stimuli, check, level_named
+from jaxunshear.contact.scope import check_paths, check_start, level_named
+from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
 from jaxunshear.scene.sensor import Sensor
@@ -102,16 +104,16 @@ def pin_model(
     False keeps about half of the nodes, those that usually suffice: faster, but nothing tells where they do not.
     """
     level = level_named(level)
-    check(sensor, names, paths)
+    check_paths(sensor, len(names), paths)
     if list(ratios) != sorted(set(ratios)) or any(not 0 < ratio < np.inf for ratio in ratios):
         raise UserError(f"ratios {ratios}: give rising numbers above zero")
     own = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
-    obstacles = _obstacles(_stimuli(names))
+    obstacles = obstacles_of(names)
     nodes = domes.dome(sensor).nodes
     within = lambda wide: reachable(obstacles, nodes, sensor.dome_radius_mm, paths, wide)  # noqa: E731
     touched = within(wide)
     if start is not None:
-        _check_start(paths, start)
+        check_start(paths, start)
         touched |= np.any(start.force_n != 0, axis=-1)
     index = np.flatnonzero(touched.any(axis=0))
     index = index if len(index) else np.arange(1)

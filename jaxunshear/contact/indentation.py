@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree
 
-from jaxunshear.contact.simulate import Skins, dome
+from jaxunshear.contact.batches import dome
+from jaxunshear.contact.skins import Skins
 from jaxunshear.scene.sensor import Sensor, pin_lattice
 
 

@@ -3,73 +3,20 @@
     contacts = simulate(TACTIP_331, ("disk",), scenes)
     contacts.pins  # (B, 331, 3) mm in the sensor frame
 
-`follow` takes any path (press, slide, twist, tilt) and goes on from where an earlier one ended. Side effects: the dome's cache.
+`follow` takes any path (press, slide, twist, tilt) and goes on from where an earlier one ended.
 """
 
-from functools import lru_cache, partial
-from typing import NamedTuple
-
-import jax
-import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import get_lapack_funcs
-from threadpoolctl import threadpool_limits
 
-from jaxunshear.contact import dome as domes
-from jaxunshear.contact.elasticity import Compliance, sixfold
-from jaxunshear.contact.friction import RHO, Skin, System, contact_state, follow_path, rest
-from jaxunshear.contact.obstacle import Obstacles, sample
-from jaxunshear.contact.plan import (
-    BATCHES,
-    LEVELS,
-    NODE_COUNTS,
-    PATH_LENGTHS,
-    REACHED,
-    STRONGER,
-    Batch,
-    Level,
-    gaps,
-    increments,
-    make_plan,
-    padded,
-)
-from jaxunshear.contact.rings import deepest_mm, ring_arcs, ring_spacing
-from jaxunshear.errors import UserError
-from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths, path_of
+from jaxunshear.contact.batches import Stimuli, obstacles_of, plan_paths, solve_batches
+from jaxunshear.contact.plan import STRONGER, Level
+from jaxunshear.contact.scope import check_paths, check_scenes, check_start, level_named
+from jaxunshear.contact.skins import Contacts, Skins
+from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.sensor import Sensor, check_sensor
-from jaxunshear.scene.stimuli import Stimulus, stimulus_named
+from jaxunshear.scene.sensor import Sensor
 
 BATCH = 64
-PENETRATION_MM = 0.03  # a node that was left out and ends deeper than this in the stimulus was needed
-NEIGHBOURS = 1.6  # ring spacings: a contact grows from node to neighbouring node
-
-Stimuli = tuple[str | Stimulus, ...]
-
-
-class Contacts(NamedTuple):
-    """B contacts (numpy)."""
-
-    pins: np.ndarray  # (B, P, 3) mm, displaced pin tips in the sensor frame
-    residual_mm: np.ndarray  # (B,) of the worst increment
-    converged: np.ndarray  # (B,) bool: every increment below its tolerance, every pin finite, no needed node left out
-    iterations: np.ndarray  # (B,)
-    stuck: np.ndarray  # (B,) contact nodes at the end
-    slipping: np.ndarray
-    free: np.ndarray
-    force_n: np.ndarray  # (B, 3) on the sensor, in the sensor frame
-    nodes: np.ndarray  # (B,) contact nodes that were solved for
-    retried: np.ndarray  # (B,) bool: did not converge at the level that was asked for, so solved at a stronger one
-
-
-class Skins(NamedTuple):
-    """State of B skins, from which a later motion continues (numpy, sensor frame)."""
-
-    force_n: np.ndarray  # (B, N, 3) on the contact nodes of the sensor's dome
-    point: np.ndarray  # (B, 6) where they are, as the points of `Paths`
-
-    def take(self, index: np.ndarray) -> "Skins":
-        return Skins(self.force_n[index], self.point[index])
 
 
 def simulate(
@@ -82,7 +29,7 @@ def simulate(
     progress=None,
 ) -> Contacts:
     """Contacts of B scenes, in the order given; `scenes.stimulus` indexes `names`. Raises `UserError` by name of the field."""
-    _check_scenes(scenes)
+    check_scenes(scenes)
     return follow(sensor, names, path_of(scenes), level, batch=batch, retry=retry, progress=progress)[0]
 
 
@@ -102,11 +49,11 @@ def follow(
     returned as not converged: it is for the caller to drop and to count.
     """
     chosen = level_named(level)
-    check(sensor, names, paths)
+    check_paths(sensor, len(names), paths)
     if start is not None:
-        _check_start(paths, start)
+        check_start(paths, start)
     obstacles = obstacles_of(names)
-    contacts, skins, incomplete = _follow(sensor, obstacles, paths, chosen, start, batch, progress, wide=False)
+    contacts, skins, incomplete = solve_batches(sensor, obstacles, paths, chosen, start, batch, progress, wide=False)
 
     def replace(rows: np.ndarray, new: Contacts, new_skins: Skins) -> None:
         for field, value in zip((*contacts, *skins), (*new, *new_skins), strict=True):
@@ -115,7 +62,9 @@ def follow(
     if incomplete.any():
         rows = np.flatnonzero(incomplete)
         before = None if start is None else start.take(rows)
-        new, new_skins, still = _follow(sensor, obstacles, paths.take(rows), chosen, before, batch, None, wide=True)
+        new, new_skins, still = solve_batches(
+            sensor, obstacles, paths.take(rows), chosen, before, batch, None, wide=True
+        )
         replace(rows, new._replace(converged=new.converged & ~still), new_skins)
     stronger = STRONGER.get(level, "reference") if isinstance(level, str) else "reference"
     if retry and not contacts.converged.all() and level != stronger:
@@ -130,306 +79,7 @@ def plan(
     sensor: Sensor, names: Stimuli, scenes: Scenes, level: str | Level = "auto", batch: int = BATCH
 ) -> list[np.ndarray]:
     """The scenes' rows, batch by batch, as `simulate` groups them."""
-    _check_scenes(scenes)
+    check_scenes(scenes)
     paths = path_of(scenes)
-    check(sensor, names, paths)
+    check_paths(sensor, len(names), paths)
     return [part.rows for part in plan_paths(sensor, obstacles_of(names), paths, level_named(level), batch)]
-
-
-def plan_paths(
-    sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level, batch: int, wide: bool = False
-) -> list[Batch]:
-    nodes = dome(sensor).nodes
-    return make_plan(obstacles, nodes, sixfold(len(nodes)), sensor.dome_radius_mm, paths, level, batch, wide)
-
-
-def level_named(level: str | Level) -> Level:
-    if isinstance(level, Level):
-        return level
-    if level not in LEVELS:
-        raise UserError(f"level '{level}' is unknown: use one of {', '.join(LEVELS)}")
-    return LEVELS[level]
-
-
-def _check_scenes(scenes: Scenes) -> None:
-    """Before they become paths, so that a complaint names the scene's own field."""
-    for field, values in zip(("pose", "move"), (scenes.pose, scenes.move), strict=True):
-        bad = np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=-1))
-        if len(bad):
-            raise UserError(f"scene {bad[0]}: {field} = {values[bad[0]].tolist()} is not finite")
-
-
-def check(sensor: Sensor, names: Stimuli, paths: Paths) -> None:
-    """Refuses by name what cannot be simulated."""
-    check_sensor(sensor)
-    if paths.points.ndim != 3 or paths.points.shape[1] < 2 or paths.points.shape[2] != 6:
-        raise UserError(f"points have shape {paths.points.shape}: give (B, K, 6) with K at least 2")
-    bad = np.flatnonzero(~np.isfinite(paths.points).all(axis=(1, 2)))
-    if len(bad):
-        raise UserError(f"scene {bad[0]}: points = {paths.points[bad[0]].tolist()} are not finite")
-    bad = np.flatnonzero(~(paths.friction >= 0))
-    if len(bad):
-        value = paths.friction[bad[0]]
-        raise UserError(f"scene {bad[0]}: friction {value:g} is not a number from 0 (none) to infinity (stick)")
-    bad = np.flatnonzero((paths.stimulus < 0) | (paths.stimulus >= len(names)))
-    if len(bad):
-        raise UserError(f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {len(names)} named")
-    tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
-    upright = deepest_mm(sensor)  # tilted contacts may go on to where the skin, which yields, is reached
-    deepest = np.vectorize(lambda t: min(upright, deepest_mm(sensor, t) / REACHED), otypes=[float])(tilt)
-    deep = np.argwhere(paths.points[..., DEPTH] > deepest)
-    if len(deep):
-        row, point = deep[0]
-        depth, most = paths.points[row, point, DEPTH], max(deepest[row, point], 0)
-        leaning = f" at a tilt of {tilt[row, point]:.3g} deg" if tilt[row, point] else ""
-        raise UserError(
-            f"scene {row}: depth {depth:.3g} mm cannot be reached{leaning}; the contact model covers {most:.1f} mm there"
-        )
-
-
-def _check_start(paths: Paths, start: Skins) -> None:
-    if start.force_n.shape[0] != len(paths) or not np.isfinite(start.force_n).all():
-        raise UserError(f"the skins to start from: give {len(paths)} of them, with finite forces")
-    apart = np.flatnonzero(np.abs(paths.points[:, 0] - start.point).max(axis=-1) > 1e-6)
-    if len(apart):
-        raise UserError(
-            f"scene {apart[0]}: its path starts elsewhere than its skin: begin at {start.point[apart[0]].tolist()}"
-        )
-
-
-def obstacles_of(names: Stimuli) -> Obstacles:
-    """The named shapes as the contact sees them; sampled once."""
-    return _obstacles(_stimuli(names))
-
-
-def _stimuli(names: Stimuli) -> tuple[Stimulus, ...]:
-    return tuple(stimulus_named(name) if isinstance(name, str) else name for name in names)
-
-
-@lru_cache(maxsize=4)
-def dome(sensor: Sensor) -> Compliance:
-    """The sensor's dome, kept in memory."""
-    return domes.dome(sensor)
-
-
-@lru_cache(maxsize=8)
-def _obstacles(stimuli: tuple[Stimulus, ...]) -> Obstacles:
-    return sample(stimuli)
-
-
-@lru_cache(maxsize=4)
-def _matrices(sensor: Sensor, precision: str) -> tuple[np.ndarray, np.ndarray]:
-    """w of the dome, scaled to a unit mean diagonal, and g transposed, in one precision."""
-    whole = dome(sensor)
-    scaled = (whole.w / (np.trace(whole.w) / len(whole.w))).astype(precision)
-    return scaled, np.ascontiguousarray(whole.g.T.astype(precision))
-
-
-@lru_cache(maxsize=4)
-def _beside(sensor: Sensor) -> np.ndarray:
-    """(N, N) bool: pairs of neighbouring contact nodes."""
-    nodes = dome(sensor).nodes
-    return np.linalg.norm(nodes[:, None] - nodes[None], axis=-1) < NEIGHBOURS * ring_spacing(sensor)
-
-
-@lru_cache(maxsize=16)
-def _system(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tuple[System, float]:
-    """The contact nodes `chosen` (int64 bytes), padded by nodes far from any stimulus; newtons per scaled force."""
-    whole = dome(sensor)
-    index = np.frombuffer(chosen, np.int64)
-    size = padded(len(index), NODE_COUNTS)
-    parts = np.arange(3) if friction else np.array([2])
-    rows, all_rows = (3 * index[:, None] + parts).ravel(), (3 * index[:, None] + np.arange(3)).ravel()
-    found, count = len(rows), len(parts) * size
-    matrix, _ = _matrices(sensor, precision)
-    scale = np.trace(whole.w) / len(whole.w)
-    w = np.zeros((count, count), precision)
-    w[:found, :found] = matrix.take(rows, 0).take(rows, 1)
-    w[np.arange(found, count), np.arange(found, count)] = 1
-    inverse = w.copy()
-    inverse[np.diag_indices(count)] += RHO
-    spread = np.zeros((count, 0 if friction else 3 * size), precision)
-    if not friction:
-        spread[:found, : len(all_rows)] = matrix[np.ix_(rows, all_rows)]
-    nodes = np.full((size, 3), 1e3)
-    nodes[: len(index)] = whole.nodes[index]
-    as_array = partial(jnp.asarray, dtype=precision)
-    shared = as_array(w)
-    system = System(
-        shared,
-        _both_halves(as_array(_inverse(inverse))),
-        shared if friction else as_array(spread),
-        as_array(nodes),
-        as_array(sensor.dome_radius_mm),
-    )
-    return system, 1 / scale
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """The upper triangle of a positive definite matrix' inverse, in its precision: the condition is that of W over RHO.
-
-    Overwrites the matrix. On one thread: two BLAS threads on a busy machine wait for each other a hundred times longer than
-    they work.
-    """
-    factorise, invert = get_lapack_funcs(("potrf", "potri"), dtype=matrix.dtype)
-    with threadpool_limits(1, "blas"):
-        lower, _ = factorise(matrix.T, lower=True, clean=True, overwrite_a=True)
-        return invert(lower, lower=True, overwrite_c=True)[0].T
-
-
-@jax.jit
-def _both_halves(upper: jax.Array) -> jax.Array:
-    return jnp.triu(upper) + jnp.triu(upper, 1).T
-
-
-@partial(jax.jit, static_argnames=("tolerance", "limit", "tilted"))
-def _run(system, obstacles, which, friction, path, steps, force, tolerance, limit, tilted):
-    count = len(which)
-    skin = rest(system, path[0])
-    displacement = (force.reshape(count, -1) @ system.spread).reshape(count, -1, 3)
-    skin = skin._replace(force=force, displacement=displacement)
-    skin, quality = follow_path(system, obstacles, which, friction, path[1:], skin, tolerance, limit, tilted, steps)
-    return skin, quality, contact_state(skin, friction, tilted)
-
-
-def _follow(
-    sensor: Sensor,
-    obstacles: Obstacles,
-    paths: Paths,
-    level: Level,
-    start: Skins | None,
-    batch: int,
-    progress,
-    wide: bool,
-) -> tuple[Contacts, Skins, np.ndarray]:
-    """As `follow`, and which contacts (B,) turn out to need nodes that were left out."""
-    parts, order = [], []
-    batches = plan_paths(sensor, obstacles, paths, level, batch, wide)
-    if start is not None:
-        batches = [_with_loaded(part, start, sixfold(start.force_n.shape[1])) for part in batches]
-    for part in batches:
-        before = None if start is None else start.take(part.rows)
-        if len(part.nodes):
-            parts.append(_solve(sensor, obstacles, paths.take(part.rows), part, level, batch, before))
-        else:
-            parts.append(_untouched(sensor, paths.take(part.rows), level))
-        order.append(part.rows)
-        if progress is not None:
-            progress.advance(len(part.rows))
-    back = np.argsort(np.concatenate(order), kind="stable")
-    fields = [np.concatenate(field)[back] for field in zip(*((*c, *s, i) for c, s, i in parts), strict=True)]
-    return Contacts(*fields[:-3]), Skins(*fields[-3:-1]), fields[-1]
-
-
-def _with_loaded(part: Batch, start: Skins, turned: np.ndarray) -> Batch:
-    """A batch that also solves for the nodes that carry a force at the start, with what those need."""
-    force = start.force_n[part.rows]
-    loaded = [np.flatnonzero(np.any(f[turned[k]] != 0, axis=-1)) for k, f in zip(part.turn, force, strict=True)]
-    friction = part.friction or bool(np.any(force[..., :2]))
-    return part._replace(nodes=np.union1d(part.nodes, np.concatenate(loaded)).astype(int), friction=friction)
-
-
-def _untouched(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins, np.ndarray]:
-    count, whole = len(paths), dome(sensor)
-    none, nothing = np.zeros(count), np.zeros(count, np.int64)
-    pins = np.repeat(whole.pins[None].astype(level.precision), count, axis=0)
-    free = np.full(count, len(whole.nodes))
-    good = np.ones(count, bool)
-    contacts = Contacts(pins, none, good, nothing, nothing, nothing, free, np.zeros((count, 3)), nothing, ~good)
-    return contacts, Skins(np.zeros((count, len(whole.nodes), 3)), paths.points[:, -1]), ~good
-
-
-def _turned_back(turn: np.ndarray) -> np.ndarray:
-    """(B, 3, 3): from the turned lattice to the sensor frame."""
-    angle = np.radians(60.0 * turn)
-    cos, sin, zero, one = np.cos(angle), np.sin(angle), np.zeros(len(turn)), np.ones(len(turn))
-    return np.stack([np.stack(row, -1) for row in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))], 1)
-
-
-def _solve(
-    sensor: Sensor, obstacles: Obstacles, paths: Paths, part: Batch, level: Level, batch: int, start: Skins | None
-) -> tuple[Contacts, Skins, np.ndarray]:
-    """One batch, padded by repeating its last scene."""
-    count, whole = len(paths), dome(sensor)
-    rotation, place = _turned_back(part.turn), sixfold(len(whole.nodes))[part.turn][:, part.nodes]  # (b, n)
-    poses, _ = increments(paths, level, sensor.dome_radius_mm)
-    poses[..., YAW] += np.radians(60.0 * part.turn)[:, None]
-    poses[..., TILT_X:] = np.einsum("bji,btj->bti", rotation[:, :2, :2], poses[..., TILT_X:])
-    rows = np.minimum(np.arange(min(padded(count, BATCHES), max(batch, count))), count - 1)
-    length = padded(part.steps, PATH_LENGTHS)
-    filled = np.minimum(np.arange(length + 1), poses.shape[1] - 1)
-    with jax.enable_x64(level.precision == "float64"):
-        system, newtons = _system(sensor, part.nodes.astype(np.int64).tobytes(), part.friction, level.precision)
-        size, unknowns = len(system.nodes), len(system.w) // len(system.nodes)
-        force = np.zeros((len(rows), size, unknowns))
-        if start is not None:
-            loaded = (
-                np.einsum("bji,bnj->bni", rotation, np.take_along_axis(start.force_n, place[..., None], 1)) / newtons
-            )
-            force[:, : len(part.nodes)] = loaded[rows][..., 3 - unknowns :]
-        skin, quality, states = jax.device_get(
-            _run(
-                system,
-                obstacles,
-                jnp.asarray(paths.stimulus[rows], jnp.int32),
-                jnp.asarray(paths.friction[rows], level.precision),
-                jnp.asarray(np.swapaxes(poses[rows][:, filled], 0, 1), level.precision),
-                part.steps,
-                jnp.asarray(force, level.precision),
-                level.tolerance,
-                level.limit,
-                part.tilted,
-            )
-        )
-    solved = Skin(*(field[:count] for field in skin))
-    turned = np.zeros((count, len(part.nodes), 3))
-    turned[..., 3 - unknowns :] = solved.force[:, : len(part.nodes)] * newtons
-    on_nodes = np.zeros((count, len(whole.nodes), 3))
-    np.put_along_axis(on_nodes, place[..., None], np.einsum("bij,bnj->bni", rotation, turned), 1)
-    pins = _pins(sensor, on_nodes, level.precision)
-    residual, goal = quality.residual_mm[:count], quality.tolerance_mm[:count]
-    converged = (residual <= goal) & np.isfinite(pins).all(axis=(1, 2))
-    stuck, slipping, _ = (state[:count] for state in states)
-    contacts = Contacts(
-        pins,
-        residual,
-        converged,
-        quality.iterations[:count],
-        stuck,
-        slipping,
-        len(whole.nodes) - stuck - slipping,
-        on_nodes.sum(axis=1),
-        np.full(count, len(part.nodes)),
-        np.zeros(count, bool),
-    )
-    incomplete = _needs_more(sensor, obstacles, paths, part, poses[:, -1], turned)
-    return contacts, Skins(on_nodes, paths.points[:, -1]), incomplete
-
-
-def _pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
-    """Displaced pin tips (B, P, 3) under forces (B, N, 3) on the contact nodes."""
-    whole = dome(sensor)
-    used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    matrix = _matrices(sensor, precision)[1].reshape(len(whole.nodes), 3, -1)[used]
-    moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.reshape(-1, matrix.shape[-1])
-    return (whole.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
-
-
-def _needs_more(
-    sensor: Sensor, obstacles: Obstacles, paths: Paths, part: Batch, pose: np.ndarray, force_n: np.ndarray
-) -> np.ndarray:
-    """(B,) whether the contact reaches the last ring, or a node beside it that was left out ends inside the stimulus."""
-    whole = dome(sensor)
-    last_ring = part.nodes >= len(whole.nodes) - 6 * (len(ring_arcs(sensor)) - 1)
-    beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2))
-    loaded = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    near = np.any(_beside(sensor)[part.nodes[loaded]], axis=0)
-    near[part.nodes] = False
-    beside = np.flatnonzero(near)
-    if not len(beside):
-        return beyond
-    columns = (3 * part.nodes[loaded][:, None] + np.arange(3)).ravel()
-    matrix = whole.w[np.ix_((3 * beside[:, None] + np.arange(3)).ravel(), columns)]
-    moved = (force_n[:, loaded].reshape(len(paths), -1) @ matrix.T).reshape(len(paths), -1, 3)
-    gap = gaps(obstacles, whole.nodes[beside], sensor.dome_radius_mm, paths.stimulus, pose, moved)
-    return beyond | (np.min(gap, axis=1) < -PENETRATION_MM)

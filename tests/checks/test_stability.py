@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.checks import cases, stability
-from jaxunshear.contact.simulate import Contacts
+from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 
 SHALLOW = cases.motion(0.5, slide=(0.3, 0.0))

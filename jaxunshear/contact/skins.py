@@ -1,0 +1,30 @@
+"""What comes out of a contact, and what a later motion goes on from."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Contacts(NamedTuple):
+    """B contacts (numpy)."""
+
+    pins: np.ndarray  # (B, P, 3) mm, displaced pin tips in the sensor frame
+    residual_mm: np.ndarray  # (B,) of the worst increment
+    converged: np.ndarray  # (B,) bool: every increment below its tolerance, every pin finite, no needed node left out
+    iterations: np.ndarray  # (B,)
+    stuck: np.ndarray  # (B,) contact nodes at the end
+    slipping: np.ndarray
+    free: np.ndarray
+    force_n: np.ndarray  # (B, 3) on the sensor, in the sensor frame
+    nodes: np.ndarray  # (B,) contact nodes that were solved for
+    retried: np.ndarray  # (B,) bool: did not converge at the level that was asked for, so solved at a stronger one
+
+
+class Skins(NamedTuple):
+    """State of B skins, from which a later motion continues (numpy, sensor frame)."""
+
+    force_n: np.ndarray  # (B, N, 3) on the contact nodes of the sensor's dome
+    point: np.ndarray  # (B, 6) where they are, as the points of `Paths`
+
+    def take(self, index: np.ndarray) -> "Skins":
+        return Skins(self.force_n[index], self.point[index])

@@ -1,0 +1,96 @@
+"""Sections of a run's report: how it was made. Training, times, the contacts behind the images, how to get it again."""
+
+import json
+from html import escape
+from typing import Any
+
+from jaxunshear.progress import duration
+from jaxunshear.report import figures, page
+from jaxunshear.report.history import History
+
+OVER_TIME = {  # a network's validation figures, drawn over its seconds of training
+    "supervised": "unsheared image, MSE",
+    "edge_mm": "edge distance of taps, mm",
+    "edge_deg": "edge angle of taps, deg",
+}
+
+
+def training(histories: dict[str, History], summaries: dict[str, dict]) -> str:
+    if not histories:
+        return page.section("Training", "This run has no training logs.")
+    rows = [
+        [
+            name,
+            f"{summary['parameters']:,}",
+            str(summary["steps"]),
+            f"{summary['images_per_second']:.3g}",
+            duration(summary["train_seconds"]),
+            str(summary["best_step"]),
+        ]
+        for name, summary in summaries.items()
+    ]
+    head = ["network", "parameters", "steps", "images/s", "training", "best at step"]
+    text = "loss over epochs of " + ", ".join(histories)
+    lead = "Losses at each validation, in training (thin) and on poses kept out of it (thick). The best step is used."
+    return page.section("Training", lead, page.drawing(figures.loss_curves(histories), text), page.table(head, rows))
+
+
+def times(results: dict[str, Any], histories: dict[str, History]) -> str:
+    stages = {name: value for name, value in results["time_s"].items() if value is not None}
+    drawn = []
+    if stages:
+        text = "; ".join(f"{name} {value:.0f} s" for name, value in stages.items())
+        drawn.append(page.drawing(figures.stage_times(list(stages), list(stages.values())), text))
+    for name, label in OVER_TIME.items():
+        if any(name in history.validation for history in histories.values()):
+            drawn.append(
+                page.drawing(figures.error_over_time(histories, name, label), f"{label} over seconds of training")
+            )
+    lead = "Wall clock of each stage of the run, and what the seconds of training bought on poses kept out of it."
+    waits = "; ".join(
+        f"{name} {times['median']:.1f} ms (95th percentile {times['p95']:.1f})"
+        for name, times in results["ms_per_image"].items()
+    )
+    note = f"<p class=soft>One image at a time, compilation apart: {waits}.</p>"
+    return page.section("Error against run time", lead, f"<div class=row>{''.join(drawn)}</div>", note)
+
+
+def contacts(results: dict[str, Any]) -> str:
+    names = {
+        "residual_mm": "solver residual, mm",
+        "iterations": "solver iterations",
+        "stuck": "nodes stuck",
+        "slipping": "nodes slipping",
+        "free": "nodes free",
+    }
+    head = ["sheared test contacts", "mean", "median", "95th percentile", "largest"]
+    rows = [
+        [names.get(field, escape(field)), *(f"{entry[q]:.3g}" for q in ("mean", "median", "p95", "max"))]
+        for field, entry in results["contact"].items()
+    ]
+    counts = results["counts"]
+    tried = ""
+    if "contacts" in counts:
+        tried = f"Of {counts['contacts']} contacts {counts['retried']} were solved again more finely and {counts['dropped']} dropped."
+    pairs = (
+        f"Pairs: {counts['train']} to train, {counts['validation']} to validate, {counts['test']} to test"
+        if "train" in counts
+        else ""
+    )
+    poses = f"{counts['test_poses']} test poses. {counts['pin_images']} images had their pins found."
+    lead = "How well the simulated contacts behind the test images were solved."
+    return page.section("Contact quality", lead, page.table(head, rows), f"<p class=soft>{tried} {pairs}; {poses}</p>")
+
+
+def provenance(results: dict[str, Any]) -> str:
+    def lines(entries: dict[str, Any]) -> str:
+        return page.table(("", ""), [[escape(str(k)), escape(str(v))] for k, v in entries.items()])
+
+    settings = escape(json.dumps(results["settings"], indent=2))
+    return page.section(
+        "How to get this again",
+        "The same command, seeds and versions on the same machine give the same numbers.",
+        f"<pre>{escape(results['command'])}</pre>",
+        f"<div class=row>{lines(results['seeds'])}{lines(results['machine'])}{lines(results['versions'])}</div>",
+        f"<details><summary>All settings</summary><pre>{settings}</pre></details>",
+    )
