@@ -3,7 +3,7 @@
     batches = make_plan(rings_of_nodes, obstacles, paths, LEVELS["auto"], batch=64)
 
 Left out are scenes that touch nothing, friction where there is none, nodes that cannot touch, and increments of motions too
-short to need them. A node that was left out and would have touched after all is found afterwards (see `simulate`).
+short to need them. A node that was left out and would have touched after all is found afterwards (see `batches`).
 """
 
 from dataclasses import dataclass, replace
