@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxunshear import __version__, cli_applications, cli_checks, cli_sweep
 from jaxunshear.errors import UserError
+from jaxunshear.storage import check_new_file
 
 if TYPE_CHECKING:
     from jaxunshear.experiment import Experiment
@@ -173,6 +174,7 @@ def _run(argv: list[str]) -> int:
         arguments = _parser().parse_args(cli_checks.joined(list(words)))
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
+    check_new_file(getattr(arguments, "json", None), "--json")
     command = shlex.join(["jaxunshear", *argv])
     if arguments.command in STAGES:
         _stages(arguments, fields, command)

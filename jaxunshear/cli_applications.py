@@ -222,6 +222,8 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
     names = _stimuli(arguments.stimulus)
     if arguments.starts < 1:
         raise UserError(f"--starts {arguments.starts}: use at least 1")
+    if arguments.seed < 0:
+        raise UserError(f"--seed {arguments.seed}: use 0 or more")
     folder, experiment = model
     deepest = deepest_mm(experiment.sensor)
     if not 0 < arguments.depth <= deepest:

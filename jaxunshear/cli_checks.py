@@ -75,8 +75,6 @@ def joined(argv: list[str]) -> list[str]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of `add_parsers`' commands. Returns 0, or 1 where a check does not hold."""
-    if arguments.json is not None and arguments.json.is_dir():
-        raise UserError(f"--json {arguments.json} is a folder: name a file")
     return _COMMANDS[arguments.command](arguments, _writer(arguments.json, command))
 
 

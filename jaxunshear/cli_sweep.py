@@ -34,8 +34,6 @@ def add_parser(commands: Any) -> None:
 
 def run(arguments: argparse.Namespace, fields: list[str], command: str) -> int:
     """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
-    if arguments.json is not None and arguments.json.is_dir():
-        raise UserError(f"--json {arguments.json} is a folder: name a file")
     if arguments.engine != "ray" and (arguments.ray_address is not None or arguments.ray_cores is not None):
         raise UserError("--ray-address and --ray-cores go with --engine ray")
     if arguments.ray_cores is not None and arguments.ray_cores < 1:

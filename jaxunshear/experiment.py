@@ -11,6 +11,7 @@ NETWORKS = ("entangled", "disentangled", "posenet")  # the paper's
 RIVALS = ("entangled_large", "unet", "posenet_sheared")  # entangled with as many parameters; a U-Net; PoseNet on slides
 TEACHER = "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
 ALL_NETWORKS = (*NETWORKS, *RIVALS)
+UNSHEARING = ("entangled", "entangled_large", "unet", "disentangled")  # the last that a run has is the one it is about
 TRAINABLE = (TEACHER, *ALL_NETWORKS)
 POSENETS = ("posenet", "posenet_sheared", TEACHER)
 
@@ -38,6 +39,11 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
     """The networks to train, in this order: those of the results, after a teacher where one of them is taught."""
     taught = experiment.train.pose_weight and set(experiment.networks) - set(POSENETS)
     return (TEACHER, *experiment.networks) if taught else experiment.networks
+
+
+def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData:
+    """The data set that `network` learns from."""
+    return experiment.pose if network in ("posenet", TEACHER) else experiment.paired
 
 
 def further_tests(experiment: Experiment) -> dict[str, PairedData]:

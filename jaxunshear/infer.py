@@ -3,7 +3,6 @@
 >>> unshear_recordings(Path("recordings/edge"), Path("runs/demo"), Path("unsheared"))
 """
 
-import io
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from jaxunshear.config import from_json
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
+from jaxunshear.image.png import eight_bit, png
 from jaxunshear.progress import Progress
 from jaxunshear.storage import csv_text, read_json, write_bytes, write_text
 
@@ -63,7 +63,7 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
     for rows, names, answers, spent in _answers(recordings, network, "unshear"):
         seconds.append(spent / len(rows))
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
-            write_bytes(out / targets[row], _png(answers.unsheared[i]))
+            write_bytes(out / targets[row], png(eight_bit(answers.unsheared[i])))
             poses = {quantity: f"{values[i]:.4f}" for quantity, values in answers.after.items()}
             table.append({"name": name, "image": targets[row]} | poses | _recorded(recordings, row))
     write_text(out / "poses.csv", csv_text(table))
@@ -230,14 +230,6 @@ def _recorded(recordings: "Recordings", row: int) -> dict[str, str]:
             for label, value in zip(LABELS, values[row], strict=True):
                 cells[f"recorded_{kind}_{label}"] = f"{value:.6g}" if np.isfinite(value) else ""
     return cells
-
-
-def _png(image: np.ndarray) -> bytes:
-    from PIL import Image
-
-    data = io.BytesIO()
-    Image.fromarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)).save(data, "PNG")
-    return data.getvalue()
 
 
 def _tell(notes: list[str], log: Log) -> None:

@@ -20,6 +20,7 @@ Rule = tuple[bool, str, str]
 # The keys of `scene.stimuli.STIMULI`, which imports JAX; a test holds the two together.
 STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2")
 SCHEDULES = ("cosine", "steps")
+OPTIMISERS = ("adam", "muon")
 PRECISIONS = ("float32", "bfloat16")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
@@ -61,7 +62,7 @@ def _tests(experiment: Experiment) -> Iterator[Rule]:
 
 
 def _train_poses(data: PairedData | PoseData) -> int:
-    """Per stimulus, as `dataset.examples` splits them."""
+    """Per stimulus, as `dataset.shots` splits them."""
     return data.poses - 2 * max(1, round(0.2 * data.poses))
 
 
@@ -110,6 +111,7 @@ def _paired(data: PairedData, sensor: Sensor) -> Iterator[Rule]:
     yield from _data(data, "paired", sensor)
     yield data.taps >= 1, "paired.taps", "use at least 1: a sheared image needs a tap to pair with"
     yield data.slides >= 1, "paired.slides", "use at least 1: without slides there is nothing to unshear"
+    yield data.taps <= data.slides, "paired.taps", f"exceeds paired.slides ({data.slides}): some would never be paired"
     yield from _jitter(data, sensor)
 
 
@@ -230,7 +232,7 @@ def _networks(experiment: Experiment) -> Iterator[Rule]:
     yield (
         unshear.disentangled,
         "unshear.disentangled",
-        "both networks are trained from these settings: for one of them use `jaxunshear train --network`",
+        "both networks are trained from these settings: to train one of them use `--networks entangled`",
     )
     yield (
         unshear.shear_channels >= 0,
@@ -247,6 +249,7 @@ def _training(training: Training, group: str, size: int, examples: int) -> Itera
         f"{group}.batch",
         f"is larger than the training set of {examples}: use a smaller batch or more poses",
     )
+    yield training.optimiser in OPTIMISERS, f"{group}.optimiser", f"is unknown: use one of {', '.join(OPTIMISERS)}"
     yield 0 < training.learning_rate <= 1, f"{group}.learning_rate", "use a number above 0, at most 1"
     yield training.schedule in SCHEDULES, f"{group}.schedule", f"is unknown: use one of {', '.join(SCHEDULES)}"
     drops = training.drops
@@ -271,3 +274,4 @@ def _training(training: Training, group: str, size: int, examples: int) -> Itera
     yield 1 <= training.crop_px <= size, f"{group}.crop_px", f"must be 1 to the image's {size} px"
     yield 0 <= training.shift <= 0.25, f"{group}.shift", "use a fraction of the image, 0 to 0.25"
     yield training.validate_every >= 1, f"{group}.validate_every", "must be at least 1"
+    yield training.validation_images >= 1, f"{group}.validation_images", "must be at least 1"

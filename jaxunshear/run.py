@@ -1,7 +1,7 @@
 """The stages of an experiment, in the order of the data: data, trainings, evaluation, report.
 
 Every stage leaves its work under one folder and finds it again, so the same command continues a stopped run. Only this file
-knows all stages; none of them knows another.
+knows their order.
 """
 
 import dataclasses
@@ -14,7 +14,7 @@ from typing import Any
 from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment
+from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment, learnt_from
 from jaxunshear.model.settings import UNet, UnshearNet
 from jaxunshear.storage import read_json, write_json
 
@@ -60,7 +60,10 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
     path = folder / "experiment.json"
     wanted = to_json(experiment)
     if path.exists():
-        stored = to_json(from_json(read_json(path)))
+        try:
+            stored = to_json(from_json(read_json(path), str(path)))
+        except UserError as error:
+            raise UserError(f"{error}; to start anew give another --out, or delete {folder}") from error
         changed = [name for name in configs.differences(stored, wanted) if name != "claim"]
         if changed:
             raise UserError(
@@ -83,13 +86,15 @@ def _make_data(experiment: Experiment, data: Path) -> bool:
 
 def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
     """Train one network, or find it trained. Returns whether there was anything to do."""
+    settings: Any = learnt_from(experiment, network)
+    origin = configs.describe(settings, experiment.sensor)
     if (folder / network / "summary.json").exists():
+        _check_origin(folder / network, origin)
         return False
     from jaxunshear.dataset.reading import open_set
     from jaxunshear.training.loop import train_posenet, train_unshear
 
     pose = network in POSENETS
-    settings: Any = experiment.pose if network in ("posenet", TEACHER) else experiment.paired
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training = experiment.train_posenet if pose else experiment.train
     examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
@@ -102,7 +107,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         "seed": seed,
         "folder": folder / network,
         "epoch_images": examples.length("train"),
-        "origin": configs.describe(settings, experiment.sensor),
+        "origin": origin,
     }
     if pose:
         summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
@@ -114,6 +119,16 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
     )
     return True
+
+
+def _check_origin(folder: Path, origin: dict[str, Any]) -> None:
+    """Refuses to take a network for trained that learnt from another data set, such as one of an earlier version."""
+    stored = read_json(folder / "model.json").get("origin") or {}
+    changed = configs.differences(stored, origin)
+    if changed:
+        raise UserError(
+            f"{folder} learnt from a data set with another {', '.join(changed[:3])}: give another --out, or delete that folder"
+        )
 
 
 def _teacher(folder: Path) -> Callable[[Any], Any]:

@@ -23,6 +23,12 @@ def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
     return UserError(f"cannot {verb} {path}: {error.strerror or error}")
 
 
+def check_new_file(path: Path | None, option: str) -> None:
+    """Refuses, before there is work to lose, a file to be written that is a folder."""
+    if path is not None and Path(path).is_dir():
+        raise UserError(f"{option} {path} is a folder: name a file")
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Replace `path` by `data` in one step; missing folders are made. Raises `UserError` that names the path."""
     path = Path(path)

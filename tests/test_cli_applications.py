@@ -56,6 +56,8 @@ def few(monkeypatch):
     [
         (("servo", "--stimulus", "cube"), "stimulus 'cube' is unknown"),
         (("servo", "--starts", "0"), "--starts 0"),
+        (("servo", "--seed", "-1"), "--seed -1"),
+        (("servo", "--json", "."), "--json . is a folder"),
         (("servo", "--depth", "99"), "--depth 99"),
         (("servo", "--depth", "-1"), "--depth -1"),
         (("servo", "--ways", "smell"), "perception 'smell' is unknown"),

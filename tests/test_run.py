@@ -76,6 +76,18 @@ def test_another_experiment_is_not_mixed_in(finished, command):
     assert answer.code == 2 and "train.epochs" in answer.err and answer.err.count("\n") == 1
 
 
+def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(finished, command, tmp_path):
+    import shutil
+
+    out = shutil.copytree(finished / "runs", tmp_path / "runs")
+    file = out / "tiny" / "posenet" / "model.json"
+    file.write_text(file.read_text().replace('"version": "', '"version": "0.'))
+    answer = command("train", TINY, "--out", out, "--data", finished / "datasets")
+    assert (
+        answer.code == 2 and "learnt from a data set with another version" in answer.err and answer.err.count("\n") == 1
+    )
+
+
 def test_a_network_is_taught_by_a_posenet_that_the_results_do_not_know(finished, command, tmp_path):
     words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--train.pose_weight", 1]
     done = command("run", *words, "--networks", "disentangled,posenet")

@@ -14,14 +14,14 @@ from jax import Array
 
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
-from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.experiment import UNSHEARING, Experiment
+from jaxunshear.model import posenet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
+from jaxunshear.model.unshearing import unshear
 from jaxunshear.training.checkpoint import holds_model, load_best, read_net
 
 TRUE = "true"  # the pose that the simulator knows
-UNSHEARING = ("entangled", "disentangled", "entangled_large", "unet")  # networks
 WAYS = {  # name: the networks it runs, the last of them a PoseNet
     "sheared": ("posenet",),
     "entangled": ("entangled", "posenet"),
@@ -76,7 +76,7 @@ def look_of(nets: Mapping[str, Any], ranges: Ranges, precision: str = "float32")
     def look(variables, images):
         seen = _unit(images)
         for name in unshearing:
-            seen = _unshear(name, nets[name], variables[name], in_precision(seen, precision))
+            seen = unshear(nets[name], variables[name], in_precision(seen, precision))
         return seen, posenet.pose_from_outputs(posenet.predict(nets[last], variables[last], seen), ranges)
 
     return look
@@ -91,8 +91,8 @@ def read_look(model: Path, experiment: Experiment, way: str, precision: str = "f
 
 
 def _unshearer(model: Path, name: str) -> Unshear:
-    net = read_net(model / name)
-    run = ready(lambda known, images: _unshear(name, net, known, _unit(images))[..., 0], load_best(model / name))
+    net: Any = read_net(model / name)
+    run = ready(lambda known, images: unshear(net, known, _unit(images))[..., 0], load_best(model / name))
     return lambda images: jax.device_get(run(images))
 
 
@@ -110,8 +110,3 @@ def _perception(model: Path, experiment: Experiment, way: str) -> Perceive:
 def _unit(images: Array) -> Array:
     """(B, S, S) uint8 -> (B, S, S, 1) float32 in [0, 1]."""
     return images[..., None].astype(np.float32) / 255
-
-
-def _unshear(name: str, net: Any, variables: Any, images: Array) -> Array:
-    module: Any = unet if name == "unet" else unshearnet
-    return module.unshear(net, variables, images)

@@ -5,7 +5,6 @@ cannot be used is told and counted, and the next one comes.
 """
 
 import base64
-import io
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -16,17 +15,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from PIL import Image
 
 from jaxunshear.applications.perception import Look, read_look
 from jaxunshear.applications.sources import Frame
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
+from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model.ready import ready
 from jaxunshear.storage import write_bytes
 
+FAST = 1  # zlib's level: a frame has milliseconds
 Step = Callable[[np.ndarray], tuple[np.ndarray, dict[str, float], float]]
 
 
@@ -101,7 +101,7 @@ def stream(
         if images is not None:
             line["image"] = _save(images, frame, after)
         elif inline:
-            line["image_png"] = base64.b64encode(_png(after)).decode()
+            line["image_png"] = base64.b64encode(png(eight_bit(after), FAST)).decode()
         networks.append(1e3 * (answered - asked))
         whole.append(1e3 * (time.perf_counter() - came))
         confident.append(sure)
@@ -132,11 +132,5 @@ def _write(out: TextIO, line: dict[str, Any]) -> None:
 
 def _save(folder: Path, frame: Frame, image: np.ndarray) -> str:
     path = folder / f"{frame.number:06d}.png"
-    write_bytes(path, _png(image))
+    write_bytes(path, png(eight_bit(image), FAST))
     return str(path)
-
-
-def _png(image: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    Image.fromarray(np.round(255 * np.clip(image, 0, 1)).astype(np.uint8)).save(buffer, "PNG", compress_level=1)
-    return buffer.getvalue()

@@ -260,7 +260,7 @@ def _figure(fits: dict, truth: np.ndarray, axes: list[np.ndarray], losses: np.nd
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    from jaxunshear.report.figures import STYLE
+    from jaxunshear.style import STYLE
 
     looks = {"L-BFGS-B": ("#d9822b", "-"), "Gauss-Newton": ("#1f6feb", "--")}
     with rc_context(STYLE):

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.checks.bench_sim import OWN
 from jaxunshear.checks.paper import KINDS
-from jaxunshear.report.figures import FAINT, INK, STYLE
+from jaxunshear.style import FAINT, INK, STYLE
 
 COLOURS = ("#1f6feb", "#d9822b", "#2a9d6f", "#8957e5", "#bf3989", "#57606a", "#9a6700")
 MARKS = "os^Dv<>PX*"

@@ -5,26 +5,18 @@ paths = simulate_chunks(settings, sensor, shots, folder, simulator())     # data
 for key, example in paired_examples(settings, shots, paths, "train"): ...
 """
 
-import io
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import Image
 
 from jaxunshear.dataset.chunks import load_chunk, unpack
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import SPLITS, Shots
+from jaxunshear.image.png import png
 
 PNG_LEVEL = 4
-
-
-def png(image: np.ndarray) -> bytes:
-    """(S, S) uint8 -> the bytes of a grey PNG."""
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, "png", compress_level=PNG_LEVEL)
-    return buffer.getvalue()
 
 
 def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) -> dict:
@@ -90,7 +82,7 @@ def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split
         chunk = load_chunk(path)
         for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]] & ~shots.slid[chunk["number"]]):
             row = int(chunk["number"][place])
-            tap_images[row] = png(unpack(chunk["images"][place], settings.preprocess.size))
+            tap_images[row] = png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL)
             tap_pins[row] = chunk["pins"][place]
     taps = _by_pose(shots, np.array(sorted(tap_images), int))
     keys = _pose_keys(shots)
@@ -107,7 +99,7 @@ def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split
                 f"{labels['stimulus']}_{labels['pose_id']}_{slide}",
                 {
                     "canonical": tap_images[tap],
-                    "sheared": png(unpack(chunk["images"][place], settings.preprocess.size)),
+                    "sheared": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
                     "canonical_pins": tap_pins[tap],
                     "sheared_pins": chunk["pins"][place],
                     **labels,
@@ -133,7 +125,7 @@ def pose_examples(settings: PoseData, shots: Shots, paths: list[Path], split: st
             yield (
                 f"{labels['stimulus']}_{labels['pose_id']}",
                 {
-                    "image": png(unpack(chunk["images"][place], settings.preprocess.size)),
+                    "image": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
                     "pins": chunk["pins"][place],
                     **labels,
                     "residual_mm": np.float32(chunk["residual_mm"][place]),

@@ -63,6 +63,11 @@ class SetReader:
             here = np.arange(start, min(start + batch, self.length(name)))
             yield self._images({field: rows[field][here] for field in fields or rows})
 
+    def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
+        """The given rows (B,) of a split, in this order."""
+        stored = self._rows(name)
+        return self._images({field: stored[field][rows] for field in fields})
+
     def train_batches(
         self, batch: int, seed: int, shift: float, fields: Sequence[str] | None = None
     ) -> Callable[[int], Iterator[Batch]]:

@@ -3,7 +3,7 @@
     results = ablate(experiment, Path("runs/demo"), Path("datasets"), command)
 
 A cell is a decoder, the codes it is fed, and the image it ought to draw; a code that the decoder does not use can be spoilt
-without harm. "Another image" is one half a batch further on in the test split, at another pose.
+without harm. "Another image" is one half the test split further on, at another pose.
 """
 
 import io
@@ -24,6 +24,7 @@ from jaxunshear.evaluation.spread import intervals
 from jaxunshear.experiment import Experiment
 from jaxunshear.metrics import ms_ssim, ms_ssim_name, mse, scales_that_fit, ssim
 from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.model.layers import in_precision
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.progress import Progress
 from jaxunshear.storage import write_bytes, write_json
@@ -64,29 +65,32 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     if not isinstance(net, UnshearNet) or not net.disentangled:
         raise UserError(f"{folder} holds no disentangled network: there are no codes to swap")
     variables = load_best(folder)
+    if net.shear_channels and "DS" not in variables["params"]:
+        raise UserError(f"{folder} holds released weights, which leave out DS: name the folder of a finished run")
     pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
     total = pairs.length("test")
 
     @jax.jit
     def run(tap: Array, sheared: Array, key: Array):
         tap, sheared = (images.astype(np.float32) / 255 for images in (tap, sheared))
-        drawn = draw_cells(net, variables, sheared, SPOILT, key)
+        drawn = draw_cells(net, variables, in_precision(sheared, experiment.train.precision), SPOILT, key)
         return drawn, cell_scores(drawn, tap, sheared)
 
     found: list[dict[str, np.ndarray]] = []
     poses: list[np.ndarray] = []
     shown: dict[str, np.ndarray] = {}
     with Progress("ablate", total) as progress:
-        for number, (batch, size) in enumerate(_even(pairs.split("test", BATCH, FIELDS))):
+        for number, (rows, counts) in enumerate(partners(total, BATCH)):
             key = jax.random.fold_in(jax.random.key(SEED), number)
+            batch = pairs.take("test", rows, FIELDS)
             drawn, scores = jax.device_get(run(batch["canonical"], batch["sheared"], key))
-            found.append({name: value[:size] for name, value in scores.items()})
-            poses.append(np.stack([batch["stimulus"][:size], batch["pose_id"][:size]], axis=1))
+            found.append({name: value[counts] for name, value in scores.items()})
+            poses.append(np.stack([batch["stimulus"], batch["pose_id"]], axis=1)[counts])
             if not shown:
-                some = np.linspace(0, size - 1, min(SHOWN, size)).round().astype(int)
+                some = np.linspace(0, counts.sum() - 1, min(SHOWN, counts.sum())).round().astype(int)
                 shown = {name: batch[name][some, ..., 0] / 255 for name in ("sheared", "canonical")}
                 shown |= {name: image[some, ..., 0] for name, image in drawn.items()}
-            progress.advance(size)
+            progress.advance(int(counts.sum()))
     scores = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     group = np.unique(np.concatenate(poses), axis=0, return_inverse=True)[1].reshape(-1)
     results = {
@@ -105,13 +109,18 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     return results
 
 
-def _even(batches: Iterator[dict[str, np.ndarray]]) -> Iterator[tuple[dict[str, np.ndarray], int]]:
-    """Batches filled up to the first one's size by their own contacts in turn, and how many were there."""
-    full = 0
-    for batch in batches:
-        size = len(batch["sheared"])
-        full = full or size + size % 2
-        yield {name: np.resize(values, (full, *values.shape[1:])) for name, values in batch.items()}, size
+def partners(total: int, batch: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Batches of rows of a split of `total`, half a batch apart those that lie half the split apart; and which of them count.
+
+    All are of one size, the last one filled up by rows that have been there. Every row counts once.
+    """
+    half = (total + 1) // 2
+    width = min(max(1, batch // 2), half)
+    for start in range(0, half, width):
+        place = np.arange(start, start + width)
+        first = place % half
+        rows = np.concatenate([first, (first + half) % total])
+        yield rows, np.concatenate([place < half, (place < half) & (place + half < total)])
 
 
 def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
+from jaxunshear.image.png import eight_bit
 from jaxunshear.metrics import true_quantities
 from jaxunshear.progress import Progress
 
@@ -52,7 +53,7 @@ def gather(
             labels.append({name: np.asarray(batch[name]) for name in LABELS})
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(
-                {k: _eight_bit(np.asarray(x)[inside]) for k, x in outputs.images.items() if k not in BASELINES}
+                {k: eight_bit(np.asarray(x)[inside, ..., 0]) for k, x in outputs.images.items() if k not in BASELINES}
             )
             pins.append({name: np.asarray(batch[name])[inside] for name in PINS})
             start += size
@@ -64,11 +65,6 @@ def gather(
 def _filled(images: np.ndarray, size: int) -> np.ndarray:
     missing = size - len(images)
     return np.concatenate([images, np.repeat(images[:1], missing, axis=0)]) if missing else images
-
-
-def _eight_bit(images: np.ndarray) -> np.ndarray:
-    """(B, S, S, 1) float in [0, 1] -> (B, S, S) uint8."""
-    return np.rint(images[..., 0] * 255).astype(np.uint8)
 
 
 def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

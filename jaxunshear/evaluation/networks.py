@@ -12,9 +12,11 @@ from jax import Array
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import LEARNT_SHEARED, UNSHEARED, Outputs, image_scores
-from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.evaluation.score import LEARNT_SHEARED, Outputs, image_scores
+from jaxunshear.experiment import UNSHEARING
+from jaxunshear.model import posenet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.model.unshearing import unshear
 from jaxunshear.training.checkpoint import load_best, read_net
 
 Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
@@ -43,6 +45,7 @@ def load(
 def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, precision: str = "float32"):
     """The function (variables, taps or None, tap, sheared) of these networks (settings by name), not yet jitted.
 
+    Images are uint8 in {0, 255}: taps (M, S, S, 1), tap and sheared (B, S, S, 1). Scores are (B,) each.
     Networks that unshear are given images in `precision`.
     """
 
@@ -52,13 +55,12 @@ def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, prec
         given = in_precision(sheared, precision)
         if taps is not None:
             images |= baseline_images(taps, tap, sheared)
-        for kind in UNSHEARED:
+        for kind in UNSHEARING:
             if kind == "disentangled" and kind in nets:
                 cells = draw_cells(nets[kind], variables[kind], given)
                 images[kind] = cells["DC(z_p)"]
             elif kind in nets:
-                module: Any = unet if kind == "unet" else unshearnet
-                images[kind] = module.unshear(nets[kind], variables[kind], given)
+                images[kind] = unshear(nets[kind], variables[kind], given)
         if "posenet" in nets:
             answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}
             poses = {kind: posenet.pose_from_outputs(answer, ranges) for kind, answer in answers.items()}

@@ -9,13 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from jax import Array
 
+from jaxunshear.experiment import UNSHEARING
 from jaxunshear.metrics import ms_ssim, mse, pose_errors, scales_that_fit, ssim
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
-UNSHEARED = ("entangled", "entangled_large", "unet", "disentangled")
 LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them
-KINDS = ("tap", "sheared", *BASELINES, *UNSHEARED)
-POSE_KINDS = ("tap", "sheared", LEARNT_SHEARED, *BASELINES, *UNSHEARED)
+KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
+POSE_KINDS = ("tap", "sheared", LEARNT_SHEARED, *BASELINES, *UNSHEARING)
 CELLS = {  # appendix D: which decoder is fed which codes, and what it should draw
     "DC(z_p)": "tap",
     "DC(z_s)": "tap",
@@ -66,14 +66,14 @@ def differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for name, score in scores.items():
         table, kind, *quantity = name.split("/")
         ours = scores.get("/".join([table, "disentangled", *quantity]))
-        if ours is not None and kind in (*UNSHEARED, LEARNT_SHEARED) and kind != "disentangled":
+        if ours is not None and kind in (*UNSHEARING, LEARNT_SHEARED) and kind != "disentangled":
             found["/".join(["difference", kind, *(quantity or [table])])] = ours - score
     return found
 
 
 def shown_kind(kinds: Container[str]) -> str:
     """The network whose images stand for a run: the disentangled one, or the best known of those there are."""
-    return next((kind for kind in reversed(UNSHEARED) if kind in kinds), "sheared")
+    return next((kind for kind in reversed(UNSHEARING) if kind in kinds), "sheared")
 
 
 def chance(true: dict[str, np.ndarray]) -> dict[str, float]:

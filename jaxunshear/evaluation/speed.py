@@ -9,9 +9,10 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.experiment import POSENETS
-from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.model import posenet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
+from jaxunshear.model.unshearing import unshear
 from jaxunshear.training.checkpoint import load_best, read_net
 
 CALLS = 40
@@ -28,8 +29,9 @@ def ms_per_image(run_dir: Path, names: Sequence[str], precision: str) -> dict[st
 
 
 def function_of(name: str, net: Any, precision: str) -> Callable[[Any, Array], Array]:
-    """The network called `name` as (variables, images) -> its answer: images unsheared, or PoseNet's outputs."""
-    answer: Any = posenet.predict if name in POSENETS else unet.unshear if name == "unet" else unshearnet.unshear
+    """The network called `name` as (variables, images) -> its answer: images (B, S, S, 1) in [0, 1] unsheared, or PoseNet's
+    outputs (B, 5)."""
+    answer: Any = posenet.predict if name in POSENETS else unshear
     return lambda variables, images: answer(net, variables, in_precision(images, precision))
 
 

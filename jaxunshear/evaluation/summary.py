@@ -34,7 +34,7 @@ def tables(
     felt = [kind for kind in POSE_KINDS if f"pose/{kind}/{QUANTITIES[0]}" in scores]
     pose = {kind: {name: _mean(scores[f"pose/{kind}/{name}"]) for name in QUANTITIES} for kind in felt}
     redone = {kind: {name: overall[f"pose/{kind}/{name}"] for name in QUANTITIES} for kind in felt}
-    mended = [kind for kind in felt if kind not in ("tap", "sheared")]
+    mended = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
     apart = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
     return {
         "ms_ssim": {

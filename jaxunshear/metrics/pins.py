@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
-from scipy.spatial import cKDTree
 
 from jaxunshear.image.pins import find_pins
 
@@ -43,17 +42,11 @@ def match_pins(found: np.ndarray, true: np.ndarray, limit_px: float) -> PinMatch
     return PinMatch(error, len(true) - len(error), len(found) - len(error))
 
 
-def pin_error(images: np.ndarray, true_px: np.ndarray, mm_per_px: float, limit_px: float | None = None) -> PinError:
-    """Binary images (B, S, S) or (B, S, S, 1) against true pins (B, P, 2) px as (column, row).
+def pin_error(images: np.ndarray, true_px: np.ndarray, mm_per_px: float, limit_px: float) -> PinError:
+    """Binary images (B, S, S) uint8 against true pins (B, P, 2) px as (column, row), matched within `limit_px`.
 
-    `limit_px` of a match defaults to the usual distance between neighbours. NaN errors where no pin matched at all.
+    NaN errors where no pin matched at all.
     """
-    images = np.asarray(images)
-    images = images[..., 0] if images.ndim == 4 else images
-    true_px = np.asarray(true_px)
-    if limit_px is None:
-        nearest = cKDTree(true_px[0]).query(true_px[0], k=2)[0][:, 1]
-        limit_px = float(np.median(nearest))
     matches = [match_pins(find_pins(image), true, limit_px) for image, true in zip(images, true_px, strict=True)]
     squares = np.concatenate([match.error_px for match in matches]) ** 2
     rms = float(np.sqrt(squares.mean())) if squares.size else float("nan")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from jaxunshear.report.figures import COLOURS, FAINT, STYLE
+from jaxunshear.style import COLOURS, FAINT, STYLE
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "ms_ssim/disentangled": ("likeness to the tap, MS-SSIM", True),

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from jaxunshear.report.figures import COLOURS, FAINT, INK, STYLE
+from jaxunshear.style import COLOURS, FAINT, INK, STYLE
 
 SHOWN = (  # in this order; a metric that is the same in all cells says nothing and is left out
     "ms_ssim/*",

@@ -11,8 +11,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from jaxunshear.config import from_json, to_json
+from jaxunshear.dataset.configs import describe
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import TRAINABLE, Experiment, trained
+from jaxunshear.experiment import TRAINABLE, Experiment, learnt_from, trained
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep.rows import Row, needed, training_part
 from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
@@ -52,6 +53,9 @@ def data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     experiments = []
     for row in rows:
         plain = {field: getattr(Experiment(name="", claim=""), field) for field in NOT_FOR_DATA}
+        plain["train"] = dataclasses.replace(
+            plain["train"], pose_weight=row.experiment.train.pose_weight
+        )  # a teacher's taps
         experiment = to_json(dataclasses.replace(row.experiment, **plain))
         if experiment not in experiments:
             experiments.append(experiment)
@@ -115,5 +119,8 @@ def _finished_trainings(folder: Path) -> dict[str, Path]:
         except UserError:
             continue  # of another version: its trainings are not those of today
         for network in done:
+            origin = read_json(path / network / "model.json").get("origin")
+            if origin != describe(learnt_from(experiment, network), experiment.sensor):
+                continue  # of an earlier version of the data
             found.setdefault(training_part(experiment, network).name, path / network)
     return found

@@ -3,6 +3,7 @@ the rows' own processes need the device."""
 
 import itertools
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -64,8 +65,8 @@ def _run_rows(
         return
     task = plan.data_task(folder, left, data)
     carry_out(task.folder, task.kind, worker, quiet=False)
-    made = read_outcome(task.folder, task.kind) or {}
-    if made["status"] == "failed":
+    made = read_outcome(task.folder, task.kind)
+    if made and made["status"] == "failed":
         raise UserError(made["reason"])
     tasks = plan.lay_out(folder, left, sweep.ablation, data, command)
     with Progress(f"sweep {sweep.name}", total, unit="rows", done=total - len(left)) as progress:
@@ -89,7 +90,7 @@ def _read_scores(path: Path) -> dict[str, np.ndarray]:
             return dict(scores)
     except OSError as error:
         raise os_error(path, error, "read") from error
-    except (ValueError, zipfile.BadZipFile) as error:
+    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise UserError(f"{path} is damaged ({error}): delete {path.parent} and run the same command") from error
 
 

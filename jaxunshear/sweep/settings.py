@@ -44,10 +44,11 @@ class Sweep:
 def load_sweep(path: str | Path) -> Sweep:
     """The sweep that a Python file defines; of an ordinary experiment file, that experiment, to be run with several seeds.
 
-    Not yet checked. Raises `UserError`.
+    Its form is checked, its values are not yet. Raises `UserError`.
     """
     found = load_variable(path, sweep=Sweep, experiment=Experiment)
     if isinstance(found, Sweep):
+        _check_form(found, str(path))
         return found
     return Sweep(name=found.name, claim=found.claim, base=found, seeds=(found.seed,))
 
@@ -55,11 +56,13 @@ def load_sweep(path: str | Path) -> Sweep:
 def with_overrides(sweep: Sweep, argv: Sequence[str]) -> Sweep:
     """`sweep` with fields of its base replaced by `--name value`; `--name` itself names the sweep.
 
-    Raises `UserError` for a field that the sweep varies.
+    Raises `UserError` for a field that an axis varies; one that some rows change is theirs in those rows.
     """
     varied = [field for fields, _ in sweep.grid for field in names_of(fields)]
     for name, value in parse_overrides(argv):
-        taken = next((field for field in varied if field == name or field.startswith(f"{name}.")), None)
+        taken = next(
+            (field for field in varied if f"{field}.".startswith(f"{name}.") or name.startswith(f"{field}.")), None
+        )
         if taken:
             raise UserError(f"--{name}: sweep {sweep.name} varies {taken}; change its values in the file instead")
         if name == "seed":
@@ -89,14 +92,18 @@ def names_of(fields: Fields) -> tuple[str, ...]:
 
 def check(sweep: Sweep, source: str) -> None:
     """Refuses, naming the file `source` and the field, a sweep that cannot be laid out. Its rows are checked one by one."""
-    for ok, name, complaint in _rules(sweep):
-        if not ok:
-            raise UserError(f"{source}: sweep.{name} {complaint}")
+    _check_form(sweep, source)
     check_types(base_of(sweep))
     validate(dataclasses.replace(base_of(sweep), name=sweep.name))
     for fields in (*(fields for fields, _ in sweep.grid), *(fields for row in sweep.rows for fields, _ in row)):
         for field in names_of(fields):
             replaced(sweep.base, field, None)  # refuses unknown names
+
+
+def _check_form(sweep: Sweep, source: str) -> None:
+    for ok, name, complaint in _rules(sweep):
+        if not ok:
+            raise UserError(f"{source}: sweep.{name} {complaint}")
 
 
 def _rules(sweep: Sweep) -> Iterator[tuple[bool, str, str]]:

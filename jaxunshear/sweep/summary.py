@@ -89,7 +89,9 @@ def _cell(
         "difference": differences(rows, other) if cell.label != reference else {},
         "ablation": ablation(rows),
         "failures": [{"seed": seed, "reason": outcome["reason"]} for seed, outcome in failed.items()],
-        "costs": {str(seed): {name: row.outcome[name] for name in COSTS} for seed, row in rows.items()},
+        "costs": {
+            str(seed): {name: row.outcome[name] for name in COSTS if name in row.outcome} for seed, row in rows.items()
+        },
     }
 
 
@@ -223,9 +225,14 @@ def _number(value: Any) -> bool:
 
 
 def _names(rows: Mapping[int, Measured]) -> list[tuple[str, str]]:
-    """Tests and names of their scores."""
-    tests = next(iter(rows.values())).tests if rows else {}
-    return [(test, name) for test, scores in tests.items() for name in scores if "/" in name]
+    """Tests and names of their scores, those that every row has: one measured by an earlier version may lack some."""
+    first, *others = [row.tests for row in rows.values()] or [{}]
+    return [
+        (test, name)
+        for test, scores in first.items()
+        for name in scores
+        if "/" in name and all(name in tests.get(test, {}) for tests in others)
+    ]
 
 
 def _metric(rows: Mapping[int, Measured]) -> dict[str, Any]:

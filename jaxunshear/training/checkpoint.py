@@ -198,8 +198,9 @@ def _record(folder: Path, step: int) -> dict[str, Any]:
 
 
 def _remedy(folder: Path, path: Path) -> str:
-    others = [p for p in path.parent.iterdir() if p.name.isdigit() and p != path] if path.parent.is_dir() else []
-    back = f"delete {path} to go on from the one before, or " if others else ""
+    steps = [p.name for p in path.parent.iterdir() if p.name.isdigit()] if path.parent.is_dir() else []
+    last = len(steps) > 1 and path.name == max(steps)  # the record of a later one may name an earlier one
+    back = f"delete {path} to go on from the one before, or " if last else ""
     return f"{back}delete {folder} to train from the start"
 
 

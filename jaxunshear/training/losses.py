@@ -1,6 +1,6 @@
-"""The paper's losses (section 3.3) as named terms per example; `loop.py` weighs and adds them.
+"""The paper's losses (section 3.3) as named terms per example; `step.py` weighs and adds them.
 
-One sum gives every module the gradient the paper lists for it: E sees all three terms, DC `supervised` and `patch`, DS
+One sum gives every module the gradient the paper lists for it: E sees all terms, DC `supervised` and `patch`, DS
 `reconstruction`, since no other path leads from a term to a module.
 """
 

@@ -1,16 +1,19 @@
 """Spoilt codes: what goes where, and a network whose decoders need what they are fed."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.ablation import cell_scores, picture, rows_of, table
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.ablation import ablate, cell_scores, partners, picture, rows_of, table
 from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
+from jaxunshear.experiment import Experiment
 from jaxunshear.model import unshearnet
 from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training.checkpoint import write_settings, write_weights
 from jaxunshear.training.loop import run_once
 
 init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
@@ -62,6 +65,25 @@ def test_rows_tell_which_image_was_drawn(drawn):
     assert foreign["mse to the other"] == 0 and foreign["ssim"] < 0.5 < foreign["ssim to the other"]
     assert own["paper"]["mse"] == 0.002 and foreign["paper"] is None
     assert "DS(z_p,z_s of another)" in table(list(rows.values()))
+
+
+@pytest.mark.parametrize("total", [1, 2, 5, 32, 48, 49, 720])
+def test_every_row_counts_once_beside_one_half_the_split_on(total):
+    parts = list(partners(total, 32))
+    assert len({rows.shape for rows, _ in parts}) == 1
+    assert sorted(np.concatenate([rows[counts] for rows, counts in parts])) == list(range(total))
+    for rows, counts in parts:
+        apart = np.abs(rows - np.roll(rows, len(rows) // 2))[counts]
+        assert np.all(apart >= total // 2) and np.all(apart <= (total + 1) // 2)
+
+
+def test_released_weights_cannot_be_ablated(tmp_path):
+    variables = init(NET, jax.random.key(0))
+    folder = tmp_path / "disentangled"
+    write_settings(folder, {"kind": "unshear", "net": asdict(NET)})
+    write_weights(folder, variables, ("E", "pose", "DC"))
+    with pytest.raises(UserError, match="leave out DS: name the folder of a finished run"):
+        ablate(Experiment(name="x", claim="none"), tmp_path, tmp_path, "none")
 
 
 def test_targets():

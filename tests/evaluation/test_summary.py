@@ -56,6 +56,9 @@ def test_tables_hold_the_networks_that_there_are():
     assert list(found["pose_mae"]) == ["tap", "sheared", "disentangled"]
     images_only = {name: score for name, score in scores.items() if not name.startswith("pose/")}
     assert tables(images_only, NAMES, STIMULUS, POSE_ID, seed=0)["pose_recovery"] == {}
+    learnt = images_only | {f"pose/sheared_learnt/{name}": np.ones(6, np.float32) for name in QUANTITIES}
+    found = tables(learnt, NAMES, STIMULUS, POSE_ID, seed=0)  # a PoseNet that learnt slides, and none that learnt taps
+    assert found["pose_mae"] == {"sheared_learnt": dict.fromkeys(QUANTITIES, 1)} and found["pose_recovery"] == {}
 
 
 def test_cells_that_could_not_be_drawn_are_left_out():

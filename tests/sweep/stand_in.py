@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.config import to_json
+from jaxunshear.dataset.configs import describe
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import TRAINABLE, Experiment
+from jaxunshear.experiment import TRAINABLE, Experiment, learnt_from
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import work
 from jaxunshear.sweep.rows import training_part
@@ -57,6 +58,7 @@ def train(experiment, network, folder, data):
     if (place / "summary.json").exists():
         return
     place.mkdir(exist_ok=True)
+    write_json(place / "model.json", {"origin": describe(learnt_from(experiment, network), experiment.sensor)})
     part = training_part(experiment, network).name
     checkpoint = place / "checkpoint.json"
     state = read_json(checkpoint) if checkpoint.exists() else {"step": 0, "value": int(part[-8:], 16)}

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.storage import read_json
+from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep.summary import reproducible
 from jaxunshear.sweep.table import table
 from jaxunshear.sweep.tasks import LOCK, locked
@@ -62,6 +62,18 @@ def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(stand_in
     )  # () is the base: 0.1 by another label
     assert set(steps().values()) == {1}
     assert sum(steps().values()) == 30 + 10 + (10 + 10) + 10
+
+
+def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(stand_in, swept, steps, tmp_path):
+    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
+    swept(sweep)
+    for path in (tmp_path / "small" / "rows").glob("*/posenet/model.json"):
+        model = read_json(path)
+        write_json(path, {"origin": model["origin"] | {"version": "0.9.0"}})
+    before = steps()
+    swept(replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),)))
+    again = [name for name, _ in steps() - before]
+    assert sum(name.startswith("posenet") for name in again) == 10
 
 
 def test_a_failed_row_is_told_left_alone_and_tried_again_when_asked(stand_in, swept, steps, tmp_path):

@@ -7,6 +7,7 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
+from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.sweep.rows import cells_of, reference_of
 from jaxunshear.sweep.settings import Sweep, base_of, check, load_sweep, parse_seeds, with_overrides
 
@@ -48,6 +49,23 @@ def test_a_bad_sweep_is_refused_in_one_line(changes, line):
     with pytest.raises(UserError) as refusal:
         check(replace(PLAIN, **changes), "bad.py")
     assert line in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def test_the_form_of_a_sweep_is_checked_before_anything_reads_it(tmp_path):
+    file = tmp_path / "bad.py"
+    file.write_text(
+        "from jaxunshear.experiment import Experiment\nfrom jaxunshear.sweep.settings import Sweep\n"
+        "sweep = Sweep(name='x', claim='y', base=Experiment(name='x', claim='y'), grid=('train.batch', (1, 2)))\n"
+    )
+    with pytest.raises(UserError, match=r"bad\.py: sweep\.grid is no tuple of axes"):
+        load_sweep(file)
+
+
+def test_a_field_within_a_varied_group_cannot_be_overridden():
+    sensors = replace(PLAIN, grid=(("sensor", (TACTIP_331,)),))
+    for words in (["--sensor.skin_mm", "2"], ["--sensor", "tactip127"]):
+        with pytest.raises(UserError, match="varies sensor"):
+            with_overrides(sensors, words)
 
 
 BAD_CELLS = [

@@ -54,6 +54,14 @@ def failed(reason: str) -> Measured:
     return Measured({"status": "failed", "reason": reason}, {})
 
 
+def test_scores_that_only_a_newer_version_measured_are_left_out():
+    old, new = done(random(0)), done(random(1))
+    new.tests[""]["ms_ssim/unet"] = random(2)
+    new.tests["depth_1mm"] = new.tests["unseen"]
+    assert set(metrics({0: new, 1: old})) == set(metrics({0: old, 1: new}))
+    assert not any("unet" in name or "depth" in name for name in metrics({0: new, 1: old}))
+
+
 def random(seed: int) -> np.ndarray:
     return np.random.default_rng(seed).random(12)
 

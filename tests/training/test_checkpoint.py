@@ -87,6 +87,13 @@ def test_damage_to_the_latest_names_the_way_back(folder):
         checkpoint.restore(folder, 6, STATE)
 
 
+def test_damage_to_an_earlier_one_names_no_way_back(folder):
+    checkpoint.save(folder, 6, STATE, RECORD)
+    (folder / "checkpoints" / "00000005" / "record.json").write_text("{")
+    with pytest.raises(UserError, match=r"00000005 is damaged.*: delete [^ ]*run to train from the start"):
+        checkpoint.restore(folder, 5, STATE)
+
+
 def test_another_network_is_refused(folder):
     with pytest.raises(UserError, match="does not fit this network"):
         checkpoint.restore(folder, 5, STATE | {"more": jnp.ones(2)})

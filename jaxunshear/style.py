@@ -1,0 +1,33 @@
+"""How figures look. Imports no Matplotlib."""
+
+from typing import Any
+
+INK, FAINT = "#1c2330", "#8a93a3"
+COLOURS = {
+    "disentangled": "#1f6feb",
+    "entangled": "#d9822b",
+    "entangled_large": "#b3554d",
+    "unet": "#8250df",
+    "posenet": "#2a9d6f",
+    "posenet_sheared": "#7c8b3d",
+}
+STYLE: Any = {  # the names are a closed list of matplotlib's
+    "svg.hashsalt": "jaxunshear",
+    "svg.fonttype": "none",  # text stays text: small, and set in the reader's font
+    "font.family": "sans-serif",
+    "font.size": 10,
+    "axes.titlesize": 10,
+    "text.color": INK,
+    "axes.edgecolor": FAINT,
+    "axes.labelcolor": INK,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "xtick.color": FAINT,
+    "ytick.color": FAINT,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "axes.grid": True,
+    "grid.color": "#e6e9ef",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+}
