@@ -77,7 +77,7 @@ BAD_FIELDS = [
     ),
     ("--unshear.widths 8,0", "two positive numbers"),
     ("--unshear.widths 8", "two positive numbers"),
-    ("--unshear.disentangled false", "train --network"),
+    ("--unshear.disentangled false", "use `--networks entangled`"),
     ("--posenet.widths 8,8", "five convolutions"),
     ("--sensor gelsight", "use one of tactip331, tactip127, tactip331-flush, tactip331-fitted"),
     ("--sensor.rings 40", "past the dome's rim"),
