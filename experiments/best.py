@@ -1,11 +1,12 @@
-"""Claim: three times the poses and a loss seen through a PoseNet leave little of the slide in the pose, at 128 px.
+"""Claim: more poses, and a loss seen through a PoseNet leave little of the slide in the pose, at 128 px.
 
     jaxunshear run experiments/best.py
 
-Expected on two cores, as measured (docs/results/best.json): an hour and ten minutes, 10 of it for the data, 41 for the
-disentangled network; MS-SSIM 0.978, edge distance to 0.27 mm. The networks of `standard.py`, but that the disentangled
-one sees three times as many poses, four times as long, and is told how far apart the poses lie that a PoseNet of its own
-(`posenet_teacher`) reads off its image and off the tap. The released weights `best` are of this run.
+Expected on two cores, as measured with light work beside (docs/results/best.json): two hours, 19 minutes of it for the
+data, 81 for the disentangled network; MS-SSIM 0.980, edge distance to 0.25 mm where taps give 0.22. The networks of
+`standard.py`, but that the disentangled one sees seven and a half times as many poses, eight times as long, and is told
+how far apart the poses lie that a PoseNet of its own (`posenet_teacher`) reads off its image and off the tap. Both
+PoseNets see twice as many taps. The released weights `best` are of this run.
 """
 
 from dataclasses import replace
