@@ -53,9 +53,8 @@ def data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     experiments = []
     for row in rows:
         plain = {field: getattr(Experiment(name="", claim=""), field) for field in NOT_FOR_DATA}
-        plain["train"] = dataclasses.replace(
-            plain["train"], pose_weight=row.experiment.train.pose_weight
-        )  # a teacher's taps
+        taught = float(row.experiment.train.pose_weight > 0)  # a teacher needs its taps, whatever its weight
+        plain["train"] = dataclasses.replace(plain["train"], pose_weight=taught)
         experiment = to_json(dataclasses.replace(row.experiment, **plain))
         if experiment not in experiments:
             experiments.append(experiment)

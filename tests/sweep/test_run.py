@@ -13,11 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from jaxunshear.config import from_json
+from jaxunshear.dataset.making import sets_of
 from jaxunshear.errors import UserError
 from jaxunshear.storage import read_json, write_json
+from jaxunshear.sweep import plan
+from jaxunshear.sweep.rows import cells_of, rows_of
 from jaxunshear.sweep.summary import reproducible
 from jaxunshear.sweep.table import table
-from jaxunshear.sweep.tasks import LOCK, locked
+from jaxunshear.sweep.tasks import LOCK, TASK, locked
 
 
 def rows(tmp_path: Path) -> dict[str, dict]:
@@ -74,6 +78,13 @@ def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(stand_in
     swept(replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),)))
     again = [name for name, _ in steps() - before]
     assert sum(name.startswith("posenet") for name in again) == 10
+
+
+def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
+    sweep = replace(stand_in.SWEEP, grid=(("train.pose_weight", (0.1, 1.0)),), seeds=(0,), networks=("disentangled",))
+    task = plan.data_task(tmp_path, list(rows_of(sweep, cells_of(sweep)).values()), tmp_path)
+    (made,) = read_json(task.folder / TASK)["experiments"]
+    assert set(sets_of(from_json(made))) == {"tactip_paired", "tactip_pose"}
 
 
 def test_a_failed_row_is_told_left_alone_and_tried_again_when_asked(stand_in, swept, steps, tmp_path):
