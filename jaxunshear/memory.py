@@ -1,8 +1,9 @@
-"""Memory in large pages, and freed memory kept in the process. Imports no JAX.
+"""Memory in large pages, and freed memory kept in the process. Does not import JAX when it is imported.
 
 XLA allocates one block for a step's intermediate arrays and frees it after each step; glibc returns such large blocks
-to the kernel, and getting them back, page by page, cost a third of a training step on two cores. What threads allocate is
-returned whatever one asks for; in pages of 2 MB instead of 4 kB that costs little.
+to the kernel, and getting them back, page by page, cost a third of a training step on two cores. What other threads than the
+first allocate is returned whatever one asks for. So computations run in the thread that calls them, and what is left
+comes in pages of 2 MB instead of 4 kB.
 """
 
 import ctypes
@@ -13,7 +14,13 @@ _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # malloc.h
 
 
 def keep_freed_memory() -> None:
-    """Tells glibc to keep large freed blocks; does nothing where the C library is another."""
+    """Tells glibc to keep large freed blocks, and JAX to compute in the calling thread, whose blocks they then are.
+
+    The first does nothing where the C library is another, the second where JAX has computed already.
+    """
+    import jax
+
+    jax.config.update("jax_cpu_enable_async_dispatch", False)
     if not sys.platform.startswith("linux"):
         return
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)

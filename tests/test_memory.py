@@ -1,6 +1,7 @@
-"""The process asks for large pages once, and only where it may."""
+"""The process asks for large pages once, and only where it may; freed memory stays with it."""
 
 import os
+import subprocess
 import sys
 
 import pytest
@@ -38,3 +39,29 @@ def test_nothing_happens_elsewhere(restarts, monkeypatch, name, value):
     monkeypatch.setattr(sys, name, value)
     restart_with_large_pages()
     assert not restarts and "GLIBC_TUNABLES" not in os.environ
+
+
+TWICE = """
+import resource, jax
+if {keep}:
+    from jaxunshear.memory import keep_freed_memory
+    keep_freed_memory()
+import jax.numpy as jnp
+work = jax.jit(lambda x: (jnp.sin(x @ x) @ x).sum())  # 100 MB between two products
+x = jnp.ones((3600, 3600))
+faults = lambda: (float(work(x)), resource.getrusage(resource.RUSAGE_SELF).ru_minflt)[1]
+faults(), faults()
+before = faults()
+print(faults() - before)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of glibc")
+def test_a_computation_finds_the_memory_of_the_last_one():
+    def pages(keep):
+        settings = {"JAX_PLATFORMS": "cpu", "GLIBC_TUNABLES": "glibc.malloc.hugetlb=0"}
+        command = [sys.executable, "-c", TWICE.format(keep=keep)]
+        return int(subprocess.run(command, env=os.environ | settings, check=True, capture_output=True).stdout)
+
+    without, kept = pages(False), pages(True)
+    assert without > 1000 and kept < without / 20

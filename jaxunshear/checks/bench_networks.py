@@ -73,6 +73,7 @@ def _measured(
     rounds: int,
 ) -> list[dict[str, Any]]:
     """Rows of all cases; `operations` of the convolutions for one image, of the size in px."""
+    keep_freed_memory()
     rows = []
     with Progress(title, len(cases), unit="cases") as progress:
         for px, images in cases:
@@ -103,7 +104,6 @@ def _training_sides(size: int, batch: int) -> Sides:
     canonical, sheared = _images(size, batch)
 
     def ours() -> Work:
-        keep_freed_memory()
         task, optimiser = unshear_task(net, training), optimiser_of(training, 1000, 100)
         first = jax.jit(lambda key: fresh(task.init(key), optimiser), compiler_options=run_once())
         state = [first(jax.random.key(0))]

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-SLICE = 5000  # pixels of one step of a kernel's gradient (CPU): a few MB at the widths of these networks
+SLICE = 1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
 _NHWC = ("NHWC", "HWIO", "NHWC")
 
 

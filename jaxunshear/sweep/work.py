@@ -28,6 +28,7 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 def main(folder: Path, parent: int) -> int:
     """Does the task in `folder`, unless it has an outcome already."""
     die_with(parent)
+    keep_freed_memory()
     with locked(folder / LOCK, wait=True):  # one left over from a killed sweep may still be at its end
         task = read_json(folder / TASK)
         outcome = outcome_file(folder, task["kind"])
@@ -73,7 +74,6 @@ def _data(task: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 def _training(task: dict[str, Any], folder: Path) -> dict[str, Any]:
     experiment = from_json(task["experiment"], str(folder / TASK))
-    keep_freed_memory()
     run_stages(experiment, tuple(task["networks"]), folder.parent, Path(task["data"]), task["command"])
     return _speeds(task, folder)
 
@@ -82,7 +82,6 @@ def _row(task: dict[str, Any], folder: Path) -> dict[str, Any]:
     experiment = from_json(task["experiment"], str(folder / TASK))
     for network, source in task["sources"].items():
         _reuse(Path(source), folder / network)
-    keep_freed_memory()
     stages, data = (*task["networks"], "evaluate"), Path(task["data"])
     results = run_stages(experiment, stages, folder.parent, data, task["command"])
     spoilt = None
