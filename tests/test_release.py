@@ -83,6 +83,7 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch):
     ]
     np.testing.assert_allclose(*poses, atol=0.05)
     assert not (made / "entangled").exists()  # which this run has not trained
+    assert read_json(made / "experiment.json")["name"] == "mine"
     arrays = np.load(made / "disentangled" / "weights.npz").files
     assert not any("DS" in name or "shear" in name for name in arrays)
     card = (made / "README.md").read_text()
