@@ -43,7 +43,9 @@ def release(run_dir: Path, out: Path) -> Path:
         write_weights(part / name, load_best(run_dir / name), modules)
         settings = read_json(run_dir / name / MODEL)
         write_json(part / name / MODEL, {"kind": settings["kind"], "net": settings["net"]})
-    write_json(part / "experiment.json", read_json(run_dir / "experiment.json") | {"name": out.name})  # not a sweep's row
+    write_json(
+        part / "experiment.json", read_json(run_dir / "experiment.json") | {"name": out.name}
+    )  # not a sweep's row
     write_text(part / CARD, card(read_json(run_dir / "results.json"), out.name))
     part.rename(out)
     return out

@@ -16,6 +16,7 @@ def tables(
     scores: dict[str, np.ndarray], names: Sequence[str], stimulus: np.ndarray, pose_id: np.ndarray, seed: int
 ) -> dict[str, dict]:
     """The tables `ms_ssim`, `pose_mae`, `pose_ratio`, `pose_recovery`, `difference`, `swap` and their `spread` (95 % intervals).
+    Poses of each stimulus alone stand under `pose_by_stimulus`.
 
     `scores`: arrays (N,) by the names of `score.py`, of whichever networks there are; `names` of the stimuli, indexed by
     `stimulus` (N,); `pose_id` (N,). A stimulus without test contacts is null. Ratio: error over that on sheared images.
@@ -31,21 +32,16 @@ def tables(
     }
     overall = redrawn["overall"]
     similar = [kind for kind in KINDS if f"ms_ssim/{kind}" in scores]
-    felt = [kind for kind in POSE_KINDS if f"pose/{kind}/{QUANTITIES[0]}" in scores]
-    pose = {kind: {name: _mean(scores[f"pose/{kind}/{name}"]) for name in QUANTITIES} for kind in felt}
-    redone = {kind: {name: overall[f"pose/{kind}/{name}"] for name in QUANTITIES} for kind in felt}
-    mended = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
+    pose, pose_spread = _poses(scores, overall)
     apart = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
     return {
         "ms_ssim": {
             kind: {group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()}
             for kind in similar
         },
-        "pose_mae": pose,
-        "pose_ratio": {kind: {q: _ratio(pose[kind][q], pose["sheared"][q]) for q in QUANTITIES} for kind in mended},
-        "pose_recovery": {
-            kind: {q: _recovery(pose["sheared"][q], pose[kind][q], pose["tap"][q]) for q in QUANTITIES}
-            for kind in mended
+        **pose,
+        "pose_by_stimulus": {
+            name: _poses_of(scores, groups[name], redrawn[name]) if name in redrawn else None for name in names
         },
         "difference": _by_kind({place: _mean(scores[name]) for place, name in apart.items()}),
         "swap": {
@@ -63,12 +59,39 @@ def tables(
                 }
                 for kind in similar
             },
-            "pose_mae": {kind: {q: interval(redone[kind][q]) for q in QUANTITIES} for kind in felt},
-            "pose_recovery": {
-                kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in QUANTITIES}
-                for kind in mended
-            },
+            **pose_spread,
             "difference": _by_kind({place: interval(overall[name]) for place, name in apart.items()}),
+        },
+    }
+
+
+def _poses_of(
+    scores: dict[str, np.ndarray], inside: np.ndarray, redrawn: dict[str, np.ndarray]
+) -> dict[str, dict[str, Any]]:
+    """What `tables` says of poses, of the contacts `inside` (N,) alone."""
+    found, spread = _poses({name: score[inside] for name, score in scores.items()}, redrawn)
+    return found | {"spread": spread}
+
+
+def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Errors, their ratios and recoveries, and the intervals of errors and recoveries."""
+    felt = [kind for kind in POSE_KINDS if f"pose/{kind}/{QUANTITIES[0]}" in scores]
+    mended = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
+    error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in QUANTITIES} for kind in felt}
+    redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in QUANTITIES} for kind in felt}
+    found = {
+        "pose_mae": error,
+        "pose_ratio": {kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in QUANTITIES} for kind in mended},
+        "pose_recovery": {
+            kind: {q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q]) for q in QUANTITIES}
+            for kind in mended
+        },
+    }
+    return found, {
+        "pose_mae": {kind: {q: interval(redone[kind][q]) for q in QUANTITIES} for kind in felt},
+        "pose_recovery": {
+            kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in QUANTITIES}
+            for kind in mended
         },
     }
 

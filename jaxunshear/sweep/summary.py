@@ -130,31 +130,44 @@ def _figure(rows: Mapping[int, Measured], values: np.ndarray, poses: np.ndarray)
 
 
 def recoveries(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
-    """`pose_recovery/<kind>/<quantity>`: (sheared - unsheared) / (sheared - tap) of the mean errors, and its interval.
+    """`pose_recovery/<kind>/<quantity>`: (sheared - unsheared) / (sheared - tap) of the mean errors, and its interval; on one shape
+    `<shape>: ...`.
 
     Left out where the slide does no damage; without an interval where it does none in some of the resamples.
     """
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for test, name in _names(rows):
         table, kind, *quantity = name.split("/")
         ends = [f"pose/{other}/{'/'.join(quantity)}" for other in ("tap", "sheared")]
         if table != "pose" or name in ends or any((test, end) not in _names(rows) for end in ends):
             continue
-        values = [_stacked(rows, test, each) for each in (*ends, name)]
-        tap, sheared, unsheared = (value.mean() for value in values)
-        if sheared <= tap:
-            continue
-        redrawn = [resampled(value, _poses(rows, test)) for value in values]
-        bounded = bool(np.all(redrawn[1] > redrawn[0]))
-        found[_called(test, f"pose_recovery/{kind}/{'/'.join(quantity)}")] = {
-            "mean": float((sheared - unsheared) / (sheared - tap)),
-            "interval": spread.interval((redrawn[1] - redrawn[2]) / (redrawn[1] - redrawn[0])) if bounded else None,
-            "per_seed": {
-                str(seed): float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
-                for seed, row in zip(rows, np.stack([value.mean(axis=1) for value in values], 1), strict=True)
-            },
+        values, poses = np.stack([_stacked(rows, test, each) for each in (*ends, name)]), _poses(rows, test)
+        own = f"pose_recovery/{kind}/{'/'.join(quantity)}"
+        places = {_called(test, own): np.ones(len(poses), bool)}
+        places |= {
+            _called(f"{test}, {shape}" if test else shape, own): inside for shape, inside in _shapes(rows, test).items()
         }
+        for place, inside in places.items():
+            figure = _recovery(list(rows), values[..., inside], poses[inside])
+            found |= {place: figure} if figure else {}
     return found
+
+
+def _recovery(seeds: Sequence[int], values: np.ndarray, poses: np.ndarray) -> dict[str, Any] | None:
+    """Of errors (3: tap, sheared, unsheared; seeds, N) at poses (N,); None where the slide does no damage."""
+    tap, sheared, unsheared = values.mean(axis=(1, 2))
+    if sheared <= tap:
+        return None
+    redrawn = [resampled(value, poses) for value in values]
+    bounded = bool(np.all(redrawn[1] > redrawn[0]))
+    return {
+        "mean": float((sheared - unsheared) / (sheared - tap)),
+        "interval": spread.interval((redrawn[1] - redrawn[2]) / (redrawn[1] - redrawn[0])) if bounded else None,
+        "per_seed": {
+            str(seed): float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
+            for seed, row in zip(seeds, values.mean(axis=2).T, strict=True)
+        },
+    }
 
 
 def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:

@@ -42,6 +42,19 @@ def test_ratio_and_recovery():
     assert found["pose_recovery"]["entangled"]["edge_deg"] == pytest.approx(0.5)
 
 
+def test_poses_of_each_stimulus_are_those_of_its_contacts_alone():
+    scores = made_up()
+    scores["pose/disentangled/x_mm"] = np.array([1, 1, 2, 2, 4, 5], np.float32)
+    found = tables(scores, NAMES, STIMULUS, POSE_ID, seed=0)["pose_by_stimulus"]
+    assert found["disk"]["pose_mae"]["disentangled"]["x_mm"] == pytest.approx(1.5)
+    assert found["disk"]["pose_recovery"]["disentangled"]["x_mm"] == pytest.approx(3.5 / 4)
+    assert found["disk"]["spread"]["pose_recovery"]["disentangled"]["x_mm"] == pytest.approx([0.75, 1.0])
+    assert found["clover"]["pose_ratio"]["disentangled"]["x_mm"] == pytest.approx(0.9)
+    assert found["teardrop"] is None
+    alone = tables({name: score[:4] for name, score in scores.items()}, ("disk",), STIMULUS[:4], POSE_ID[:4], seed=0)
+    assert found["disk"]["spread"]["pose_mae"] == alone["spread"]["pose_mae"]
+
+
 def test_no_recovery_where_the_slide_does_no_damage():
     same = dict.fromkeys(KINDS, 2.0)
     assert tables(made_up(same), NAMES, STIMULUS, POSE_ID, 0)["pose_recovery"]["entangled"]["x_mm"] is None

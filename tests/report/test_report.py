@@ -141,6 +141,16 @@ def test_nulls_are_shown_as_dashes(made_up_run):
     assert "&ndash;" in write_report(folder).read_text().split("Where the pins are")[0]
 
 
+def test_what_is_won_back_is_told_by_shape(made_up_run):
+    folder, results = made_up_run
+    won = results["pose_by_stimulus"]["clover"]["pose_recovery"]["disentangled"]["x_mm"]
+    told = write_report(folder).read_text().split("<summary>By shape</summary>")[1].split("</details>")[0]
+    assert f"<td>{won:.2f} <small>" in told.split("clover")[1].split("</tr>")[0]
+    del results["pose_by_stimulus"]  # of an earlier version
+    (folder / "results.json").write_text(json.dumps(results))
+    assert "By shape" not in write_report(folder).read_text()
+
+
 @pytest.mark.parametrize("name", ["results.json", "montage.npz"])
 @pytest.mark.parametrize("damage", ["missing", "truncated", "text"])
 def test_damaged_files_are_named(made_up_run, name, damage):

@@ -102,6 +102,10 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     low, high = figure["interval"]
     assert low < figure["mean"] < high and high - low < 0.1
     assert set(figure["per_seed"]) == {"0", "1"}
+    clover = [values[:, POSES % 3 == 1].mean() for values in errors.values()]
+    assert recovered(errors)["clover: pose_recovery/unet/x_mm"]["mean"] == pytest.approx(
+        (clover[1] - clover[2]) / (clover[1] - clover[0])
+    )
     assert "pose_recovery/sheared/x_mm" not in recovered(errors)
     assert "pose_recovery/unet/x_mm" not in recovered(errors | {"sheared": errors["tap"] / 2})  # no damage to undo
 
