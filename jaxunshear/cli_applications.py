@@ -182,6 +182,8 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
 
     if arguments.contacts < 3:
         raise UserError(f"--contacts {arguments.contacts}: use at least 3")
+    if arguments.path is not None and not arguments.path.exists():
+        raise UserError(f"cannot read {arguments.path}: there is no such file or folder")
     folder, experiment = model
     networks = unshearers(folder, unshearing_of(folder))
     lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
@@ -280,7 +282,7 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
     from jaxunshear.applications.stream import step_of, stream
 
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
-        raise UserError(f"--fps {arguments.fps:g}: use more than 0")
+        raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
     folder, experiment = model
     step = step_of(folder, experiment, arguments.precision)
     frames, live = frames_of(arguments.source, arguments.fps)

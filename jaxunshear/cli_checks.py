@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -45,16 +46,18 @@ def add_parsers(commands: Any) -> None:
     )
     parser.add_argument("--only", metavar="NAME", help="only the cases whose name contains this")
 
-    parser = command("bench", "error against run time", "folder for the figure")
+    parser = command("bench", "error against run time", "sim: folder for the figure")
     parser.add_argument(
         "what",
         choices=("sim", "train", "infer", "needs", "pins", "stream"),
         help="the simulator, the networks, parts left out, pins of images, or a robot's perception",
     )
     parser.add_argument("--level", choices=LEVEL_NAMES, help="sim: only rows of this level")
-    parser.add_argument("--batch", metavar="N", type=int, help="only rows with N scenes or images in a batch")
+    parser.add_argument(
+        "--batch", metavar="N", type=int, help="sim, train, infer: only rows with N scenes or images in a batch"
+    )
     parser.add_argument("--size", metavar="PX", type=int, help="all but sim: only images of this size")
-    parser.add_argument("--seed", metavar="N", type=int, default=0, help="pins: of the contacts (0)")
+    parser.add_argument("--seed", metavar="N", type=int, help="pins: of the contacts (0)")
 
     parser = command("calibrate", "fit camera, pins, friction and stiffness to recordings", "folder for figures")
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
@@ -135,7 +138,22 @@ def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
     return 1 if stability.failed(rows) else 0
 
 
+BENCH_OPTIONS: dict[str, tuple[str, ...]] = {
+    "sim": ("level", "batch", "out"),
+    "train": ("size", "batch"),
+    "infer": ("size", "batch"),
+    "needs": ("size",),
+    "pins": ("size", "seed"),
+    "stream": ("size",),
+}
+
+
 def _bench(arguments: argparse.Namespace, keep: Keep) -> int:
+    taken = BENCH_OPTIONS[arguments.what]
+    for option in dict.fromkeys(chain.from_iterable(BENCH_OPTIONS.values())):
+        if getattr(arguments, option) is not None and option not in taken:
+            known = ", ".join(f"--{name}" for name in taken)
+            raise UserError(f"--{option}: bench {arguments.what} has no use for it; it takes {known} and --json")
     if arguments.batch is not None and arguments.batch < 1:
         raise UserError(f"--batch {arguments.batch}: use at least 1")
     if arguments.what != "sim":
@@ -176,9 +194,10 @@ def _bench_pins(arguments: argparse.Namespace, keep: Keep) -> int:
 
     if arguments.size is not None and not 64 <= arguments.size <= 1024:
         raise UserError(f"--size {arguments.size}: use 64 to 1024 px")
-    if arguments.seed < 0:
-        raise UserError(f"--seed {arguments.seed}: use 0 or more")
-    rows = bench_pins.bench_pins(arguments.size, arguments.seed)
+    seed = 0 if arguments.seed is None else arguments.seed
+    if seed < 0:
+        raise UserError(f"--seed {seed}: use 0 or more")
+    rows = bench_pins.bench_pins(arguments.size, seed)
     print(plain_table(rows, bench_pins.COLUMNS))
     keep(rows)
     return 0

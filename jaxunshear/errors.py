@@ -3,3 +3,8 @@
 
 class UserError(Exception):
     """What went wrong, where (file or field), and the remedy, in one line."""
+
+
+def first_line(error: BaseException) -> str:
+    """What an error of another library says, in one line of at most 200 characters; its kind where it says nothing."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]

@@ -27,7 +27,7 @@ def release(run_dir: Path, out: Path) -> Path:
     The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
     Raises `UserError` where the run is not finished or evaluated.
     """
-    from jaxunshear.training.checkpoint import MODEL, holds_model, load_best, write_weights
+    from jaxunshear.training.checkpoint import MODEL, holds_model, load_best, read_net, write_weights
 
     run_dir, out = Path(run_dir), Path(out)
     for name in ("experiment.json", "results.json"):
@@ -35,18 +35,22 @@ def release(run_dir: Path, out: Path) -> Path:
             raise UserError(f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo")
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
+    settings, results = (read_json(run_dir / name) for name in ("experiment.json", "results.json"))
+    try:
+        text, settings = card(results, out.name), settings | {"name": out.name}  # not a sweep's row
+    except (KeyError, TypeError, AttributeError) as error:
+        raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     for name, modules in PARTS.items():
         if name not in NEEDED and not holds_model(run_dir / name):
             continue
         write_weights(part / name, load_best(run_dir / name), modules)
-        settings = read_json(run_dir / name / MODEL)
-        write_json(part / name / MODEL, {"kind": settings["kind"], "net": settings["net"]})
-    write_json(
-        part / "experiment.json", read_json(run_dir / "experiment.json") | {"name": out.name}
-    )  # not a sweep's row
-    write_text(part / CARD, card(read_json(run_dir / "results.json"), out.name))
+        read_net(run_dir / name)  # refuses a damaged one
+        model = read_json(run_dir / name / MODEL)
+        write_json(part / name / MODEL, {"kind": model["kind"], "net": model["net"]})
+    write_json(part / "experiment.json", settings)
+    write_text(part / CARD, text)
     part.rename(out)
     return out
 

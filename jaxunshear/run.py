@@ -17,6 +17,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment, learnt_from
 from jaxunshear.model.settings import UNet, UnshearNet
 from jaxunshear.storage import read_json, write_json
+from jaxunshear.training.origin import check_origin, origin_of
 
 FIELDS = {  # what a training reads; others the pair
     "posenet": ("image", "pose", "edge"),
@@ -87,9 +88,8 @@ def _make_data(experiment: Experiment, data: Path) -> bool:
 def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
     """Train one network, or find it trained. Returns whether there was anything to do."""
     settings: Any = learnt_from(experiment, network)
-    origin = configs.describe(settings, experiment.sensor)
     if (folder / network / "summary.json").exists():
-        _check_origin(folder / network, origin)
+        check_origin(experiment, network, folder)
         return False
     from jaxunshear.dataset.reading import open_set
     from jaxunshear.training.loop import train_posenet, train_unshear
@@ -107,7 +107,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         "seed": seed,
         "folder": folder / network,
         "epoch_images": examples.length("train"),
-        "origin": origin,
+        "origin": origin_of(experiment, network),
     }
     if pose:
         summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
@@ -119,16 +119,6 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
     )
     return True
-
-
-def _check_origin(folder: Path, origin: dict[str, Any]) -> None:
-    """Refuses to take a network for trained that learnt from another data set, such as one of an earlier version."""
-    stored = read_json(folder / "model.json").get("origin") or {}
-    changed = configs.differences(stored, origin)
-    if changed:
-        raise UserError(
-            f"{folder} learnt from a data set with another {', '.join(changed[:3])}: give another --out, or delete that folder"
-        )
 
 
 def _teacher(folder: Path) -> Callable[[Any], Any]:

@@ -62,6 +62,7 @@ def few(monkeypatch):
         (("servo", "--depth", "-1"), "--depth -1"),
         (("servo", "--ways", "smell"), "perception 'smell' is unknown"),
         (("geometry", "--contacts", "1"), "--contacts 1"),
+        (("geometry", "nowhere"), "cannot read nowhere"),
         (("reconstruct", "--stimulus", "disk"), "holds no walks"),
         (("stream", "nowhere"), "nowhere does not exist"),
         (("stream", ".", "--fps", "0"), "--fps 0"),

@@ -101,6 +101,22 @@ def test_nothing_is_overwritten_and_nothing_unfinished_is_released(run, tmp_path
 
 
 @pytest.mark.parametrize(
+    ("file", "text", "line"),
+    [
+        ("results.json", "{}", r"lacks 'settings'.*evaluate"),
+        ("results.json", "[]", r"evaluate"),
+        ("posenet/model.json", '{"net": {}}', r"model\.json lacks"),
+        ("posenet/model.json", "{", r"model\.json"),
+    ],
+)
+def test_a_damaged_run_is_not_released(run, tmp_path, file, text, line):
+    (run / file).write_text(text)
+    with pytest.raises(UserError, match=line):
+        release(run, tmp_path / "new")
+    assert not (tmp_path / "new").exists() and not (tmp_path / "new" / "README.md").exists()
+
+
+@pytest.mark.parametrize(
     "spoil", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"x" * len(data)]
 )
 def test_damaged_weights_are_told(run, tmp_path, spoil):

@@ -76,16 +76,20 @@ def test_another_experiment_is_not_mixed_in(finished, command):
     assert answer.code == 2 and "train.epochs" in answer.err and answer.err.count("\n") == 1
 
 
-def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(finished, command, tmp_path):
+@pytest.mark.parametrize("stage", ["train", "evaluate", "ablate"])
+def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(finished, command, tmp_path, stage):
     import shutil
 
     out = shutil.copytree(finished / "runs", tmp_path / "runs")
-    file = out / "tiny" / "posenet" / "model.json"
+    (out / "tiny" / "results.json").unlink()
+    file = out / "tiny" / "disentangled" / "model.json"
     file.write_text(file.read_text().replace('"version": "', '"version": "0.'))
-    answer = command("train", TINY, "--out", out, "--data", finished / "datasets")
+    words = [out / "tiny"] if stage == "ablate" else [TINY, "--out", out]
+    answer = command(stage, *words, "--data", finished / "datasets")
     assert (
         answer.code == 2 and "learnt from a data set with another version" in answer.err and answer.err.count("\n") == 1
     )
+    assert not any((out / "tiny" / name).exists() for name in ("results.json", "ablation.json"))
 
 
 def test_a_network_is_taught_by_a_posenet_that_the_results_do_not_know(finished, command, tmp_path):

@@ -1,6 +1,6 @@
 """What a robot takes an image for: ways from a binary image to the edge's distance and direction, each with its own networks only.
 
->>> perceive = perceptions(Path("runs/standard"), ("sheared", "disentangled"))["disentangled"]
+>>> perceive = perceptions(Path("runs/standard"), experiment, ("sheared", "disentangled"))["disentangled"]
 >>> edge_mm, edge_deg = perceive(images)                       # (B, S, S) uint8 of {0, 255} -> (B,) each
 """
 

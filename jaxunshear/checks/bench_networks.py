@@ -18,7 +18,7 @@ from jaxunshear.applications.perception import look_of
 from jaxunshear.applications.stream import perceive_of
 from jaxunshear.checks.clock import SIZE, matrix_product, seconds
 from jaxunshear.dataset.settings import Ranges
-from jaxunshear.errors import UserError
+from jaxunshear.errors import UserError, first_line
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.ready import ready
@@ -225,7 +225,7 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int)
         except Exception as crash:
             if name == "jaxunshear":
                 raise
-            rows[name]["failed"] = f"{type(crash).__name__}: {str(crash).splitlines()[0]}"
+            rows[name]["failed"] = f"{type(crash).__name__}: {first_line(crash)}"
     times: dict[str, list[float]] = {name: [] for name in ready}
     product, yard = matrix_product(), []
     for _ in range(rounds):

@@ -25,7 +25,7 @@ from jaxunshear.contact import simulate as simulator
 from jaxunshear.contact.plan import LEVELS, Level, unabridged
 from jaxunshear.contact.rings import ring_spacing
 from jaxunshear.contact.skins import Contacts
-from jaxunshear.errors import UserError
+from jaxunshear.errors import UserError, first_line
 from jaxunshear.progress import Progress
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 
@@ -171,7 +171,7 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> dict
             first = seconds(work)
             spent = laps(work, product, effort.repeats, effort.budget_s)
         except Exception as crash:
-            return {**row, "failed": f"crashed: {type(crash).__name__}: {str(crash).splitlines()[0]}"}
+            return {**row, "failed": f"crashed: {type(crash).__name__}: {first_line(crash)}"}
         planned = min(
             seconds(lambda: simulator.plan(here, NAMES, scenes, setting.how, setting.batch)) for _ in range(2)
         )

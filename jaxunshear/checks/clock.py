@@ -1,7 +1,7 @@
 """Wall-clock time, and the time of a matrix product in the same minutes: a yardstick that other machines and other loads share.
 
 product = matrix_product()
-laps = interleaved([lambda: simulate(...)], repeats=5, product=product)
+spent = laps(work, product, repeats=5)          # work: a function without arguments
 """
 
 import time

@@ -1,6 +1,6 @@
 """The same networks and the same training step in PyTorch, to be timed beside ours. Needs the extra `torch`.
 
-    twin = Twin(net, channels_last=True)
+    twin = channels_last(Twin(net))
     twin.load(variables)                       # of `unshearnet.init`
     step = training_step(twin, training)       # step(canonical, sheared) -> loss
 

@@ -19,16 +19,17 @@ from jax import Array
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
 from jaxunshear.evaluation.paper import PAPER
-from jaxunshear.evaluation.score import CELL_METRICS
+from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.experiment import Experiment
-from jaxunshear.metrics import ms_ssim, ms_ssim_name, mse, scales_that_fit, ssim
+from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.progress import Progress
 from jaxunshear.storage import write_bytes, write_json
 from jaxunshear.training.checkpoint import load_best, read_net
+from jaxunshear.training.origin import check_origin
 
 BATCH = 32
 FIELDS = ("canonical", "sheared", "stimulus", "pose_id")
@@ -39,8 +40,7 @@ SEED = 0
 def cell_scores(drawn: dict[str, Array], tap: Array, sheared: Array) -> dict[str, Array]:
     """`<cell>/<metric>` against the cell's target, and `<cell>/<metric> to the other` where a code of another image went in."""
     images = {"tap": tap, "sheared": sheared}
-    scales = scales_that_fit(tap.shape[1])
-    metrics = {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
+    metrics = cell_metrics(tap.shape[1])
     scores = {}
     for cell, image in drawn.items():
         target = images[target_of(cell)]
@@ -56,7 +56,7 @@ def cell_scores(drawn: dict[str, Array], tap: Array, sheared: Array) -> dict[str
 def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> dict[str, Any]:
     """Scores all cells of the disentangled network in `run_dir` on the test split; writes ablation.json and ablation.png there.
 
-    Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled.
+    Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled or learnt from other data.
     """
     from jaxunshear.dataset.reading import open_set
 
@@ -67,6 +67,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     variables = load_best(folder)
     if net.shear_channels and "DS" not in variables["params"]:
         raise UserError(f"{folder} holds released weights, which leave out DS: name the folder of a finished run")
+    check_origin(experiment, "disentangled", run_dir)
     pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
     total = pairs.length("test")
 

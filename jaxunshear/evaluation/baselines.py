@@ -1,6 +1,6 @@
 """What can be said of a sheared image without a network that unshears: pure functions of images (B, S, S, 1) in [0, 1].
 
->>> baseline_images(taps_of(paired), tap, sheared)["nearest_tap"]
+>>> baseline_images(training_taps(batches), tap, sheared)["nearest_tap"]
 """
 
 from collections.abc import Iterable, Mapping

@@ -28,6 +28,7 @@ from jaxunshear.experiment import Experiment, further_tests
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit, true_quantities
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.storage import read_json, write_bytes, write_json
+from jaxunshear.training.origin import check_origin
 
 BATCH = 32
 KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
@@ -40,7 +41,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     Writes and returns the results; also writes `montage.npz` and, for who wants to compare runs contact by contact, every score
     of every contact: `scores.npz`, `scores-<test>.npz`. `command` is what a person typed, to stand beside the figures.
 
-    Raises `UserError` where a network or the data set is missing, damaged or empty.
+    Raises `UserError` where a network or the data set is missing, damaged or empty, or a network learnt from other data.
     """
     from jaxunshear.dataset.reading import open_set
     from jaxunshear.evaluation.networks import load
@@ -55,6 +56,8 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     taps = training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
     ranges, precision = (experiment.pose.ranges, experiment.paired.ranges), experiment.train.precision
     run = load(run_dir, experiment.networks, *ranges, taps, precision)
+    for network in experiment.networks:
+        check_origin(experiment, network, run_dir)
     gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT)
     further = {}
     for name, settings in further_tests(experiment).items():

@@ -3,7 +3,7 @@
 `Outputs` is all that evaluation needs to know of networks; who fills it is `networks.py`.
 """
 
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -33,13 +33,18 @@ class Outputs(NamedTuple):
     poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # by kind, those of POSE_KINDS that the run has
 
 
+def cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:
+    """CELL_METRICS as functions of two batches of images of `size` px; MS-SSIM with as many scales as these carry, at most five."""
+    scales = scales_that_fit(size)
+    return {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
+
+
 def image_scores(images: dict[str, Array], cells: dict[str, Array]) -> dict[str, Array]:
     """Similarity of every kind but the tap with its tap, and of each cell with its target, each (B,). Can be jitted.
 
     Names: `ms_ssim/<kind>`, `swap/<cell>/<metric>`. As many MS-SSIM scales as the size carries, at most five.
     """
-    scales = scales_that_fit(images["tap"].shape[1])
-    metrics = {"mse": mse, "ssim": ssim, "ms_ssim": lambda a, b: ms_ssim(a, b, scales)}
+    metrics = cell_metrics(images["tap"].shape[1])
     kinds = [kind for kind in KINDS if kind in images and kind != "tap"]
     scores = {f"ms_ssim/{kind}": metrics["ms_ssim"](images[kind], images["tap"]) for kind in kinds}
     for cell, drawn in cells.items():

@@ -15,9 +15,9 @@ class History(NamedTuple):
 
 
 def read_history(path: Path) -> History | None:
-    """None where there is no log, or nothing in it yet. A last line cut short by a kill is left out."""
+    """None where there is no log, or nothing in it yet. A line that is damaged, or cut short by a kill, is left out."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError:
         return None
     lines = []

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+import zlib
 from html import escape
 from pathlib import Path
 
@@ -20,8 +21,11 @@ def read(path: Path) -> Shown:
     """Raises `UserError` where montage.npz is missing or damaged."""
     try:
         with np.load(path) as file:
-            return dict(file)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            shown = dict(file)
+        judged = shown_kind(shown)
+        needed = ("stimulus", "pose", "move", "tap", "sheared", f"ms_ssim_{judged}", "ms_ssim_sheared")
+        return {name: shown[name] for name in needed} | shown
+    except (OSError, ValueError, KeyError, EOFError, zlib.error, zipfile.BadZipFile) as error:
         raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
 
 

@@ -22,14 +22,14 @@ def write_report(run_dir: Path) -> Path:
     run_dir = Path(run_dir)
     results = read_json(run_dir / "results.json")
     times = run_dir / "times.json"
-    if times.exists():  # it has grown since the evaluation
-        results["time_s"] |= read_json(times)
+    grown = read_json(times) if times.exists() else {}  # since the evaluation
     logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
     summaries = {name: read_json(path) for name, path in endings.items() if path.exists()}
     shown = montage.read(run_dir / "montage.npz")
     try:
+        results["time_s"] |= grown
         parts = [
             _heading(results),
             scores.headlines(results),

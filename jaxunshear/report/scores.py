@@ -35,9 +35,10 @@ def headlines(results: dict[str, Any]) -> str:
     similar, pose, pins = results["ms_ssim"], results["pose_mae"], results["pin_error"]
     name, kind = results["metric"]["ms_ssim"], shown_kind(similar)
     row, first = rows[f"ms_ssim.{kind}.overall"], rows["ms_ssim.sheared.overall"]
-    note = f"at least {row['bar']:.2f} unsheared, at most {first['bar']:.2f} sheared" if row["bar"] else ""
+    held = row["bar"] and kind != "sheared"  # a run without a network that unshears has nothing to hold against a bar
+    note = f"at least {row['bar']:.2f} unsheared, at most {first['bar']:.2f} sheared" if held else ""
     before, after = number(similar["sheared"]["overall"]), number(similar[kind]["overall"])
-    met = row["ok"] and first["ok"] if row["bar"] else None
+    met = row["ok"] and first["ok"] if held else None
     shown = [page.card(f"Likeness to the tap ({name})", before, after, note, met)]
     for quantity, label, unit in (
         ("edge_mm", "Error in distance to the edge", "mm"),
@@ -134,7 +135,11 @@ def poses(results: dict[str, Any]) -> str:
         "Mean absolute error of a PoseNet that has only learned from taps. x and yaw are ambiguous along a smooth edge; the "
         "distance to the edge and its local angle are not."
     )
-    note = f"<p class=soft>Of what the slide spoils, the {kind} network wins back: {undone or 'nothing'}.</p>"
+    note = (
+        f"<p class=soft>Of what the slide spoils, the {kind} network wins back: {undone or 'nothing'}.</p>"
+        if kind != "sheared"
+        else ""
+    )
     return page.section(
         "What a pose network reads",
         lead,
@@ -235,5 +240,5 @@ def swap(results: dict[str, Any]) -> str:
 
 def _with_interval(value: float | None, interval: list[float] | None, digits: int) -> str:
     if value is None or interval is None:
-        return number(None)
+        return number(value, digits)
     return f"{number(value, digits)} <small>[{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]</small>"

@@ -11,12 +11,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from jaxunshear.config import from_json, to_json
-from jaxunshear.dataset.configs import describe
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import TRAINABLE, Experiment, learnt_from, trained
+from jaxunshear.experiment import TRAINABLE, Experiment, trained
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep.rows import Row, needed, training_part
 from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
+from jaxunshear.training.origin import check_origin
 
 FINISHED = "summary.json"  # of a training
 NOT_FOR_DATA = ("name", "claim", "seed", "unshear", "posenet", "train", "train_posenet")
@@ -118,8 +118,9 @@ def _finished_trainings(folder: Path) -> dict[str, Path]:
         except UserError:
             continue  # of another version: its trainings are not those of today
         for network in done:
-            origin = read_json(path / network / "model.json").get("origin")
-            if origin != describe(learnt_from(experiment, network), experiment.sensor):
-                continue  # of an earlier version of the data
+            try:
+                check_origin(experiment, network, path)
+            except UserError:
+                continue  # damaged, or of an earlier version of the data: trained again where it is needed
             found.setdefault(training_part(experiment, network).name, path / network)
     return found

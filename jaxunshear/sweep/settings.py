@@ -44,12 +44,14 @@ class Sweep:
 def load_sweep(path: str | Path) -> Sweep:
     """The sweep that a Python file defines; of an ordinary experiment file, that experiment, to be run with several seeds.
 
-    Its form is checked, its values are not yet. Raises `UserError`.
+    Its form and its types are checked, its values are not yet. Raises `UserError`.
     """
     found = load_variable(path, sweep=Sweep, experiment=Experiment)
     if isinstance(found, Sweep):
         _check_form(found, str(path))
+        check_types(found.base)
         return found
+    check_types(found)
     return Sweep(name=found.name, claim=found.claim, base=found, seeds=(found.seed,))
 
 

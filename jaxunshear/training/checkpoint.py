@@ -26,7 +26,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxunshear import storage
-from jaxunshear.errors import UserError
+from jaxunshear.errors import UserError, first_line
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
 
 MODEL = "model.json"
@@ -56,7 +56,7 @@ def save(folder: Path, step: int, state: Any, record: dict[str, Any]) -> None:
         raise
     except Exception as error:  # a full disk reaches us as many types
         raise UserError(
-            f"cannot write checkpoint {part.with_suffix('')} ({_line(error)}): is the disk full?"
+            f"cannot write checkpoint {part.with_suffix('')} ({first_line(error)}): is the disk full?"
         ) from error
     for path in root.iterdir():
         if path.name not in (f"{step:08d}", f"{record['best_step']:08d}"):
@@ -128,7 +128,7 @@ def _read_weights(path: Path) -> dict[str, np.ndarray]:
             arrays = dict(file)
         intact = str(arrays.pop(DIGEST)) == _digest(arrays)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise UserError(f"{path} is damaged ({_line(error)}): install or copy these weights again") from error
+        raise UserError(f"{path} is damaged ({first_line(error)}): install or copy these weights again") from error
     if not intact:
         raise UserError(f"{path} is damaged (its digest differs): install or copy these weights again")
     return arrays
@@ -180,7 +180,7 @@ def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any
             arrays = reader.restore((path / "state").absolute())
         intact = _digest(arrays) == record["digest"]
     except Exception as error:  # whatever a damaged file makes of itself
-        raise UserError(f"checkpoint {path} is damaged ({_line(error)}): {_remedy(folder, path)}") from error
+        raise UserError(f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}") from error
     if not intact:
         raise UserError(f"checkpoint {path} is damaged (its digest differs): {_remedy(folder, path)}")
     return arrays, record
@@ -194,7 +194,7 @@ def _record(folder: Path, step: int) -> dict[str, Any]:
             raise UserError("its record is incomplete")
         return record
     except (UserError, AttributeError) as error:
-        raise UserError(f"checkpoint {path} is damaged ({_line(error)}): {_remedy(folder, path)}") from error
+        raise UserError(f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}") from error
 
 
 def _remedy(folder: Path, path: Path) -> str:
@@ -206,10 +206,6 @@ def _remedy(folder: Path, path: Path) -> str:
 
 def _path(folder: Path, step: int) -> Path:
     return Path(folder) / "checkpoints" / f"{step:08d}"
-
-
-def _line(error: Exception) -> str:
-    return (str(error).strip() or type(error).__name__).splitlines()[0][:200]
 
 
 def _named(tree: Any) -> dict[str, Any]:

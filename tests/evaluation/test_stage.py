@@ -12,6 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import reproducible
 from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.training.origin import origin_of
 
 SIZE, COUNT = 32, 6
 
@@ -48,15 +49,20 @@ class Reader:
 
 
 @pytest.fixture
-def run_dir(trained, tmp_path, monkeypatch):
-    monkeypatch.setattr(reading, "open_set", lambda spec, settings, data_dir, sensor: Reader(COUNT))
-    return shutil.copytree(trained, tmp_path / "run")
-
-
-@pytest.fixture
 def experiment():
     whole = Experiment(name="small", claim="that the stage works")
     return replace(whole, paired=replace(whole.paired, preprocess=replace(whole.paired.preprocess, size=SIZE)))
+
+
+@pytest.fixture
+def run_dir(trained, experiment, tmp_path, monkeypatch):
+    """The networks as if they had learnt from the data sets of `experiment`."""
+    monkeypatch.setattr(reading, "open_set", lambda spec, settings, data_dir, sensor: Reader(COUNT))
+    folder = shutil.copytree(trained, tmp_path / "run")
+    for network in ALL_NETWORKS:
+        path = folder / network / "model.json"
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"origin": origin_of(experiment, network)}))
+    return folder
 
 
 def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment, tmp_path):

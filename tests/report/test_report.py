@@ -1,6 +1,7 @@
 """The report from a made-up run: whole, self-contained, escaped, the same bytes again, and clear about what is missing."""
 
 import base64
+import contextlib
 import io
 import json
 import re
@@ -12,6 +13,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.errors import UserError
+from jaxunshear.report import montage
 from jaxunshear.report.history import read_history
 from jaxunshear.report.pictures import MISSING, SURPLUS, difference, png_address
 from jaxunshear.report.report import write_report
@@ -173,10 +175,61 @@ def test_results_of_another_kind_are_refused(made_up_run):
         write_report(folder)
 
 
+@pytest.mark.parametrize("text", ["{}", "[]", '{"time_s": []}'])
+def test_results_that_are_none_are_refused(made_up_run, text):
+    folder, _ = made_up_run
+    (folder / "results.json").write_text(text)
+    with pytest.raises(UserError, match=r"results\.json lacks .*evaluate"):
+        write_report(folder)
+
+
+def test_a_montage_with_a_spoilt_byte_or_a_missing_array_is_named(made_up_run):
+    folder, _ = made_up_run
+    path = folder / "montage.npz"
+    whole = path.read_bytes()
+    found = []
+    for place in range(100, len(whole), len(whole) // 40):
+        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        with contextlib.suppress(UserError):  # nothing else: a traceback would end the test
+            found.append(montage.read(path))
+    assert len(found) < 30
+    path.write_bytes(whole)
+    arrays = dict(np.load(path))
+    np.savez(path, **{name: array for name, array in arrays.items() if name != "tap"})
+    with pytest.raises(UserError, match=r"montage\.npz is missing or damaged"):
+        write_report(folder)
+
+
+def test_a_run_that_unshears_nothing_is_held_against_no_bar(made_up_run):
+    folder, results = made_up_run
+    for table in ("ms_ssim", "pose_mae", "pose_recovery", "pose_ratio", "difference", "pin_error"):
+        for kind in ("entangled", "disentangled"):
+            results[table].pop(kind, None)
+    (folder / "results.json").write_text(json.dumps(results))
+    shown = dict(np.load(folder / "montage.npz"))
+    np.savez(folder / "montage.npz", **{name: array for name, array in shown.items() if "entangled" not in name})
+    text = write_report(folder).read_text()
+    assert "passed" not in text.split("What it does")[0] and "wins back" not in text
+
+
+def test_a_figure_without_an_interval_is_still_told(made_up_run):
+    folder, results = made_up_run
+    clover = results["pose_by_stimulus"]["clover"]
+    won = clover["pose_recovery"]["disentangled"]["x_mm"]
+    clover["spread"]["pose_recovery"]["disentangled"]["x_mm"] = None
+    (folder / "results.json").write_text(json.dumps(results))
+    told = write_report(folder).read_text().split("<summary>By shape</summary>")[1].split("</details>")[0]
+    assert f"<td>{won:.2f}</td>" in told.split("clover")[1].split("</tr>")[0]
+
+
 def test_history_leaves_out_a_line_cut_short(made_up_run):
     log = made_up_run[0] / "disentangled" / "log.jsonl"
     whole = read_history(log)
     assert len(whole.epoch) == 8
+    lines = log.read_bytes().splitlines(keepends=True)
+    log.write_bytes(b"".join(lines[:3]) + lines[3][:-9] + b"\xff\n" + b"".join(lines[4:]))
+    assert len(read_history(log).epoch) == 7
+    log.write_bytes(b"".join(lines))
     log.write_text(log.read_text()[:-40])
     cut = read_history(log)
     assert cut.validation["supervised"] == whole.validation["supervised"][:7]

@@ -80,6 +80,18 @@ def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(stand_in
     assert sum(name.startswith("posenet") for name in again) == 10
 
 
+@pytest.mark.parametrize("damaged", ["{", "[]", None])
+def test_a_training_whose_model_is_damaged_is_not_used_again(stand_in, swept, steps, tmp_path, damaged):
+    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
+    swept(sweep)
+    for path in (tmp_path / "small" / "rows").glob("*/posenet/model.json"):
+        path.write_text(damaged) if damaged else path.unlink()
+    before = steps()
+    swept(replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),)))
+    again = [name for name, _ in steps() - before]
+    assert sum(name.startswith("posenet") for name in again) == 10
+
+
 def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
     sweep = replace(stand_in.SWEEP, grid=(("train.pose_weight", (0.1, 1.0)),), seeds=(0,), networks=("disentangled",))
     task = plan.data_task(tmp_path, list(rows_of(sweep, cells_of(sweep)).values()), tmp_path)

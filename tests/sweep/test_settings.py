@@ -110,11 +110,19 @@ def test_an_ordinary_experiment_is_a_sweep_of_seeds_alone():
         parse_seeds("0;1")
 
 
+IMPORTS = "from jaxunshear.experiment import Experiment\nfrom jaxunshear.sweep.settings import Sweep\n"
+
+
 def test_a_file_without_sweep_or_experiment_is_refused(tmp_path):
     path = tmp_path / "bad.py"
     for text, line in (
         ("a = 1", "bad.py defines no variable `sweep`"),
         ("sweep = {}", "bad.py: `sweep` is of type dict, not Sweep"),
+        (f'{IMPORTS}experiment = Experiment(name="a", claim="b", train=None)', "train is of type"),
+        (
+            f'{IMPORTS}sweep = Sweep(name="a", claim="b", base=Experiment(name="a", claim="b", train=3))',
+            "train is of type",
+        ),
     ):
         path.write_text(text)
         with pytest.raises(UserError, match=line):
