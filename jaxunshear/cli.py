@@ -174,7 +174,7 @@ def _run(argv: list[str]) -> int:
         arguments = _parser().parse_args(cli_checks.joined(list(words)))
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
-    check_new_file(getattr(arguments, "json", None), "--json")
+    check_new_file(getattr(arguments, "json", None))
     command = shlex.join(["jaxunshear", *argv])
     if arguments.command in STAGES:
         _stages(arguments, fields, command)
@@ -257,9 +257,7 @@ def _ablate(arguments: argparse.Namespace, command: str) -> None:
 
 def _infer(arguments: argparse.Namespace) -> None:
     from jaxunshear import infer
-    from jaxunshear.memory import keep_freed_memory
 
-    keep_freed_memory()
     if arguments.command == "unshear":
         measured = infer.unshear_recordings(arguments.path, arguments.model, arguments.out)
     else:

@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
+from jaxunshear.storage import check_beside
 
 if TYPE_CHECKING:
+    from jaxunshear.applications.servo import Walks
     from jaxunshear.experiment import Experiment
 
     Model = tuple[Path, Experiment]
@@ -147,6 +149,7 @@ def _pins(arguments: argparse.Namespace, out: Path, model: "Model | None") -> di
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
+    check_beside(arguments.path, out, "--out")
     if arguments.size is not None and not 32 <= arguments.size <= 2048:
         raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
     preprocess = Preprocess()
@@ -182,8 +185,10 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
 
     if arguments.contacts < 3:
         raise UserError(f"--contacts {arguments.contacts}: use at least 3")
-    if arguments.path is not None and not arguments.path.exists():
-        raise UserError(f"cannot read {arguments.path}: there is no such file or folder")
+    if arguments.path is not None:
+        if not arguments.path.exists():
+            raise UserError(f"cannot read {arguments.path}: there is no such file or folder")
+        check_beside(arguments.path, out, "--out")
     folder, experiment = model
     networks = unshearers(folder, unshearing_of(folder))
     lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
@@ -232,11 +237,13 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
         raise UserError(f"--depth {arguments.depth:g}: use more than 0, up to {deepest:.1f} mm")
     chosen = arguments.ways.split(",") if arguments.ways else (perception.TRUE, *perception.ways_of(folder))
     known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
-    ways = {way: known.get(way) for way in chosen}
+    ways, digests = {way: known.get(way) for way in chosen}, perception.digests(folder, chosen)
     rows: list[dict[str, Any]] = []
     for name in names:
         course = servo.Course(name, arguments.starts, arguments.depth, seed=arguments.seed)
-        walks, line = servo.follow_contour(course, experiment.sensor, experiment.paired, ways, out / f"{name}.npz")
+        walks, line = servo.follow_contour(
+            course, experiment.sensor, experiment.paired, ways, out / f"{name}.npz", digests
+        )
         rows += walk_rows(walks, line, name)
         write_bytes(out / f"{name}.png", walk_figure(walks, line, name))
         print(plain_table(rows[-len(ways) :], ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")))
@@ -264,6 +271,7 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     occupancies: dict[float, Any] = {}  # by depth
     for name in names:
         walked = stored_walks(out / f"{name}.npz")
+        _check_walks(out / f"{name}.npz", walked[1], model)
         depth = walked[0].depth_mm
         if depth not in occupancies:
             occupancies[depth] = occupancy_of(experiment, fresh_contacts(experiment, KNOWN, 1, depth))
@@ -275,6 +283,18 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     return {"rows": rows}
 
 
+def _check_walks(file: Path, walks: "Walks", model: "Model") -> None:
+    """Refuses walks that are not finished, and those of another model."""
+    from jaxunshear.applications import perception, servo
+
+    folder, experiment = model
+    if (walks.end == servo.WALKING).any():
+        raise UserError(f"{file} holds walks that are not finished: run the same `jaxunshear servo` command again")
+    ways = dict.fromkeys(walks.way.tolist())
+    if str(walks.made) != servo.made_with(experiment.sensor, experiment.paired, perception.digests(folder, ways)):
+        raise UserError(f"{file} holds walks of another model or sensor: name theirs with --model, or walk again")
+
+
 def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     import contextlib
 
@@ -283,6 +303,8 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
 
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
         raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
+    if arguments.images is not None and Path(arguments.source).exists():
+        check_beside(Path(arguments.source), arguments.images, "--images")
     folder, experiment = model
     step = step_of(folder, experiment, arguments.precision)
     frames, live = frames_of(arguments.source, arguments.fps)

@@ -87,9 +87,7 @@ def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Any]]:
     return pairs
 
 
-def split_overrides(
-    argv: Sequence[str], own: Iterable[str], flags: Iterable[str] = ("--help", "--version")
-) -> tuple[list[str], list[str]]:
+def split_overrides(argv: Sequence[str], own: Iterable[str], flags: Iterable[str]) -> tuple[list[str], list[str]]:
     """Parts a command line: what argparse reads, and every `--name value` where --name is not of `own`.
 
     No value follows `flags`.

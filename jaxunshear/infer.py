@@ -17,7 +17,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.progress import Progress
-from jaxunshear.storage import csv_text, read_json, write_bytes, write_text
+from jaxunshear.storage import check_beside, csv_text, read_json, write_bytes, write_text
 
 if TYPE_CHECKING:
     from jaxunshear.dataset.recordings import Recordings
@@ -54,7 +54,7 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
     """
     model = model_folder(model)
     experiment = _settings_for(path, model)
-    _check_out(path, out)
+    check_beside(path, out, "--out")
     recordings = _read(path, experiment)
     network = load_networks(model, experiment.pose.ranges, pose_needed=False)
     targets = _targets(recordings.names)
@@ -135,10 +135,12 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
     """
     import jax
 
+    from jaxunshear.memory import keep_freed_memory
     from jaxunshear.model import posenet, unshearnet
     from jaxunshear.model.ready import ready
     from jaxunshear.training.checkpoint import holds_model, load_best, read_net
 
+    keep_freed_memory()
     wanted = ["disentangled"]
     if pose_needed or holds_model(model / "posenet"):
         wanted.append("posenet")
@@ -168,15 +170,6 @@ def _read(path: Path, experiment: Experiment) -> "Recordings":
     from jaxunshear.dataset.recordings import read_recordings
 
     return read_recordings(path, experiment.paired.preprocess)
-
-
-def _check_out(path: Path, out: Path) -> None:
-    """Nothing is written among the recordings: a name could be theirs, and the next run would read what this one wrote."""
-    place, root = out.resolve(), path.resolve()
-    if place == root.parent if path.is_file() else place.is_relative_to(root):
-        raise UserError(f"--out {out} lies among the recordings in {path}: name another folder")
-    if out.exists() and not out.is_dir():
-        raise UserError(f"--out {out} is a file: name a folder")
 
 
 def _targets(names: tuple[str, ...]) -> list[str]:

@@ -24,7 +24,7 @@ OPTIMISERS = ("adam", "muon")
 PRECISIONS = ("float32", "bfloat16")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
-FEWEST_POSES = 5  # the smallest number that 60:20:20 splits into three non-empty parts
+FEWEST_POSES = 5  # the smallest number that 60:20:20 splits exactly
 
 
 def limits(experiment: Experiment) -> Iterator[Rule]:
@@ -55,6 +55,8 @@ def _tests(experiment: Experiment) -> Iterator[Rule]:
     seen = ", ".join(name for name in experiment.unseen if name in trained)
     yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
     yield len(set(experiment.unseen)) == len(experiment.unseen), "unseen", "name each stimulus once"
+    jitters = [f"{jitter:g}" for jitter in experiment.other_jitters_mm]  # they name their tests
+    yield len(set(jitters)) == len(jitters), "other_jitters_mm", "name each once"
     for jitter in experiment.other_jitters_mm:
         data = replace(experiment.paired, tap_depth_jitter_mm=jitter)
         for holds, _, remedy in _jitter(data, experiment.sensor):
@@ -192,6 +194,7 @@ def _preprocess(preprocess: Preprocess, group: str, camera: Camera) -> Iterator[
     )
     yield 0 < preprocess.block <= 1, f"{group}.block", "use a fraction of the image above 0, at most 1"
     yield -1 < preprocess.offset < 1, f"{group}.offset", "use a fraction of full scale between -1 and 1"
+    yield 0 < preprocess.outer_pins <= 0.5, f"{group}.outer_pins", "use a fraction of the image above 0, at most 0.5"
     yield 0 < preprocess.mask_radius <= 1, f"{group}.mask_radius", "use a fraction of the image above 0, at most 1"
 
 

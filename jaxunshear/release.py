@@ -40,13 +40,14 @@ def release(run_dir: Path, out: Path) -> Path:
         text, settings = card(results, out.name), settings | {"name": out.name}  # not a sweep's row
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
+    names = [name for name in PARTS if name in NEEDED or holds_model(run_dir / name)]
+    for name in names:
+        read_net(run_dir / name)  # refuses a damaged one
+    variables = {name: load_best(run_dir / name) for name in names}
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
-    for name, modules in PARTS.items():
-        if name not in NEEDED and not holds_model(run_dir / name):
-            continue
-        write_weights(part / name, load_best(run_dir / name), modules)
-        read_net(run_dir / name)  # refuses a damaged one
+    for name in names:
+        write_weights(part / name, variables[name], PARTS[name])
         model = read_json(run_dir / name / MODEL)
         write_json(part / name / MODEL, {"kind": model["kind"], "net": model["net"]})
     write_json(part / "experiment.json", settings)

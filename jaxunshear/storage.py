@@ -10,6 +10,8 @@ import errno
 import io
 import json
 import os
+import zipfile
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +25,27 @@ def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
     return UserError(f"cannot {verb} {path}: {error.strerror or error}")
 
 
-def check_new_file(path: Path | None, option: str) -> None:
-    """Refuses, before there is work to lose, a file to be written that is a folder."""
-    if path is not None and Path(path).is_dir():
-        raise UserError(f"{option} {path} is a folder: name a file")
+BROKEN_NPZ = (OSError, ValueError, EOFError, KeyError, RuntimeError, zlib.error, zipfile.BadZipFile)  # of np.load
+
+
+def check_new_file(path: Path | None) -> None:
+    """Refuses, before there is work to lose, a --json file that is a folder or lies in a file."""
+    if path is None:
+        return
+    if Path(path).is_dir():
+        raise UserError(f"--json {path} is a folder: name a file")
+    above = next((folder for folder in Path(path).absolute().parents if folder.exists()), None)
+    if above is not None and not above.is_dir():
+        raise UserError(f"--json {path}: {above} is a file: name a file in a folder")
+
+
+def check_beside(recordings: Path, out: Path, option: str) -> None:
+    """Refuses to write among the recordings: a name could be theirs, and the next run would read what this one wrote."""
+    place, root = out.resolve(), recordings.resolve()
+    if place == root.parent if recordings.is_file() else place.is_relative_to(root):
+        raise UserError(f"{option} {out} lies among the recordings in {recordings}: name another folder")
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{option} {out} is a file: name a folder")
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -71,6 +71,8 @@ BAD_FIELDS = [
     ("--paired.preprocess.size 512", "larger than the camera's frame"),
     ("--paired.preprocess.size 0", "at least 16 px"),
     ("--paired.preprocess.block 0", "--paired.preprocess.block"),
+    ("--paired.preprocess.outer_pins 0", "--paired.preprocess.outer_pins"),
+    ("--other_jitters_mm 1,1.0", "name each once"),
     (
         "--paired.preprocess.size 72 --unshear.size 72 --pose.preprocess.size 72 --posenet.size 72",
         "not divisible by 32",

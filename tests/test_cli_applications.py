@@ -28,7 +28,7 @@ def experiment(size):
     )
 
 
-def run_of(folder, size):
+def run_of(folder, size, seed=0):
     """A run with networks that have learnt nothing."""
     from jaxunshear.config import to_json
     from jaxunshear.model import posenet, unshearnet
@@ -36,7 +36,7 @@ def run_of(folder, size):
 
     small, run = experiment(size), folder / "small"
     write_json(run / "experiment.json", to_json(small))
-    trained(run / "disentangled", "unshear", small.unshear, init(unshearnet, small.unshear, 0))
+    trained(run / "disentangled", "unshear", small.unshear, init(unshearnet, small.unshear, seed))
     trained(run / "posenet", "posenet", small.posenet, init(posenet, small.posenet, 1))
     return run
 
@@ -100,6 +100,31 @@ def test_servo_then_reconstruct(command, tmp_path, monkeypatch, model):
     found = json.loads((out / "reconstruct.json").read_text())
     assert len(found["rows"]) == 3 and all(0 <= row["iou"] < 0.3 for row in found["rows"])
     assert (out / "disk-object.png").is_file()
+    course, walks = servo.stored_walks(out / "disk.npz")
+    walks.end[0] = servo.WALKING
+    servo._store(out / "disk.npz", course, walks)
+    answer = command("reconstruct", *words)
+    assert answer.code == 2 and "not finished" in answer.err
+    other = run_of(tmp_path, 128, seed=1)
+    answer = command("servo", "--model", other, *words[2:], "--starts", 1)
+    assert answer.code == 2 and "another model or sensor" in answer.err
+
+
+def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch, model):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "images").mkdir()
+    Image.fromarray(np.zeros((64, 64), np.uint8)).save(tmp_path / "images" / "000000.png")
+    kept = (tmp_path / "images" / "000000.png").read_bytes()
+    for words in (
+        ("pins", "."),
+        ("pins", "images", "--out", "images/new"),
+        ("geometry", "images", "--out", "images", "--model", model),
+        ("stream", "images", "--images", "images", "--model", model),
+    ):
+        answer = command(*words)
+        assert answer.code == 2 and "lies among the recordings" in answer.err, words
+    assert [path.name for path in tmp_path.rglob("*")] == ["images", "000000.png"]
+    assert (tmp_path / "images" / "000000.png").read_bytes() == kept
 
 
 def test_geometry_scores_and_draws(command, tmp_path, model):

@@ -65,3 +65,6 @@ def test_a_calibration_writes_statistics_and_parameters(tmp_path, monkeypatch):
 def test_a_folder_cannot_be_the_file_of_rows(tmp_path, capsys):
     assert main(["verify", "--json", str(tmp_path)]) == 2
     assert "is a folder" in capsys.readouterr().err
+    (tmp_path / "file").touch()
+    assert main(["verify", "--json", str(tmp_path / "file" / "deeper" / "rows.json")]) == 2
+    assert f"{tmp_path / 'file'} is a file" in capsys.readouterr().err

@@ -4,7 +4,7 @@
 >>> edge_mm, edge_deg = perceive(images)                       # (B, S, S) uint8 of {0, 255} -> (B,) each
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from jaxunshear.model import posenet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import unshear
-from jaxunshear.training.checkpoint import holds_model, load_best, read_net
+from jaxunshear.training.checkpoint import digest_of, holds_model, load_best, read_net
 
 TRUE = "true"  # the pose that the simulator knows
 WAYS = {  # name: the networks it runs, the last of them a PoseNet
@@ -53,6 +53,11 @@ def perceptions(model: Path, experiment: Experiment, ways: tuple[str, ...]) -> d
     if unknown:
         raise UserError(f"perception '{unknown[0]}' is unknown: use {TRUE}, {', '.join(WAYS)}")
     return {way: _perception(model, experiment, way) for way in ways}
+
+
+def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
+    """Of the networks of each of `ways`; that of the true pose has none. Raises `UserError` where a network is missing."""
+    return {way: " ".join(digest_of(model / name) for name in WAYS.get(way, ())) for way in ways}
 
 
 def unshearers(model: Path, names: tuple[str, ...]) -> dict[str, Unshear]:

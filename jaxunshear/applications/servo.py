@@ -7,13 +7,14 @@ Read `_take_step` first: contact -> image -> perception -> controller -> next wa
 """
 
 import dataclasses
+import hashlib
 import io
 import json
 import time
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.sensor import Sensor
 from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_named
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 LOST_MM = 8.0  # from the edge: farther than any network has seen
 WINDOW_MM = 3.0  # along the outline, in which a sensor is looked for after a step
@@ -76,6 +77,7 @@ class Walks:
     perceive_s: np.ndarray  # (W,) spent so far
     simulate_s: np.ndarray  # () spent so far
     steps: np.ndarray  # () done
+    made: np.ndarray  # () text: `made_with`
 
 
 def follow_contour(
@@ -84,14 +86,17 @@ def follow_contour(
     settings: PairedData,
     ways: Mapping[str, Perceive | None],
     file: Path,
+    digests: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Walks, Outline]:
     """Walks from every start by every way of perceiving (None: the true pose), until each has closed the outline or come to grief.
 
     `settings` say how camera and image are. The walks are kept in `file` now and then, and in the end; the same call goes on from there.
+    `digests` of the networks of each way tell walks of other networks apart.
     """
     stimulus = stimulus_named(course.stimulus)
     line = outline(stimulus)
-    walks = _stored(file, course, tuple(ways)) or _at_starts(course, line, tuple(ways), settings)
+    made = made_with(sensor, settings, digests)
+    walks = _stored(file, course, tuple(ways), made) or _at_starts(course, line, tuple(ways), settings, made)
     total = walks.point.shape[1]
     steer, tell = jax.jit(control, static_argnums=0), _teller(stimulus)
     with Progress(f"servo {course.stimulus}", total, "steps", done=int(walks.steps)) as progress:
@@ -106,6 +111,13 @@ def follow_contour(
     return walks, line
 
 
+def made_with(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) -> str:
+    """A digest of all but the course that decides walks: the sensor, how images are made of it, and the networks of each way."""
+    seen = {name: dataclasses.asdict(getattr(settings, name)) for name in ("camera", "nuisance", "preprocess")}
+    whole = {"sensor": dataclasses.asdict(sensor), **seen, "friction": settings.friction, "networks": dict(digests)}
+    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:16]
+
+
 def first_points(course: Course, line: Outline) -> np.ndarray:
     """(starts, 3) x, y, yaw: evenly around the outline, then off it and turned by random amounts."""
     generator = np.random.default_rng([course.seed, 5])
@@ -117,7 +129,7 @@ def first_points(course: Course, line: Outline) -> np.ndarray:
     return np.column_stack([line.points[place] + aside[:, None] * normal, yaw + turned])
 
 
-def _at_starts(course: Course, line: Outline, ways: tuple[str, ...], settings: PairedData) -> Walks:
+def _at_starts(course: Course, line: Outline, ways: tuple[str, ...], settings: PairedData, made: str) -> Walks:
     count = len(ways) * course.starts
     total = int(np.ceil(PATIENCE * line.length / course.gains.step_mm))
     size = settings.preprocess.size
@@ -143,6 +155,7 @@ def _at_starts(course: Course, line: Outline, ways: tuple[str, ...], settings: P
         perceive_s=zero.copy(),
         simulate_s=np.array(0.0),
         steps=np.array(0),
+        made=np.array(made),
     )
 
 
@@ -259,7 +272,7 @@ def stored_walks(file: Path) -> tuple[Course, Walks]:
             kept = dict(stored)
         asked = json.loads(str(kept.pop("course")))
         return Course(**asked | {"gains": Gains(**asked["gains"])}), Walks(**kept)
-    except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except (*BROKEN_NPZ, TypeError) as error:
         raise UserError(f"{file} cannot be read ({error}): delete it and run the same command again") from error
 
 
@@ -269,10 +282,12 @@ def _store(file: Path, course: Course, walks: Walks) -> None:
     write_bytes(file, buffer.getvalue())
 
 
-def _stored(file: Path, course: Course, ways: tuple[str, ...]) -> Walks | None:
+def _stored(file: Path, course: Course, ways: tuple[str, ...], made: str) -> Walks | None:
     if not file.exists():
         return None
     before, walks = stored_walks(file)
     if before != course or tuple(dict.fromkeys(walks.way.tolist())) != ways:
         raise UserError(f"{file} holds walks with other settings: give another --out, or delete it")
+    if str(walks.made) != made:
+        raise UserError(f"{file} holds walks of another model or sensor: give another --out, or delete it")
     return walks

@@ -73,39 +73,46 @@ def stream(
 ) -> dict[str, Any]:
     """Writes a line for each frame to `out`, and returns a summary: frames used, skipped and dropped, latencies.
 
-    `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead.
+    `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. A live source also ends by Ctrl-C, or
+    when its camera is lost.
     """
     whole, networks, confident, skipped, last, missed = [], [], [], 0, -1, 0
     problems: dict[str, int] = {}
     began = time.perf_counter()
-    for frame in frames:
-        came = time.perf_counter()
-        missed += frame.number - last - 1
-        last = frame.number
-        line: dict[str, Any] = {"frame": frame.number, "name": frame.name}
-        try:
-            if frame.pixels is None:
-                raise UserError(frame.problem)
-            image = prepare_frame(experiment.paired.preprocess, frame.pixels)
-            if not image.any():
-                raise UserError("nothing white is left of this frame: no pins to see")
-            asked = time.perf_counter()
-            after, pose, sure = step(image)
-            answered = time.perf_counter()
-        except UserError as error:
-            skipped += 1
-            problems[str(error)] = problems.get(str(error), 0) + 1
-            _write(out, line | {"error": str(error)})
-            continue
-        line |= {name: round(value, 4) for name, value in pose.items()} | {"confidence": round(sure, 4)}
-        if images is not None:
-            line["image"] = _save(images, frame, after)
-        elif inline:
-            line["image_png"] = base64.b64encode(png(eight_bit(after), FAST)).decode()
-        networks.append(1e3 * (answered - asked))
-        whole.append(1e3 * (time.perf_counter() - came))
-        confident.append(sure)
-        _write(out, line | {"ms": round(whole[-1], 3)})
+    try:
+        for frame in frames:
+            came = time.perf_counter()
+            missed += frame.number - last - 1
+            last = frame.number
+            line: dict[str, Any] = {"frame": frame.number, "name": frame.name}
+            try:
+                if frame.pixels is None:
+                    raise UserError(frame.problem)
+                image = prepare_frame(experiment.paired.preprocess, frame.pixels)
+                if not image.any():
+                    raise UserError("nothing white is left of this frame: no pins to see")
+                asked = time.perf_counter()
+                after, pose, sure = step(image)
+                answered = time.perf_counter()
+            except UserError as error:
+                skipped += 1
+                problems[str(error)] = problems.get(str(error), 0) + 1
+                _write(out, line | {"error": str(error)})
+                continue
+            line |= {name: round(value, 4) for name, value in pose.items()} | {"confidence": round(sure, 4)}
+            if images is not None:
+                line["image"] = _save(images, frame, after)
+            elif inline:
+                line["image_png"] = base64.b64encode(png(eight_bit(after), FAST)).decode()
+            networks.append(1e3 * (answered - asked))
+            whole.append(1e3 * (time.perf_counter() - came))
+            confident.append(sure)
+            _write(out, line | {"ms": round(whole[-1], 3)})
+    except (KeyboardInterrupt, UserError) as end:  # a camera ends in no other way
+        if not live or not whole:
+            raise
+        if isinstance(end, UserError):
+            problems[str(end)] = 1
     used = len(whole)
     return {
         "frames": used + skipped + missed,

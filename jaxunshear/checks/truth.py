@@ -6,7 +6,6 @@ A stored answer is used only for the same scenes, sensor, level, versions and so
 import hashlib
 import io
 import json
-import zipfile
 from dataclasses import asdict
 from importlib.resources import files
 
@@ -20,7 +19,7 @@ from jaxunshear.metrics.machine import versions
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.sensor import Sensor
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 
 def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> np.ndarray:
@@ -31,7 +30,7 @@ def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Lev
             pins = stored["pins"]
         if pins.shape == (len(scenes), sensor.pins, 3) and np.isfinite(pins).all():
             return pins
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except BROKEN_NPZ:
         pass  # not there, or damaged: only a lost shortcut
     with Progress("reference", len(scenes), unit="contacts") as progress:
         contacts = simulate(sensor, names, scenes, level, retry=False, progress=progress)

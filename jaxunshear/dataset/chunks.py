@@ -5,8 +5,6 @@ What disturbs an image depends on the seed and the contact's number alone, neith
 
 import functools
 import io
-import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +17,7 @@ from jaxunshear.dataset.shots import Shots
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.sensor import Sensor
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 RENDER = 16  # images rendered at once: one shape to compile, little memory
 
@@ -98,7 +96,7 @@ def load_chunk(path: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(path) as file:
             return dict(file)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except BROKEN_NPZ as error:
         raise UserError(f"chunk {path} cannot be read ({error}): delete it and run the same command again") from error
 
 

@@ -5,6 +5,7 @@ import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.errors import UserError
@@ -71,9 +72,18 @@ def describe(settings: PairedData | PoseData, sensor: Sensor) -> dict:
     return json.loads(json.dumps(whole))
 
 
+def floats(thing: Any) -> Any:
+    """Numbers as floats: 1 and 1.0 are the same setting."""
+    if isinstance(thing, dict):
+        return {name: floats(value) for name, value in thing.items()}
+    if isinstance(thing, list | tuple):
+        return [floats(value) for value in thing]
+    return float(thing) if isinstance(thing, int) and not isinstance(thing, bool) else thing
+
+
 def fingerprint(settings: PairedData | PoseData, sensor: Sensor) -> str:
     """Eight hexadecimal digits of `describe`."""
-    text = json.dumps(describe(settings, sensor), sort_keys=True)
+    text = json.dumps(floats(describe(settings, sensor)), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 

@@ -21,7 +21,13 @@ def read_metadata(settings: PairedData | PoseData, sensor: Sensor, data_dir: Pat
     folder = configs.set_folder(settings, sensor, data_dir)
     if not folder.exists():
         raise UserError(f"there is no data set in {folder}: make it with `jaxunshear data`")
-    metadata = read_json(folder / "metadata.json")
+    remedy = f"delete {folder} and run `jaxunshear data` again"
+    try:
+        metadata = read_json(folder / "metadata.json")
+    except UserError as error:
+        raise UserError(f"the data set in {folder} is damaged (metadata.json): {remedy}") from error
+    if not isinstance(metadata, dict) or not isinstance(metadata.get("counts"), dict):
+        raise UserError(f"the data set in {folder} is damaged (metadata.json): {remedy}")
     wanted = configs.describe(settings, sensor)
     changed = configs.differences({key: metadata.get(key) for key in wanted}, wanted)
     if changed:

@@ -24,9 +24,9 @@ from jaxunshear.dataset.configs import set_folder, set_name
 from jaxunshear.dataset.making import read_metadata
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import SPLITS
-from jaxunshear.errors import UserError
+from jaxunshear.errors import UserError, first_line
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
-from jaxunshear.storage import os_error, read_json
+from jaxunshear.storage import read_json
 
 MEMORY_BYTES = 1 << 30
 IMAGES = ("image", "canonical", "sheared")
@@ -103,8 +103,12 @@ class SetReader:
         _check_shards(self.folder, split)
         try:
             return _read_rows(self.folder, split, count)
-        except OSError as error:
-            raise os_error(self.folder, error, "read") from error
+        except UserError:
+            raise
+        except Exception as error:  # whatever a damaged file makes of itself
+            raise UserError(
+                f"the data set in {self.folder} is damaged ({first_line(error)}): {_remedy(self.folder)}"
+            ) from error
 
 
 def shifted(example: Batch, columns: int, rows: int) -> Batch:
@@ -133,12 +137,19 @@ def _siblings(rows: Batch) -> list[np.ndarray]:
     return [members[index] for index in group]
 
 
+def _remedy(folder: Path) -> str:
+    return f"delete {folder} and run `jaxunshear data` again"
+
+
 def _check_shards(folder: Path, split: str) -> None:
     """Compares every shard of a split with its checksum from when it was written."""
     from data_specs.simulated_set import MANIFEST, sha256
 
-    remedy = f"delete {folder} and run `jaxunshear data` again"
-    sums = read_json(folder / MANIFEST)
+    remedy = _remedy(folder)
+    try:
+        sums = read_json(folder / MANIFEST)
+    except UserError as error:
+        raise UserError(f"the data set in {folder} is damaged ({MANIFEST}): {remedy}") from error
     for name in sorted(name for name in sums if f"-{split}." in name):
         path = folder / name
         if not path.exists():

@@ -12,6 +12,7 @@ not needed is noted, not fatal.
 import contextlib
 import csv
 import json
+import os
 import re
 import struct
 from collections.abc import Iterator
@@ -56,9 +57,11 @@ class Recordings:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The images' places below `path`, with slashes: unique."""
+        """The images' places below `path`, with slashes: unique. Bytes that are no UTF-8 as they are escaped in Python: names go to
+        tables."""
         root = self.path if self.path.is_dir() else self.path.parent
-        return tuple(file.relative_to(root).as_posix() for file in self.files)
+        names = (os.fsencode(file.relative_to(root).as_posix()) for file in self.files)
+        return tuple(name.decode("utf-8", "backslashreplace") for name in names)
 
     def frames(self, box: Box | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
         """(row of `poses`, name, image (S, S) uint8 of {0, 255}), all cropped to `box`, or each for itself.
@@ -147,7 +150,9 @@ def _images(folder: Path) -> list[Path]:
     images = (
         p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith(".") and p.is_file()
     )
-    return sorted(images, key=lambda p: [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", p.name)])
+    return sorted(
+        images, key=lambda p: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", p.name)]
+    )
 
 
 def _check_json(folder: Path, notes: list[str]) -> None:

@@ -15,10 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from scipy import ndimage
-from scipy.spatial import ConvexHull
-from skimage.filters import threshold_local, threshold_otsu
+from scipy.spatial import ConvexHull, QhullError
+from skimage.filters import threshold_otsu
 from skimage.measure import label
-from skimage.transform import resize_local_mean
 
 from jaxunshear.errors import UserError
 from jaxunshear.image.pins import in_company
@@ -32,14 +31,6 @@ def binarise(preprocess: Preprocess, grey: Array) -> Array:
     """Square grey crops (..., H, H) in [0, 1] -> binary images (..., S, S) uint8 of {0, 255}."""
     _check_square(grey.shape)
     return _binarise(jnp, _jax_matmul, preprocess, jnp.asarray(grey, jnp.float32))
-
-
-def binarise_reference(preprocess: Preprocess, grey: np.ndarray) -> np.ndarray:
-    """The same for one (H, H) crop by scikit-image, in the order of published pipelines: what `binarise` must agree with."""
-    _check_square(grey.shape)
-    small = resize_local_mean(np.asarray(grey, np.float64), (preprocess.size, preprocess.size))
-    threshold = threshold_local(small, _block_px(preprocess), method="mean", offset=-preprocess.offset, mode="reflect")
-    return ((small > threshold) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
 
 
 def _binarise(xp, matmul, preprocess: Preprocess, grey):
@@ -132,8 +123,8 @@ def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
 
     Resampling costs a binary image its edges, so a framing that is near enough stays.
     """
-    pins = _fit_circle(_pin_outline(grey > 0.5))
-    if pins is None or pins.off > 0.1 * pins.radius or abs(pins.radius / outer_pins / min(grey.shape) - 1) < 0.12:
+    pins = _pin_circle(grey > 0.5)
+    if pins is None or abs(pins.radius / outer_pins / min(grey.shape) - 1) < 0.12:
         return _middle(grey.shape)
     return _square(pins.row, pins.column, pins.radius / outer_pins)
 
@@ -184,10 +175,8 @@ def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
     if disc is not None and 0.15 * smallest < disc.radius < 0.75 * smallest and disc.off < 0.05 * disc.radius:
         return _square(disc.row, disc.column, disc.radius * OUTER_PINS_OF_DISC / outer_pins)
     window = 2 * (smallest // 14) + 1
-    pins = _fit_circle(_pin_outline(grey > ndimage.uniform_filter(grey, window) + 0.1))
-    if pins is not None and 0.1 * smallest < pins.radius < 0.75 * smallest and pins.off < 0.1 * pins.radius:
-        return _square(pins.row, pins.column, pins.radius / outer_pins)
-    return _middle(grey.shape)
+    pins = _pin_circle(grey > ndimage.uniform_filter(grey, window) + 0.1)
+    return _middle(grey.shape) if pins is None else _square(pins.row, pins.column, pins.radius / outer_pins)
 
 
 def _disc_rim(grey: np.ndarray) -> np.ndarray:
@@ -201,6 +190,14 @@ def _disc_rim(grey: np.ndarray) -> np.ndarray:
     return np.argwhere(rim).astype(float)
 
 
+def _pin_circle(white: np.ndarray) -> "_Circle | None":
+    """Through the outermost of the white dots (H, W), where they lie on one of a believable size."""
+    pins, smallest = _fit_circle(_pin_outline(white)), min(white.shape)
+    if pins is None or not 0.1 * smallest < pins.radius < 0.75 * smallest or pins.off > 0.1 * pins.radius:
+        return None
+    return pins
+
+
 def _pin_outline(white: np.ndarray) -> np.ndarray:
     """Outermost of the white dots of the usual size (H, W), (N, 2) px as (row, column)."""
     parts = label(white, connectivity=1)
@@ -211,7 +208,12 @@ def _pin_outline(white: np.ndarray) -> np.ndarray:
     dots = 1 + np.flatnonzero((area > 0.4 * typical) & (area < 2.5 * typical))
     centres = np.array(ndimage.center_of_mass(white, parts, dots))
     centres = centres[in_company(centres)]
-    return centres[ConvexHull(centres).vertices] if len(centres) >= 20 else np.zeros((0, 2))
+    if len(centres) < 20:
+        return np.zeros((0, 2))
+    try:
+        return centres[ConvexHull(centres).vertices]
+    except QhullError:  # all on one line: no outline to speak of
+        return np.zeros((0, 2))
 
 
 class _Circle(NamedTuple):

@@ -1,8 +1,6 @@
 """Sheared, unsheared and tapped images side by side: for the report, and as one picture."""
 
 import io
-import zipfile
-import zlib
 from html import escape
 from pathlib import Path
 
@@ -12,6 +10,7 @@ from matplotlib.figure import Figure
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, pictures
+from jaxunshear.storage import BROKEN_NPZ
 
 HEADS = ("sheared (input)", "unsheared", "tap (truth)", "sheared against tap", "unsheared against tap")
 Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
@@ -25,7 +24,7 @@ def read(path: Path) -> Shown:
         judged = shown_kind(shown)
         needed = ("stimulus", "pose", "move", "tap", "sheared", f"ms_ssim_{judged}", "ms_ssim_sheared")
         return {name: shown[name] for name in needed} | shown
-    except (OSError, ValueError, KeyError, EOFError, zlib.error, zipfile.BadZipFile) as error:
+    except BROKEN_NPZ as error:
         raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
 
 

@@ -15,7 +15,7 @@ from itertools import zip_longest
 from typing import Any
 
 from jaxunshear.config import replaced, show, to_json, validate
-from jaxunshear.dataset.configs import VERSION
+from jaxunshear.dataset.configs import VERSION, floats
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
@@ -166,17 +166,8 @@ def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experimen
 
 
 def _digest(thing: Any) -> str:
-    text = json.dumps(_floats(thing) | {"data": VERSION}, sort_keys=True)
+    text = json.dumps(floats(thing) | {"data": VERSION}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
-
-
-def _floats(thing: Any) -> Any:
-    """Numbers as floats: 1 and 1.0 are the same setting."""
-    if isinstance(thing, dict):
-        return {name: _floats(value) for name, value in thing.items()}
-    if isinstance(thing, list | tuple):
-        return [_floats(value) for value in thing]
-    return float(thing) if isinstance(thing, int) and not isinstance(thing, bool) else thing
 
 
 def _some(cells: list[Cell]) -> str:

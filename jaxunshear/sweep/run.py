@@ -2,8 +2,6 @@
 the rows' own processes need the device."""
 
 import itertools
-import zipfile
-import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.report.frontier_figure import frontier_figure
 from jaxunshear.report.sweep_figure import sweep_figure
-from jaxunshear.storage import os_error, write_bytes, write_json
+from jaxunshear.storage import BROKEN_NPZ, os_error, write_bytes, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.engines import Engine, serial
 from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
@@ -90,7 +88,7 @@ def _read_scores(path: Path) -> dict[str, np.ndarray]:
             return dict(scores)
     except OSError as error:
         raise os_error(path, error, "read") from error
-    except (ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except BROKEN_NPZ as error:
         raise UserError(f"{path} is damaged ({error}): delete {path.parent} and run the same command") from error
 
 

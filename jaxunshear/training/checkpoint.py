@@ -14,8 +14,6 @@ import dataclasses
 import hashlib
 import io
 import shutil
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -107,6 +105,11 @@ def load_best(folder: Path) -> dict[str, Any]:
     return _tree(kept)
 
 
+def digest_of(folder: Path) -> str:
+    """Of the variables that `load_best` gives: equal ones have equal digests. Raises UserError."""
+    return _digest(_named(load_best(folder)))
+
+
 def write_weights(folder: Path, variables: dict[str, Any], modules: Sequence[str] = ()) -> None:
     """Writes the arrays of `variables` to weights.npz in `folder`; with `modules` named, those of these parts of the network.
 
@@ -127,7 +130,7 @@ def _read_weights(path: Path) -> dict[str, np.ndarray]:
         with np.load(path) as file:
             arrays = dict(file)
         intact = str(arrays.pop(DIGEST)) == _digest(arrays)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except storage.BROKEN_NPZ as error:
         raise UserError(f"{path} is damaged ({first_line(error)}): install or copy these weights again") from error
     if not intact:
         raise UserError(f"{path} is damaged (its digest differs): install or copy these weights again")

@@ -11,7 +11,7 @@ from jaxunshear.applications.servo import CLOSED, LATE, LOST, Course, first_poin
 from jaxunshear.applications.walk_scores import seen_edge, walk_rows
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331
 from jaxunshear.scene.stimuli import STIMULI, Stimulus, disk
 
 SETTINGS = PairedData()
@@ -90,3 +90,17 @@ def test_starts_are_spread_and_the_same_for_a_seed():
     assert not np.array_equal(points, first_points(Course("disk", starts=4, seed=1), line))
     apart = np.linalg.norm(points[:, None, :2] - points[None, :, :2], axis=-1) + 1e3 * np.eye(4)
     assert apart.min() > 60
+
+
+def test_walks_of_other_networks_or_another_sensor_are_not_taken_for_these(short, tmp_path):
+    file = tmp_path / "disk.npz"
+    follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, file, {"true": "a"})
+    follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, file, {"true": "a"})
+    smaller = dataclasses.replace(SETTINGS, preprocess=dataclasses.replace(SETTINGS.preprocess, size=64))
+    for sensor, settings, digest in (
+        (TACTIP_331, SETTINGS, "b"),
+        (TACTIP_127, SETTINGS, "a"),
+        (TACTIP_331, smaller, "a"),
+    ):
+        with pytest.raises(UserError, match="another model or sensor"):
+            follow_contour(COURSE, sensor, settings, WAYS, file, {"true": digest})

@@ -117,3 +117,16 @@ def test_confidence_of_crisp_grey_and_black():
     assert confidence(np.float32(dots() / 255)[..., None]) == pytest.approx(1)
     assert confidence(np.full((8, 8, 1), 0.5, np.float32)) == pytest.approx(0.5)
     assert confidence(np.zeros((8, 8, 1), np.float32)) == 0
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt(), UserError("camera 0 gave no frame 30 times in a row")])
+def test_a_camera_ends_by_a_key_or_a_pulled_plug_with_its_summary(end):
+    def camera():
+        yield Frame(0, "a", dots(), "")
+        raise end
+
+    summary, lines = run(camera(), live=True)
+    assert summary["used"] == len(lines) == 1 and summary["latency_ms"]
+    assert list(summary["problems"]) == [str(end)] * isinstance(end, UserError)
+    with pytest.raises(type(end)):
+        run(camera(), live=False)

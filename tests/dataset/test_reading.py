@@ -176,10 +176,13 @@ def test_a_damaged_shard_is_named_with_the_remedy(damage, made):
     assert made.length("test") == sum(len(batch["pose"]) for batch in made.split("test", 4))  # the others still read
 
 
-@pytest.mark.parametrize("name", ["metadata.json", "shards.json"])
-def test_broken_json_is_named(name, made, paired, sensor, tmp_path):
-    (made.folder / name).write_text('{"set": ')
-    with pytest.raises(UserError, match=name):
+@pytest.mark.parametrize("name", ["metadata.json", "shards.json", "features.json", "dataset_info.json"])
+@pytest.mark.parametrize("text", ['{"set": ', "[]", None])
+def test_broken_json_is_told_with_the_remedy(name, text, made, paired, sensor, tmp_path):
+    if (name, text) == ("shards.json", "[]"):
+        pytest.skip("no sums, nothing to hold shards against")
+    (made.folder / name).write_text(text) if text else (made.folder / name).unlink()
+    with pytest.raises(UserError, match=r"is damaged .*: delete .*`jaxunshear data` again"):
         next(open_set("tactip_paired", paired, tmp_path, sensor).split("test", 4))
 
 

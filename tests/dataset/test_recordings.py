@@ -1,6 +1,8 @@
 """Every layout of recordings, whole and broken, written by the test."""
 
 import csv
+import os
+import shutil
 import subprocess
 import sys
 
@@ -164,3 +166,12 @@ def test_real_recordings(real_recordings, tmp_path):
     newer = read_recordings(real_recordings / "surface_3d_sample", PREPROCESS)
     assert np.isfinite(newer.poses).all()
     assert len(list(newer.frames())) == 40
+
+
+def test_names_that_no_encoding_or_number_suits(tmp_path):
+    """Latin-1 bytes of an old archive, and a digit that is no decimal."""
+    write_images(tmp_path / "a", ["a.png", "\u00b25.png"])
+    shutil.copy(tmp_path / "a" / "a.png", os.fsencode(tmp_path) + b"/a/caf\xe9.png")
+    recordings = read_recordings(tmp_path / "a", PREPROCESS)
+    assert set(recordings.names) == {"a.png", "caf\\xe9.png", "\u00b25.png"}
+    assert len("".join(recordings.names).encode()) and len(list(recordings.frames())) == 3

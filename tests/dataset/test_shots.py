@@ -135,6 +135,12 @@ def test_changed_settings_have_a_name_of_their_own():
     assert all(name.startswith("custom-") and len(name) == 15 for name in names)
 
 
+def test_a_whole_number_and_its_float_are_one_setting():
+    """A file says 4, the command line 4.0."""
+    whole, real = (dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=side)) for side in (4, 4.0))
+    assert config_name(whole) == config_name(real)
+
+
 def test_the_paper_configuration_has_the_papers_counts():
     paired, pose = PAIRED["paper"], POSE["paper"]
     assert 3 * paired.poses * paired.taps == 30_000

@@ -4,17 +4,28 @@ import jax
 import numpy as np
 import pytest
 from PIL import Image
+from skimage.filters import threshold_local
+from skimage.transform import resize_local_mean
 
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import frame, outer_fraction, project, to_image_px
 from jaxunshear.image.pins import find_pins
-from jaxunshear.image.preprocess import binarise, binarise_reference, crop, find_dome, prepare_frame, to_grey
+from jaxunshear.image.preprocess import _reframed, binarise, crop, find_dome, prepare_frame, to_grey
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.metrics.pins import pin_error
 from jaxunshear.scene.sensor import TACTIP_331, pin_tips
 
 CAMERA = Camera()
 SIZES = pytest.mark.parametrize("size", [128, 256])
+
+
+def binarise_reference(preprocess, grey):
+    """`binarise` of one (H, H) crop by scikit-image, in the order of published pipelines: what it must agree with."""
+    small = resize_local_mean(np.asarray(grey, np.float64), (preprocess.size, preprocess.size))
+    block = 2 * round(preprocess.block * preprocess.size / 2) + 1
+    threshold = threshold_local(small, block, method="mean", offset=-preprocess.offset, mode="reflect")
+    away = np.hypot(*(np.mgrid[: preprocess.size, : preprocess.size] + 0.5 - preprocess.size / 2))
+    return ((small > threshold) & (away <= preprocess.mask_radius * preprocess.size)).astype(np.uint8) * np.uint8(255)
 
 
 def pressed(seed):
@@ -190,3 +201,23 @@ def test_real_frames(real_recordings, number, size):
     assert abs(len(found) - 331) <= 3
     outermost = np.sort(np.hypot(*(found - found.mean(0)).T))[-60:].mean() / size
     assert outermost == pytest.approx(outer_fraction(CAMERA, TACTIP_331), abs=0.01)
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_dots_on_one_line_and_stripes_are_no_outline(grey):
+    """Nothing to fit a circle to: the middle of the frame, as without any dots."""
+    row, stripes = np.zeros((2, 256, 256), np.uint8)
+    for left in range(9, 250, 9):
+        row[100:105, left : left + 5] = 255
+    stripes[:, ::8] = stripes[:, 1::8] = 255
+    for raw in (row, stripes):
+        raw = 40 + raw // 2 + (np.arange(256)[:, None] // 8).astype(np.uint8) if grey else raw
+        assert prepare_frame(Preprocess(size=64), raw).shape == (64, 64)
+
+
+def test_dots_on_a_shallow_arc_are_not_taken_for_a_dome_of_a_hundred_thousand_pixels():
+    image = np.zeros((1000, 1000), np.uint8)
+    for left in range(20, 980, 24):
+        top = round(500 + 3 * ((left - 500) / 480) ** 2)
+        image[top : top + 7, left : left + 7] = 255
+    assert _reframed(image / 255, 0.36) == (0, 0, 1000, 1000)
