@@ -101,11 +101,18 @@ def _solve(slopes, residual, weight, x, prior, damping) -> np.ndarray:
 
 
 def _bootstrap(slopes, residual, weight, x, prior) -> np.ndarray:
-    """(BOOTSTRAPS, K) minimisers of the linearised problem with images drawn again."""
+    """(BOOTSTRAPS, K) minimisers of the linearised problem with images drawn again, and with them the places (K,) that the priors
+    hold parameters at: else one that the images say nothing of would not move, and pass for exactly known."""
     generator = np.random.default_rng(0)
     count = len(residual)
     draws = generator.multinomial(count, np.full(count, 1 / count), BOOTSTRAPS)
-    return np.array([x + _solve(slopes, residual, weight * draw, x, prior, 0.0) for draw in draws])
+    places = prior * generator.standard_normal((BOOTSTRAPS, len(x)))
+    return np.array(
+        [
+            x + _solve(slopes, residual, weight * draw, x - place, prior, 0.0)
+            for draw, place in zip(draws, places, strict=True)
+        ]
+    )
 
 
 def _told(problem: Problem, x: np.ndarray, spread: np.ndarray, before: float, residual: np.ndarray) -> Fitted:

@@ -1,0 +1,23 @@
+"""What images leave open is told as such: the interval is then the prior's."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.calibration.fit import DETERMINED, PRIOR_PX, _bootstrap
+
+PRIOR = np.array([0.3, 2.0])  # standard deviations
+
+
+@pytest.mark.parametrize(("slope", "known"), [(0.0, False), (1e-3, False), (0.02, False), (10.0, True)])
+@pytest.mark.parametrize("noise", [0.15, 0.3])
+def test_a_parameter_that_the_images_do_not_tell_is_as_wide_as_its_prior(slope, known, noise):
+    generator = np.random.default_rng(1)
+    residual = noise * generator.normal(size=(100, 5)) / np.sqrt(5)
+    slopes = np.zeros((100, 5, 2))
+    slopes[:, 1:, 0], slopes[:, 0, 1] = 1.0, slope * PRIOR_PX / PRIOR[1]
+    drawn = _bootstrap(slopes, residual, np.ones(100), np.zeros(2), PRIOR)
+    width = np.ptp(np.percentile(drawn, [2.5, 97.5], axis=0), axis=0) / (2 * 1.96 * PRIOR)
+    assert width[0] < DETERMINED / 4
+    assert (width[1] < DETERMINED) == known
+    if slope < 0.01:
+        assert width[1] == pytest.approx(1, abs=0.15)
