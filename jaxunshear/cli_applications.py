@@ -255,7 +255,7 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     from jaxunshear.applications import perception
     from jaxunshear.applications.fresh import fresh_contacts
     from jaxunshear.applications.objects import objects_of, occupancy_of
-    from jaxunshear.applications.servo import stored_walks
+    from jaxunshear.applications.servo import made_with, stored_walks
     from jaxunshear.applications.table import plain_table
     from jaxunshear.report.object_figure import object_figure
     from jaxunshear.storage import write_bytes
@@ -269,9 +269,13 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     networks = perception.unshearers(folder, perception.unshearing_of(folder))
     rows: list[dict[str, Any]] = []
     occupancies: dict[float, Any] = {}  # by depth
+    made: dict[tuple[str, ...], str] = {}  # by ways
     for name in names:
         walked = stored_walks(out / f"{name}.npz")
-        _check_walks(out / f"{name}.npz", walked[1], model)
+        ways = tuple(dict.fromkeys(walked[1].way.tolist()))
+        if ways not in made:
+            made[ways] = made_with(experiment.sensor, experiment.paired, perception.digests(folder, ways))
+        _check_walks(out / f"{name}.npz", walked[1], made[ways])
         depth = walked[0].depth_mm
         if depth not in occupancies:
             occupancies[depth] = occupancy_of(experiment, fresh_contacts(experiment, KNOWN, 1, depth))
@@ -283,15 +287,13 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     return {"rows": rows}
 
 
-def _check_walks(file: Path, walks: "Walks", model: "Model") -> None:
+def _check_walks(file: Path, walks: "Walks", made: str) -> None:
     """Refuses walks that are not finished, and those of another model."""
-    from jaxunshear.applications import perception, servo
+    from jaxunshear.applications.servo import WALKING
 
-    folder, experiment = model
-    if (walks.end == servo.WALKING).any():
+    if (walks.end == WALKING).any():
         raise UserError(f"{file} holds walks that are not finished: run the same `jaxunshear servo` command again")
-    ways = dict.fromkeys(walks.way.tolist())
-    if str(walks.made) != servo.made_with(experiment.sensor, experiment.paired, perception.digests(folder, ways)):
+    if str(walks.made) != made:
         raise UserError(f"{file} holds walks of another model or sensor: name theirs with --model, or walk again")
 
 

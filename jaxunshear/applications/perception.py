@@ -57,7 +57,9 @@ def perceptions(model: Path, experiment: Experiment, ways: tuple[str, ...]) -> d
 
 def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
     """Of the networks of each of `ways`; that of the true pose has none. Raises `UserError` where a network is missing."""
-    return {way: " ".join(digest_of(model / name) for name in WAYS.get(way, ())) for way in ways}
+    parts = {way: WAYS.get(way, ()) for way in ways}
+    own = {name: digest_of(model / name) for name in dict.fromkeys(name for names in parts.values() for name in names)}
+    return {way: " ".join(own[name] for name in names) for way, names in parts.items()}
 
 
 def unshearers(model: Path, names: tuple[str, ...]) -> dict[str, Unshear]:

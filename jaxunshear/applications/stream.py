@@ -80,7 +80,7 @@ def stream(
     problems: dict[str, int] = {}
     began = time.perf_counter()
     try:
-        for frame in frames:
+        for frame in _until_lost(frames, live, problems):
             came = time.perf_counter()
             missed += frame.number - last - 1
             last = frame.number
@@ -108,11 +108,9 @@ def stream(
             whole.append(1e3 * (time.perf_counter() - came))
             confident.append(sure)
             _write(out, line | {"ms": round(whole[-1], 3)})
-    except (KeyboardInterrupt, UserError) as end:  # a camera ends in no other way
+    except KeyboardInterrupt:  # a camera's usual end
         if not live or not whole:
             raise
-        if isinstance(end, UserError):
-            problems[str(end)] = 1
     used = len(whole)
     return {
         "frames": used + skipped + missed,
@@ -126,6 +124,16 @@ def stream(
         "latency_ms": _spread(whole),
         "networks_ms": _spread(networks),
     }
+
+
+def _until_lost(frames: Iterator[Frame], live: bool, problems: dict[str, int]) -> Iterator[Frame]:
+    """The frames of a live source until it is lost, which ends them as a problem; of another source that is an error."""
+    try:
+        yield from frames
+    except UserError as error:
+        if not live:
+            raise
+        problems[str(error)] = 1
 
 
 def _spread(values: list[float]) -> dict[str, float] | None:
