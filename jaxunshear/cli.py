@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxunshear import __version__, cli_applications, cli_checks, cli_sweep
 from jaxunshear.errors import UserError
-from jaxunshear.storage import check_new_file
+from jaxunshear.storage import check_new_file, check_new_folder
 
 if TYPE_CHECKING:
     from jaxunshear.experiment import Experiment
@@ -22,6 +22,7 @@ STAGES = {
     "evaluate": ("evaluate",),
     "run": ("data", NETWORKS, "evaluate", "report"),
 }
+DRAWN = ("sensors", "stimuli")
 OWN_OPTIONS = ("--help", "--out", "--data", "--json", "--network")
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1:
@@ -148,7 +149,8 @@ def _parser() -> _Parser:
     cli_applications.add_parsers(commands)
     cli_sweep.add_parser(commands)
     cli_checks.add_parsers(commands)
-    for name, text in (("sensors", "list or draw the sensors"), ("stimuli", "list or draw the stimuli")):
+    for name in DRAWN:
+        text = f"list or draw the {name}"
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("action", choices=("list", "draw"), nargs="?", default="list")
         command.add_argument("name", metavar="NAME", nargs="?", help="what to draw")
@@ -175,6 +177,8 @@ def _run(argv: list[str]) -> int:
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
     check_new_file(getattr(arguments, "json", None))
+    if arguments.command not in DRAWN:
+        check_new_folder(getattr(arguments, "out", None))
     command = shlex.join(["jaxunshear", *argv])
     if arguments.command in STAGES:
         _stages(arguments, fields, command)

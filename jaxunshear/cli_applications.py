@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
-from jaxunshear.storage import check_beside
+from jaxunshear.storage import check_beside, check_new_folder
 
 if TYPE_CHECKING:
     from jaxunshear.applications.servo import Walks
@@ -105,8 +105,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     finished = model is not None and (model[0] / "results.json").is_file()
     home = results_folder(model[0] if model and finished else Path(), arguments.command)
     out = home if arguments.command == "stream" else arguments.out or home
-    if out.exists() and not out.is_dir():
-        raise UserError(f"--out {out} is a file: name a folder")
+    check_new_folder(out)
     work: dict[str, Callable[..., dict[str, Any]]] = {
         "pins": _pins,
         "geometry": _geometry,
@@ -179,15 +178,16 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
     from jaxunshear.applications.geometry_scores import geometry_of, geometry_rows, mm_of_growth
     from jaxunshear.applications.perception import unshearers, unshearing_of
     from jaxunshear.applications.table import plain_table
+    from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.image.framing import undeformed
+    from jaxunshear.image.settings import Preprocess
     from jaxunshear.report import geometry_figure
     from jaxunshear.storage import write_bytes
 
     if arguments.contacts < 3:
         raise UserError(f"--contacts {arguments.contacts}: use at least 3")
     if arguments.path is not None:
-        if not arguments.path.exists():
-            raise UserError(f"cannot read {arguments.path}: there is no such file or folder")
+        read_recordings(arguments.path, Preprocess())  # refuses a place without images before there is work to lose
         check_beside(arguments.path, out, "--out")
     folder, experiment = model
     networks = unshearers(folder, unshearing_of(folder))

@@ -34,9 +34,25 @@ def check_new_file(path: Path | None) -> None:
         return
     if Path(path).is_dir():
         raise UserError(f"--json {path} is a folder: name a file")
-    above = next((folder for folder in Path(path).absolute().parents if folder.exists()), None)
-    if above is not None and not above.is_dir():
+    above = _file_above(Path(path))
+    if above is not None:
         raise UserError(f"--json {path}: {above} is a file: name a file in a folder")
+
+
+def check_new_folder(path: Path | None, option: str = "--out") -> None:
+    """Refuses, before there is work to lose, a folder for results that is a file or lies in one."""
+    if path is None:
+        return
+    if Path(path).exists() and not Path(path).is_dir():
+        raise UserError(f"{option} {path} is a file: name a folder")
+    above = _file_above(Path(path))
+    if above is not None:
+        raise UserError(f"{option} {path}: {above} is a file: name another folder")
+
+
+def _file_above(path: Path) -> Path | None:
+    above = next((folder for folder in path.absolute().parents if folder.exists()), None)
+    return None if above is None or above.is_dir() else above
 
 
 def check_beside(recordings: Path, out: Path, option: str) -> None:
@@ -44,8 +60,7 @@ def check_beside(recordings: Path, out: Path, option: str) -> None:
     place, root = out.resolve(), recordings.resolve()
     if place == root.parent if recordings.is_file() else place.is_relative_to(root):
         raise UserError(f"{option} {out} lies among the recordings in {recordings}: name another folder")
-    if out.exists() and not out.is_dir():
-        raise UserError(f"{option} {out} is a file: name a folder")
+    check_new_folder(out, option)
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -68,3 +68,15 @@ def test_a_folder_cannot_be_the_file_of_rows(tmp_path, capsys):
     (tmp_path / "file").touch()
     assert main(["verify", "--json", str(tmp_path / "file" / "deeper" / "rows.json")]) == 2
     assert f"{tmp_path / 'file'} is a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("calibrate", "recordings"), ("identify",), ("bench", "sim"), ("run", "experiments/tiny.py"), ("servo",)],
+)
+def test_a_file_cannot_be_the_folder_of_results(tmp_path, capsys, words):
+    (tmp_path / "file").touch()
+    assert main([*words, "--out", str(tmp_path / "file")]) == 2
+    assert f"--out {tmp_path / 'file'} is a file: name a folder" in capsys.readouterr().err
+    assert main([*words, "--out", str(tmp_path / "file" / "deeper")]) == 2
+    assert f"{tmp_path / 'file'} is a file: name another folder" in capsys.readouterr().err

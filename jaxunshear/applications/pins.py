@@ -22,7 +22,6 @@ from jaxunshear.progress import Progress
 from jaxunshear.storage import csv_text, write_bytes, write_text
 
 LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
-FITTED_TO = 60  # images, evenly spaced
 DRAWN = 12
 
 Shown = list[tuple[str, np.ndarray, Track]]
@@ -57,11 +56,7 @@ def pins_of_recordings(
     if isinstance(lattice, Layout):
         origin = origin if rest is not None else "the pins' mean place in these images"
         some = found if rest is None else _found(read_recordings(rest, preprocess), box)[0]
-        whole = [each.pins for each in some if len(each.pins) >= 0.7 * len(lattice.flat)]
-        if not whole:
-            most = max(len(each.pins) for each in some)
-            raise UserError(f"at most {most} pins are found in an image, where {lattice.name} has {len(lattice.flat)}")
-        lattice = fit_lattice(whole[:: -(-len(whole) // FITTED_TO)], lattice)
+        lattice = fit_lattice([each.pins for each in some], lattice)
     fitted = time.perf_counter()
     tracks = follow_all(lattice, found)
     spent += time.perf_counter() - fitted

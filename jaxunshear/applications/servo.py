@@ -30,8 +30,9 @@ from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
+from jaxunshear.scene.scene import edge_teller
 from jaxunshear.scene.sensor import Sensor
-from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_named
+from jaxunshear.scene.stimuli import stimulus_named
 from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 LOST_MM = 8.0  # from the edge: farther than any network has seen
@@ -98,7 +99,7 @@ def follow_contour(
     made = made_with(sensor, settings, digests)
     walks = _stored(file, course, tuple(ways), made) or _at_starts(course, line, tuple(ways), settings, made)
     total = walks.point.shape[1]
-    steer, tell = jax.jit(control, static_argnums=0), _teller(stimulus)
+    steer, tell = jax.jit(control, static_argnums=0), edge_teller(stimulus)
     with Progress(f"servo {course.stimulus}", total, "steps", done=int(walks.steps)) as progress:
         while walks.steps < total and np.any(walks.end == WALKING):
             _take_step(walks, course, sensor, settings, line, ways, steer, tell)
@@ -248,21 +249,6 @@ def _moved(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
     x, y = move.T
     dx, dy = np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y
     return point + np.stack([dx, dy, turn], -1)
-
-
-def _teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
-    """The edge (B, 2) [distance mm, direction deg in the sensor frame] at points (B, 3), NaN where they are."""
-
-    @jax.jit
-    def both(xy):
-        return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
-
-    def tell(point: np.ndarray) -> np.ndarray:
-        distance, normal = both(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))
-        angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - point[:, 2]
-        return np.stack([np.where(np.isnan(point[:, 0]), np.nan, distance), 180 - (180 - angle) % 360], -1)
-
-    return tell
 
 
 def stored_walks(file: Path) -> tuple[Course, Walks]:

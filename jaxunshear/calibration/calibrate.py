@@ -80,11 +80,10 @@ def calibrate(
     tips_before = [contact_tips(group, sensor, before, i) for i, group in enumerate(groups)]
     after_sensor = fitted.values.sensor(sensor)
     tips_after = [contact_tips(group, after_sensor, fitted.values, i) for i, group in enumerate(groups)]
-    radius = fit_pin_radius(groups, after_sensor, fitted.values, [tips for tips, _ in tips_after])
+    solved = [tips[converged] if converged.any() else tips for tips, converged in tips_after]
+    radius = fit_pin_radius(groups, after_sensor, fitted.values, solved)
     after_sensor = replace(after_sensor, pin_radius_mm=radius[0])
-    after = replace(
-        fitted.values, housing=fit_housing(groups, after_sensor, fitted.values, [tips for tips, _ in tips_after])
-    )
+    after = replace(fitted.values, housing=fit_housing(groups, after_sensor, fitted.values, solved))
     told: Summaries = {RECORDED: _merged([_summaries(group, group.seen) for group in groups])}
     pictures = {f"recorded: {part.name}"[:40]: part.images[0] for part in recorded[:2]}
     for kind, own, values, tips in (
@@ -213,14 +212,14 @@ def _merged(parts: list[list[Summary]]) -> list[Summary]:
 
 
 def _simulated(groups: list[Group], sensor: Sensor, values: Values, tips: list[tuple[np.ndarray, np.ndarray]]):
-    """Statistics of rendered images of the same contacts, and the first image."""
+    """Statistics of rendered images of the same contacts, those that did not converge left out, and the first image."""
     parts, first = [], None
     for group, (tip, converged) in zip(groups, tips, strict=True):
         images = render(values.camera(group.seen.size), sensor, group.seen.size, tip)
         first = images[0] if first is None else first
         seen = observe(images, sensor)
         seen = seen._replace(place=np.where(converged[:, None, None], seen.place, np.nan))
-        parts.append(_summaries(group, seen))
+        parts.append([row._replace(values=np.where(converged, row.values, np.nan)) for row in _summaries(group, seen)])
     return _merged(parts), first
 
 

@@ -56,7 +56,7 @@ def fit(
         pass
     base = problem.all(problem.values(x))
     cost, damping = _cost(base, x / prior), 1e-3
-    slopes = problem.slopes(x, base)
+    slopes = problem.slopes(x)
     for _ in range(ROUNDS):
         weight, old = _weights(base), cost
         while damping < 1e3:
@@ -71,7 +71,7 @@ def fit(
         if elsewhere:
             base = problem.all(problem.values(x))
             cost, damping = _cost(base, x / prior), 1e-3
-        slopes = problem.slopes(x, base)
+        slopes = problem.slopes(x)
         if not elsewhere and old - cost < SETTLED * old:
             break
     spread = _bootstrap(slopes, base, _weights(base), x, prior)

@@ -48,7 +48,9 @@ def read_labels(
         for side, deepest in product((1, -1, 0) if contacts.across else (0,), DEEPEST):
             surface = float(-contacts.tip[:, 1, 2].min()) - deepest * sensor.dome_radius_mm
             moved, converged = displacements(sensor, part, side, start.friction, surface, start.skin_to_gel)
-            place, rest = place_of(start, sensor, seen.size, moved)
+            if not converged.any():
+                continue
+            place, rest = place_of(start, sensor, seen.size, np.where(converged[:, None, None], moved, np.nan))
             simulated = ring_motion(shells(sensor), place)
             wide = ring_radii(shells(sensor), place, unit_vectors(rest))
             for mirrored in (True, False):

@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxunshear.calibration.labels import Motions
 from jaxunshear.calibration.prediction import Values, displacements, place_of
-from jaxunshear.calibration.statistics import Seen, ring_motion, ring_radii, unit_vectors
+from jaxunshear.calibration.statistics import Seen, ring_place, ring_radii, unit_vectors
 from jaxunshear.image.lattice import shells
 from jaxunshear.scene.sensor import Sensor
 
@@ -87,8 +87,15 @@ def features(seen_shell: np.ndarray, place: np.ndarray, direction: np.ndarray, s
     pins = np.bincount(seen_shell)
     weight = np.sqrt(pins / pins.sum()) * (128 / size)
     radii = ring_radii(seen_shell, place, direction) * weight[1:]
-    motion = ring_motion(seen_shell, place) * weight
-    return np.concatenate([radii, motion.real, motion.imag], axis=1)
+    across = ring_place(seen_shell, place) * weight
+    return np.concatenate([radii, across.real, across.imag], axis=1)
+
+
+def _less_mean_place(difference: np.ndarray, rings: int) -> np.ndarray:
+    """(N, F) with every ring's mean over the contacts taken from its places, those with NaN left out: cameras differ by a shift."""
+    known = np.isfinite(difference)
+    mean = np.where(known, difference, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    return difference - np.where(np.arange(len(mean)) < rings, 0, mean)
 
 
 class Problem:
@@ -158,8 +165,18 @@ class Problem:
                 simulated.nodes = [self.start.skin_to_gel * RATIO_STEP ** (self.steps + i) for i in (-1, 0, 1)]
         return moved
 
-    def residuals(self, values: Values, which: int, near: Values | None = None) -> np.ndarray:
-        """(N, F) of one group, simulated less recorded; zero where nothing is known. `near`: see `_Simulated.nearby`."""
+    def residuals(self, values: Values, which: int) -> np.ndarray:
+        """(N, F) of one group, simulated less recorded; zero where nothing is known, UNSOLVED_PX in all for a contact without a
+        solution."""
+        difference = self._difference(values, which)
+        unsolved = np.isnan(difference).all(axis=1)
+        difference = np.nan_to_num(_less_mean_place(difference, self.sensor.rings))
+        difference[unsolved, 0] = UNSOLVED_PX
+        return difference
+
+    def _difference(self, values: Values, which: int, near: Values | None = None) -> np.ndarray:
+        """The same, but with places as they are, and NaN where nothing is known or a contact has no solution. `near`: see
+        `_Simulated.nearby`."""
         group, simulated = self.groups[which], self.simulated[which]
         moved = None
         if simulated is not None:
@@ -171,28 +188,27 @@ class Problem:
             simulated is None
         ):  # a touch widens all rings, nobody knows how far: the narrowest tenth is held to be undisturbed
             difference = np.broadcast_to(np.nanpercentile(difference, 90, axis=0), difference.shape).copy()
-            difference[:, group.seen.lattice.shell.max() :] = 0
-        elif moved is not None:
-            unsolved = ~np.isfinite(moved[:, 0, 0])
-            difference[unsolved] = 0
-            difference[unsolved, 0] = UNSOLVED_PX
-        return np.nan_to_num(difference)
+            difference[:, self.sensor.rings :] = 0
+        return difference
 
     def all(self, values: Values) -> np.ndarray:
         return np.concatenate([self.residuals(values, i) for i in range(len(self.groups))])
 
-    def slopes(self, x: np.ndarray, base: np.ndarray) -> np.ndarray:
-        """(N, F, K) forward differences."""
-        slopes = np.zeros((*base.shape, len(x)))
+    def slopes(self, x: np.ndarray) -> np.ndarray:
+        """(N, F, K) forward differences; zero where one of both has no solution: what such a contact counts for is no slope."""
+        here = self.values(x)
+        base = [self._difference(here, i) for i in range(len(self.groups))]
+        slopes = np.zeros((sum(map(len, base)), base[0].shape[1], len(x)))
         ends = np.cumsum([0, *(len(recorded) for recorded in self.recorded)])
         for k, name in enumerate(self.names):
             step = 0.05 if name.split()[0] in ("friction", "skin_to_gel", "surface_mm") else 0.01
             moved = x.copy()
             moved[k] += step
-            values, here = self.values(moved), self.values(x)
+            values = self.values(moved)
             near = here if name.split()[0] in ("friction", "surface_mm") else None
             own = [self.surfaces[k - len(self.scalars)]] if k >= len(self.scalars) else range(len(self.groups))
             for i in own:
                 rows = slice(ends[i], ends[i + 1])
-                slopes[rows, :, k] = (self.residuals(values, i, near) - base[rows]) / step
+                change = self._difference(values, i, near) - base[i]
+                slopes[rows, :, k] = np.nan_to_num(_less_mean_place(change, self.sensor.rings)) / step
         return slopes

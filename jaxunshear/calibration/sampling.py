@@ -1,11 +1,13 @@
 """A sample of the images of a recording, folder by folder, at the size they have."""
 
+import contextlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
+from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
+from jaxunshear.errors import UserError
 from jaxunshear.image.preprocess import is_binary, to_grey
 from jaxunshear.image.settings import Preprocess
 
@@ -25,7 +27,7 @@ class Recorded:
 def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str]]:
     """A sample of every folder's images at a size that costs them nothing."""
     probe = read_recordings(path, Preprocess())
-    first = to_grey(read_image(probe.files[0]))
+    first = to_grey(_first(probe))
     size = int(np.clip(min(first.shape), *SIZES_PX)) if is_binary(first) else 256
     recordings = replace(probe, preprocess=Preprocess(size=size))
     folders = sorted({file.parent for file in recordings.files})
@@ -40,13 +42,27 @@ def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str
         kept = np.array([row for row, _, _ in frames])
         parts.append(
             Recorded(
-                folder.parent.relative_to(path.parent).as_posix() if path.is_dir() else path.name,
+                _name(path, folder) if path.is_dir() else path.name,
                 np.array([image for _, _, image in frames]),
                 None if sample.poses is None else sample.poses[kept],
                 None if sample.moves is None else sample.moves[kept],
             )
         )
     return parts, notes
+
+
+def _name(path: Path, folder: Path) -> str:
+    """Of the recording whose images lie in `folder`; no two in `path` have the same."""
+    recording = folder.parent if folder != path and folder.name in IMAGE_FOLDERS else folder
+    return recording.relative_to(path.parent).as_posix()
+
+
+def _first(recordings: Recordings) -> np.ndarray:
+    """The first image that can be read."""
+    for file in recordings.files[:-1]:
+        with contextlib.suppress(UserError):  # `frames` will tell
+            return read_image(file)
+    return read_image(recordings.files[-1])
 
 
 def _choose(moves: np.ndarray | None, rows: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:

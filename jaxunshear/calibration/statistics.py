@@ -11,7 +11,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 from skimage.measure import label
 
-from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import Found, find_pins
@@ -20,7 +19,6 @@ from jaxunshear.scene.sensor import Sensor
 
 CENTRAL = 1  # pins up to this ring are the central ones: seven of them
 SLIDE_BINS_MM = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
-LATTICE_IMAGES = 40  # their mean is the lattice
 
 
 class Seen(NamedTuple):
@@ -63,12 +61,7 @@ def observe(images: Iterable[np.ndarray], sensor: Sensor) -> Seen:
     """Finds and follows the pins of binary images (S, S) uint8. Raises UserError where they are not this sensor's pins."""
     images = list(images)
     found = [find_pins(image) for image in images]
-    enough = np.array([len(pins) >= 0.7 * sensor.pins for pins in found])
-    if not enough.any():
-        most = max((len(pins) for pins in found), default=0)
-        raise UserError(f"at most {most} pins are found in an image, where sensor '{sensor.name}' has {sensor.pins}")
-    good = [pins for pins, use in zip(found, enough, strict=True) if use]
-    lattice = fit_lattice(good[:: -(-len(good) // LATTICE_IMAGES)], layout_of(sensor))
+    lattice = fit_lattice(found, layout_of(sensor))
     tracks = follow_all(lattice, [Found(pins) for pins in found])
     diameters = [pin_diameters(image, pins) for image, pins in zip(images, found, strict=True)]
     diameter = [
@@ -114,9 +107,14 @@ def ring_radii(shell: np.ndarray, place: np.ndarray, direction: np.ndarray) -> n
     return _by_ring(shell, (place * direction).sum(-1))[..., 1:]
 
 
+def ring_place(shell: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Mean place (N, rings + 1) of each ring as column + i row."""
+    return _by_ring(shell, place[..., 0]) + 1j * _by_ring(shell, place[..., 1])
+
+
 def ring_motion(shell: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Mean place (N, rings + 1) of each ring as column + i row, less its mean over the N images."""
-    across = _by_ring(shell, place[..., 0]) + 1j * _by_ring(shell, place[..., 1])
+    """`ring_place` (N, rings + 1) less its mean over the N images."""
+    across = ring_place(shell, place)
     return across - np.nanmean(across, axis=0)
 
 

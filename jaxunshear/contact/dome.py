@@ -21,9 +21,6 @@ import numpy as np
 from jaxunshear.contact.elasticity import Compliance, Response, isotropic, put_together, respond
 from jaxunshear.contact.mesh import dome_mesh
 from jaxunshear.contact.rings import RING_MM, ring_arcs, ring_spacing
-from jaxunshear.contact.rings import contact_angle as contact_angle
-from jaxunshear.contact.rings import deepest_mm as deepest_mm
-from jaxunshear.contact.rings import reach_mm as reach_mm
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.sensor import Sensor, check_sensor, pin_levers, pin_tips

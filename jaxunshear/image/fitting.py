@@ -14,6 +14,8 @@ from jaxunshear.scene.sensor import Sensor, pin_lattice
 
 BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
 TURN_DEG = 1.5
+WHOLE = 0.7  # of a layout's pins: images that show fewer tell nothing of it
+MOST = 60  # images, evenly spaced: more do not change the mean
 
 
 class Layout(NamedTuple):
@@ -58,10 +60,15 @@ def read_layout(file: Path) -> Layout:
 
 
 def fit_lattice(frames: list[np.ndarray], layout: Layout) -> Lattice:
-    """The lattice that the found pins (N, 2) px of some images of one camera share: the mean place of each pin.
+    """The lattice that the found pins (N, 2) px of images of one camera share: the mean place of each pin.
 
     Raises UserError where they do not look like pins of this layout.
     """
+    whole = [found for found in frames if len(found) >= WHOLE * len(layout.flat)]
+    if not whole:
+        most = max((len(found) for found in frames), default=0)
+        raise UserError(f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}")
+    frames = whole[:: -(-len(whole) // MOST)]
     place = _first_guess(frames, layout)
     for _ in range(2):
         lattice = make_lattice(place, layout.shell)

@@ -8,7 +8,7 @@ not smooth in the end is taken back there and grown anew from the pins around; w
 Where pins have left the view, mean and spread mislead. Then the frames that went well help: motions of one sensor differ in two or
 three ways (slides along x and y, and the depth), so a grid over these is laid on the found pins, and the best are refined.
 
-    lattice = fit_lattice([find_pins(image) for image in images[:30]], layout_of(TACTIP_331))
+    lattice = fit_lattice([find_pins(image) for image in images], layout_of(TACTIP_331))
     tracks = tracks_of(lattice, images)
     motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is not seen
 """

@@ -4,6 +4,7 @@ A tap presses down at the pose. A slide presses at `pose - move` and then moves 
 target frame, as the pose is. What the sensor touches at the end is the same; what friction did to its skin is not.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import jax
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.scene.stimuli import outward_normal, signed_distance, stimulus_named
+from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_named
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,20 @@ def edge_labels(names: tuple[str, ...], scenes: Scenes) -> np.ndarray:
         here = np.flatnonzero(scenes.stimulus == index)
         if not len(here):
             continue
-        xy = jnp.asarray(scenes.pose[here, :2], jnp.float32)
-        distance, normal = jax.jit(lambda p, s=stimulus_named(name): (signed_distance(s, p), outward_normal(s, p)))(xy)
-        angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - scenes.pose[here, 2]
-        labels[here] = np.stack([np.asarray(distance), 180 - (180 - angle) % 360], axis=-1)
+        labels[here] = edge_teller(stimulus_named(name))(scenes.pose[here, :3])
     return labels
+
+
+def edge_teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
+    """A function that gives the same two labels (B, 2) of points (B, 3), x y mm and yaw deg; NaN where they are."""
+
+    @jax.jit
+    def both(xy):
+        return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
+
+    def tell(point: np.ndarray) -> np.ndarray:
+        distance, normal = both(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))
+        angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - point[:, 2]
+        return np.stack([np.where(np.isnan(point[:, 0]), np.nan, distance), 180 - (180 - angle) % 360], -1)
+
+    return tell

@@ -1,0 +1,58 @@
+"""A contact that does not converge counts for a fixed residual, and bends nobody's slope."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.calibration import problem
+from jaxunshear.calibration.labels import motions
+from jaxunshear.calibration.prediction import PROBE_RINGS, Values, skin_to_gel
+from jaxunshear.calibration.problem import UNSOLVED_PX, Group, Problem
+from jaxunshear.calibration.rendering import render
+from jaxunshear.calibration.statistics import observe
+from jaxunshear.scene.sensor import pin_tips
+from tests.calibration.conftest import GUESS, SMALL
+
+FRICTION, LOST, COUNT = 0.3, 2, 4
+RINGS = SMALL.rings
+
+
+@pytest.fixture(scope="module")
+def group():
+    seen = observe(render(GUESS, SMALL, 128, np.repeat(pin_tips(SMALL)[None], COUNT, axis=0)), SMALL)
+    poses = np.zeros((COUNT, 6))
+    poses[:, 2] = 1.0 + 0.1 * np.arange(COUNT)
+    return Group("one", seen, motions(poses, np.tile([1.0, 0, 0, 0, 0, 0], (COUNT, 1))))
+
+
+def _problem(group, monkeypatch, lost):
+    """All pins of contact i move by friction (i + 1) mm; `lost` says of a friction whether LOST finds no solution."""
+
+    def displacements(sensor, contacts, side, friction, surface_mm, ratio):
+        pins = 1 + 3 * PROBE_RINGS * (PROBE_RINGS + 1)
+        moved = np.zeros((COUNT, pins, 3), np.float32)
+        moved[..., 0] = friction * (1 + np.arange(COUNT)[:, None])
+        converged = np.ones(COUNT, bool)
+        converged[LOST] = not lost(friction)
+        return moved, converged
+
+    monkeypatch.setattr(problem, "displacements", displacements)
+    start = Values(GUESS.mm_across, GUESS.distance_mm, SMALL.pin_spacing_mm, FRICTION, skin_to_gel(SMALL), (0.0,))
+    made = Problem([group], SMALL, start, ("mm_across", "distance_mm", "pin_spacing_mm"), lambda contacts: None)
+    return made, made.place(start)
+
+
+@pytest.mark.parametrize("at_start", [False, True])
+def test_a_lost_contact_has_no_slope_and_moves_no_other(group, monkeypatch, at_start):
+    """Lost at a higher friction only, or at the start only."""
+    made, x = _problem(group, monkeypatch, lambda friction: False)
+    friction = made.names.index("friction")
+    plain = made.slopes(x)[..., friction]
+    made, x = _problem(group, monkeypatch, lambda friction: (friction > FRICTION + 1e-6) != at_start)
+    slopes = made.slopes(x)[..., friction]
+    assert np.abs(plain).max() > 0.1 and not slopes[LOST].any()
+    others = np.delete(np.arange(COUNT), LOST)
+    assert slopes[others, :RINGS] == pytest.approx(plain[others, :RINGS], abs=1e-5)
+    places = plain[others, RINGS:] - plain[others, RINGS:].mean(axis=0)
+    assert slopes[others, RINGS:] == pytest.approx(places, abs=1e-5)
+    residual = made.all(made.values(x))
+    assert (residual[LOST, 0] == UNSOLVED_PX and not residual[LOST, 1:].any()) == at_start
