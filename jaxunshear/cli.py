@@ -1,7 +1,6 @@
 """The command line: parses, calls, prints. Every command imports what it needs when it needs it, so help is quick."""
 
 import argparse
-import errno
 import shlex
 import sys
 from collections.abc import Sequence
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxunshear import __version__, cli_applications, cli_checks, cli_sweep
 from jaxunshear.errors import UserError
-from jaxunshear.storage import check_new_file, check_new_folder
+from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
 if TYPE_CHECKING:
     from jaxunshear.experiment import Experiment
@@ -43,7 +42,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout = None  # whoever read us has gone: nothing more can be said there
         return 141
     except Exception as error:
-        if _disk_is_full(error):
+        if disk_is_full(error):
             return _complain("the disk is full; free some space, then run the same command to continue")
         if isinstance(error, OSError) and error.filename is not None:
             return _complain(f"{error.filename}: {error.strerror}")
@@ -55,17 +54,6 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _complain(text: str) -> int:
     print(f"jaxunshear: error: {' '.join(text.split())}", file=sys.stderr)
     return 2
-
-
-def _disk_is_full(error: BaseException | None) -> bool:
-    """Also when a library wrapped the operating system's error in one of its own."""
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        if "No space left on device" in str(error) or "Disk quota exceeded" in str(error):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
 
 
 class _Parser(argparse.ArgumentParser):

@@ -148,7 +148,8 @@ def _pins(arguments: argparse.Namespace, out: Path, model: "Model | None") -> di
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
-    check_beside(arguments.path, out, "--out")
+    for recordings in (arguments.path, *([arguments.rest] if arguments.rest else [])):
+        check_beside(recordings, out, "--out")
     if arguments.size is not None and not 32 <= arguments.size <= 2048:
         raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
     preprocess = Preprocess()

@@ -1,6 +1,7 @@
 """The commands that examine the simulator and the networks: parsers, calls and tables. Everything heavy is imported when it is needed."""
 
 import argparse
+import re
 from collections.abc import Callable
 from itertools import chain
 from pathlib import Path
@@ -69,7 +70,7 @@ def joined(argv: list[str]) -> list[str]:
     """`--pose -1,0,0,3` as one word: argparse takes a value that begins with a minus for an option."""
     words: list[str] = []
     for word in argv:
-        if words and words[-1] in ("--pose", "--move", "--tilt") and word[:1] == "-" and word[1:2].isdigit():
+        if words and words[-1] in ("--pose", "--move", "--tilt") and re.match(r"-[\d.]", word):
             words[-1] += f"={word}"
         else:
             words.append(word)
@@ -238,7 +239,10 @@ def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
 
 def _calibrate(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.calibration.calibrate import calibrate
+    from jaxunshear.storage import check_beside
 
+    if arguments.out is not None:
+        check_beside(arguments.recordings, arguments.out, "--out")
     found = calibrate(arguments.recordings, arguments.out)
     keep(found["rows"] + found["parameters"])
     return 0

@@ -49,8 +49,8 @@ class Answers(NamedTuple):
 def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> dict[str, Any]:
     """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`.
 
-    Returns what was measured, as rows. Raises `UserError` where the model or every image cannot be read, or where `out` lies
-    among the recordings.
+    Returns what was measured, as rows; the time per image is that of a batch of BATCH, blanks that fill it up included, over BATCH.
+    Raises `UserError` where the model or every image cannot be read, or where `out` lies among the recordings.
     """
     model = model_folder(model)
     experiment = _settings_for(path, model)
@@ -61,7 +61,7 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
     table: list[dict[str, Any]] = []
     seconds: list[float] = []
     for rows, names, answers, spent in _answers(recordings, network, "unshear"):
-        seconds.append(spent / len(rows))
+        seconds.append(spent / BATCH)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
             write_bytes(out / targets[row], png(eight_bit(answers.unsheared[i])))
             poses = {quantity: f"{values[i]:.4f}" for quantity, values in answers.after.items()}
@@ -187,7 +187,7 @@ def _targets(names: tuple[str, ...]) -> list[str]:
 def _answers(
     recordings: "Recordings", network: Callable[[np.ndarray], Answers], label: str
 ) -> Iterator[tuple[list[int], list[str], Answers, float]]:
-    """Batches of rows, names and answers, and the seconds the networks took, compilation apart."""
+    """Batches of rows, names and answers, and the seconds the networks took for the whole BATCH, compilation apart."""
     size = recordings.preprocess.size
     network(np.zeros((BATCH, size, size), np.uint8))
     with Progress(label, len(recordings)) as progress:

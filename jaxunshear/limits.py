@@ -5,12 +5,12 @@ A rule is (holds, dotted field name, what is wrong and what to do instead). Late
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
-from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import Sensor, sensor_rules
 from jaxunshear.training.settings import Training
@@ -24,6 +24,8 @@ OPTIMISERS = ("adam", "muon")
 PRECISIONS = ("float32", "bfloat16")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
+# Fields of `Training` that no PoseNet's training reads.
+PAIR_LOSSES = ("patch_weight", "crops", "crop_px", "reconstruction_weight", "pose_weight")
 FEWEST_POSES = 5  # the smallest number that 60:20:20 splits exactly
 
 
@@ -38,9 +40,13 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
     yield from _tests(experiment)
     paired, pose = experiment.paired, experiment.pose
     pairs = _train_poses(paired) * len(paired.stimuli) * paired.slides
-    yield from _training(experiment.train, "train", experiment.unshear.size, pairs)
+    yield from _training(experiment.train, "train", pairs)
+    yield from _pair_losses(experiment.train, experiment.unshear.size)
     taps = _train_poses(pose) * len(pose.stimuli)
-    yield from _training(experiment.train_posenet, "train_posenet", experiment.posenet.size, taps)
+    yield from _training(experiment.train_posenet, "train_posenet", taps)
+    for field in PAIR_LOSSES:
+        value, unused = getattr(experiment.train_posenet, field), getattr(Training(), field)
+        yield value == unused, f"train_posenet.{field}", f"is for networks that unshear: leave it at {unused:g}"
 
 
 def _tests(experiment: Experiment) -> Iterator[Rule]:
@@ -48,11 +54,10 @@ def _tests(experiment: Experiment) -> Iterator[Rule]:
     yield not unknown, "networks", f"network {unknown} is unknown: use {', '.join(ALL_NETWORKS)}"
     yield len(experiment.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
     yield len(set(experiment.networks)) == len(experiment.networks), "networks", "name each network once"
-    yield experiment.train_posenet.pose_weight == 0, "train_posenet.pose_weight", "is for networks that unshear: use 0"
     unknown = ", ".join(name for name in experiment.unseen if name not in STIMULUS_NAMES)
     yield not unknown, "unseen", f"stimulus {unknown} is unknown: use {', '.join(STIMULUS_NAMES)}"
-    trained = {*experiment.paired.stimuli, *experiment.pose.stimuli}
-    seen = ", ".join(name for name in experiment.unseen if name in trained)
+    known = {*experiment.paired.stimuli, *experiment.pose.stimuli}
+    seen = ", ".join(name for name in experiment.unseen if name in known)
     yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
     yield len(set(experiment.unseen)) == len(experiment.unseen), "unseen", "name each stimulus once"
     jitters = [f"{jitter:g}" for jitter in experiment.other_jitters_mm]  # they name their tests
@@ -242,9 +247,23 @@ def _networks(experiment: Experiment) -> Iterator[Rule]:
         "unshear.shear_channels",
         "must not be below zero; 0 builds no shear code",
     )
+    if {"posenet", TEACHER} & set(trained(experiment)):
+        yield from _seen_alike(experiment.paired, experiment.pose)
 
 
-def _training(training: Training, group: str, size: int, examples: int) -> Iterator[Rule]:
+def _seen_alike(paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    for group in ("camera", "preprocess"):
+        of_pairs, of_taps = getattr(paired, group), getattr(pose, group)
+        for field in fields(of_pairs):
+            value, name = getattr(of_pairs, field.name), f"{group}.{field.name}"
+            yield (
+                getattr(of_taps, field.name) == value,
+                f"pose.{name}",
+                f"differs from paired.{name} ({value:g}): make them equal; PoseNet also reads the images of pairs",
+            )
+
+
+def _training(training: Training, group: str, examples: int) -> Iterator[Rule]:
     yield training.epochs > 0, f"{group}.epochs", "must be above zero"
     yield training.batch >= 1, f"{group}.batch", "must be at least 1"
     yield (
@@ -271,10 +290,15 @@ def _training(training: Training, group: str, size: int, examples: int) -> Itera
     yield epochs == sorted(set(epochs)), f"{group}.drops", "must be in the order of their epochs"
     for field in ("beta1", "beta2", "averaging"):
         yield 0 <= getattr(training, field) < 1, f"{group}.{field}", "use 0 up to, but not, 1"
-    for field in ("l1", "l2", "patch_weight", "reconstruction_weight", "pose_weight"):
+    for field in ("l1", "l2"):
         yield getattr(training, field) >= 0, f"{group}.{field}", "must not be below zero"
-    yield training.crops >= 1, f"{group}.crops", "must be at least 1; train.patch_weight 0 switches the patch loss off"
-    yield 1 <= training.crop_px <= size, f"{group}.crop_px", f"must be 1 to the image's {size} px"
     yield 0 <= training.shift <= 0.25, f"{group}.shift", "use a fraction of the image, 0 to 0.25"
     yield training.validate_every >= 1, f"{group}.validate_every", "must be at least 1"
     yield training.validation_images >= 1, f"{group}.validation_images", "must be at least 1"
+
+
+def _pair_losses(training: Training, size: int) -> Iterator[Rule]:
+    for field in ("patch_weight", "reconstruction_weight", "pose_weight"):
+        yield getattr(training, field) >= 0, f"train.{field}", "must not be below zero"
+    yield training.crops >= 1, "train.crops", "must be at least 1; train.patch_weight 0 switches the patch loss off"
+    yield 1 <= training.crop_px <= size, "train.crop_px", f"must be 1 to the image's {size} px"

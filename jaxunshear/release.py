@@ -27,7 +27,7 @@ def release(run_dir: Path, out: Path) -> Path:
     The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
     Raises `UserError` where the run is not finished or evaluated.
     """
-    from jaxunshear.training.checkpoint import MODEL, holds_model, load_best, read_net, write_weights
+    from jaxunshear.training.checkpoint import MODEL, check_finished, holds_model, load_best, read_net, write_weights
 
     run_dir, out = Path(run_dir), Path(out)
     for name in ("experiment.json", "results.json"):
@@ -42,6 +42,7 @@ def release(run_dir: Path, out: Path) -> Path:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
     names = [name for name in PARTS if name in NEEDED or holds_model(run_dir / name)]
     for name in names:
+        check_finished(run_dir / name)
         read_net(run_dir / name)  # refuses a damaged one
     variables = {name: load_best(run_dir / name) for name in names}
     part = out.with_name(f"{out.name}.part")

@@ -15,6 +15,7 @@ from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment, learnt_from
+from jaxunshear.locks import locked
 from jaxunshear.model.settings import UNet, UnshearNet
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training.origin import check_origin, origin_of
@@ -25,34 +26,46 @@ FIELDS = {  # what a training reads; others the pair
     "posenet_sheared": ("sheared", "pose", "edge"),
 }
 TEACHER_SEED = 1000  # beyond the run's own
+LOCK = "run.lock"  # a row of a sweep has a lock of its own
 
 
 def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str) -> dict[str, Any]:
     """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>.
 
-    Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can mend.
+    Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can mend, and
+    where another process is at work in that folder.
     """
     folder = Path(out) / experiment.name
-    _keep_settings(experiment, folder)
+    with locked(folder / LOCK, wait=False) as free:
+        if not free:
+            raise UserError(f"another run is at work in {folder}: wait for it, stop it, or give another --out")
+        _keep_settings(experiment, folder)
+        return _run(experiment, stages, folder, data, command)
+
+
+def _run(experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Path, command: str) -> dict[str, Any]:
     results: dict[str, Any] = {}
     for stage in stages:
-        began = time.perf_counter()
-        if stage == "data":
-            worked = _make_data(experiment, data)
-        elif stage in TRAINABLE:
-            worked = _train(experiment, stage, folder, data)
-        elif stage == "evaluate":
-            from jaxunshear.evaluation.evaluate import evaluate
+        halfway = partial(_halfway, experiment, stage, folder, data)
+        before = _times(folder).get(stage, 0.0) if halfway() else 0.0
+        began, worked = time.perf_counter(), False
+        try:
+            if stage == "data":
+                worked = _make_data(experiment, data)
+            elif stage in TRAINABLE:
+                worked = _train(experiment, stage, folder, data)
+            elif stage == "evaluate":
+                from jaxunshear.evaluation.evaluate import evaluate
 
-            results, worked = evaluate(experiment, folder, data, command), True
-            _tell(results)
-        else:
-            from jaxunshear.report.report import write_report
+                results, worked = evaluate(experiment, folder, data, command), True
+                _tell(results)
+            else:
+                from jaxunshear.report.report import write_report
 
-            print(f"report: {write_report(folder)}")
-            worked = False  # its time cannot stand in itself
-        if worked:
-            _keep_time(folder, stage, time.perf_counter() - began)
+                print(f"report: {write_report(folder)}")  # its time cannot stand in itself
+        finally:
+            if worked or halfway():
+                _keep_time(folder, stage, before + time.perf_counter() - began)
     return results
 
 
@@ -74,15 +87,20 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
 
 
 def _make_data(experiment: Experiment, data: Path) -> bool:
-    from jaxunshear.dataset.making import make_sets, sets_of
+    from jaxunshear.dataset.making import make_sets
 
-    there = all(
-        configs.set_folder(settings, experiment.sensor, data).exists() for settings in sets_of(experiment).values()
-    )
+    there = all(_exist(experiment, data, configs.set_folder))
     for name, metadata in make_sets(experiment, data).items():
         counts = metadata["counts"]
         print(f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped")
     return not there
+
+
+def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -> list[bool]:
+    """Of each data set, whether its `folder_of` is there."""
+    from jaxunshear.dataset.making import sets_of
+
+    return [folder_of(settings, experiment.sensor, data).exists() for settings in sets_of(experiment).values()]
 
 
 def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
@@ -164,11 +182,26 @@ def _first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, .
     return batches
 
 
-def _keep_time(folder: Path, stage: str, seconds: float) -> None:
-    """times.json: wall-clock seconds of a stage, in the run that finished it."""
+def _halfway(experiment: Experiment, stage: str, folder: Path, data: Path) -> bool:
+    """Whether a stopped run has left work of `stage` to go on with. An evaluation is always done from the start."""
+    if stage == "data":
+        there = _exist(experiment, data, configs.set_folder)
+        return not all(there) and any((*there, *_exist(experiment, data, configs.unfinished_folder)))
+    place = folder / stage
+    return stage in TRAINABLE and (place / "model.json").exists() and not (place / "summary.json").exists()
+
+
+def _times(folder: Path) -> dict[str, float]:
+    """times.json: wall-clock seconds of each stage, summed over the runs that it was stopped and continued in.
+
+    A stage that is done again from the start counts anew. What a run had spent that was killed outright is lost.
+    """
     path = folder / "times.json"
-    times = read_json(path) if path.exists() else {}
-    write_json(path, times | {stage: round(seconds, 3)})
+    return read_json(path) if path.exists() else {}
+
+
+def _keep_time(folder: Path, stage: str, seconds: float) -> None:
+    write_json(folder / "times.json", _times(folder) | {stage: round(seconds, 3)})
 
 
 def _tell(results: dict[str, Any]) -> None:

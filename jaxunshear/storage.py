@@ -25,6 +25,17 @@ def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
     return UserError(f"cannot {verb} {path}: {error.strerror or error}")
 
 
+def disk_is_full(error: BaseException | None) -> bool:
+    """Also when a library wrapped the operating system's error in one of its own."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        if "No space left on device" in str(error) or "Disk quota exceeded" in str(error):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
 BROKEN_NPZ = (OSError, ValueError, EOFError, KeyError, RuntimeError, zlib.error, zipfile.BadZipFile)  # of np.load
 
 

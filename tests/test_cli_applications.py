@@ -115,16 +115,19 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     (tmp_path / "images").mkdir()
     Image.fromarray(np.zeros((64, 64), np.uint8)).save(tmp_path / "images" / "000000.png")
+    (tmp_path / "others").mkdir()
     kept = (tmp_path / "images" / "000000.png").read_bytes()
     for words in (
         ("pins", "."),
         ("pins", "images", "--out", "images/new"),
+        ("pins", "others", "--rest", "images", "--out", "images/new"),
+        ("calibrate", "images", "--out", "images/new"),
         ("geometry", "images", "--out", "images", "--model", model),
         ("stream", "images", "--images", "images", "--model", model),
     ):
         answer = command(*words)
         assert answer.code == 2 and "lies among the recordings" in answer.err, words
-    assert [path.name for path in tmp_path.rglob("*")] == ["images", "000000.png"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["000000.png", "images", "others"]
     assert (tmp_path / "images" / "000000.png").read_bytes() == kept
 
 

@@ -14,8 +14,8 @@ def test_levels_are_those_of_the_plan():
 
 
 def test_values_that_begin_with_a_minus_are_values():
-    words = cli_checks.joined(["plan", "--pose", "-1,0,0,2", "--level", "auto", "--move", "-2,-2"])
-    assert words == ["plan", "--pose=-1,0,0,2", "--level", "auto", "--move=-2,-2"]
+    words = cli_checks.joined(["plan", "--pose", "-1,0,0,2", "--level", "auto", "--move", "-.5,-2"])
+    assert words == ["plan", "--pose=-1,0,0,2", "--level", "auto", "--move=-.5,-2"]
 
 
 @pytest.mark.parametrize(

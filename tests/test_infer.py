@@ -1,9 +1,11 @@
 """Recordings go through the networks of a run: every readable image comes out, in its place, with its poses."""
 
 import csv
+import itertools
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -117,6 +119,14 @@ def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, 
     measured = json.loads((tmp_path / "unshear.json").read_text())
     assert {"rows", "machine", "versions"} == set(measured)
     assert {row["name"]: row["value"] for row in measured["rows"]}["unshear.images"] == 38
+
+
+@pytest.mark.parametrize("images", ["images/image_1.png", "images"])
+def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(monkeypatch, model, folder, tmp_path, images):
+    monkeypatch.setattr(infer, "time", SimpleNamespace(perf_counter=itertools.count().__next__))  # a second each batch
+    measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", log=lambda line: None)
+    assert measured["rows"][-1]["name"] == "unshear.time_per_image"
+    assert measured["rows"][-1]["value"] == pytest.approx(1 / infer.BATCH)
 
 
 def test_pose_tells_both_readings_of_each_image(command, model, folder, tmp_path):

@@ -1,5 +1,6 @@
 """Weights made of a run: enough to unshear and to read poses, nothing more; found by name; damage is told."""
 
+import shutil
 from dataclasses import asdict
 
 import jax
@@ -57,6 +58,7 @@ def run(tmp_path):
         variables["params"] = jax.tree.map(lambda x: 8 * x, variables["params"])
         checkpoint.write_settings(folder / name, {"kind": kind, "net": asdict(net), "training": "long", "seed": 0})
         checkpoint.save(folder / name, 1, {"average": variables}, {"history": [], "best_step": 1})
+        write_json(folder / name / "summary.json", {"steps": 1})
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
     write_json(folder / "results.json", RESULTS)
     return folder
@@ -98,6 +100,17 @@ def test_nothing_is_overwritten_and_nothing_unfinished_is_released(run, tmp_path
     with pytest.raises(UserError, match=r"no results\.json"):
         release(run, tmp_path / "new")
     assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize("name", ["posenet", "entangled"])
+def test_a_half_trained_network_is_not_released(run, tmp_path, name):
+    if name == "entangled":
+        shutil.copytree(run / "disentangled", run / name)
+    (run / name / "summary.json").unlink()
+    finish = f"jaxunshear train FILE --network {name} --out {run.parent}"
+    with pytest.raises(UserError, match=f"training of {name} in {run / name} was not finished: .*`{finish}`"):
+        release(run, tmp_path / "new")
+    assert not list(tmp_path.glob("new*"))
 
 
 @pytest.mark.parametrize(

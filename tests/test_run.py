@@ -1,22 +1,33 @@
 """The whole way at its smallest: one command, then what a person does with the result."""
 
+import contextlib
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from PIL import Image
 
+from jaxunshear import run
+from jaxunshear.dataset import configs, making
+from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import reproducible
+from jaxunshear.experiment import Experiment
+from jaxunshear.locks import locked
+from jaxunshear.storage import write_json
+from jaxunshear.sweep import tasks
 
 ROOT = Path(__file__).resolve().parents[1]
 TINY = ROOT / "experiments" / "tiny.py"
+SMALL = Experiment(name="small", claim="none")
 
 
 def run_command(folder: Path, *more: str) -> list[str]:
@@ -78,8 +89,6 @@ def test_another_experiment_is_not_mixed_in(finished, command):
 
 @pytest.mark.parametrize("stage", ["train", "evaluate", "ablate"])
 def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(finished, command, tmp_path, stage):
-    import shutil
-
     out = shutil.copytree(finished / "runs", tmp_path / "runs")
     (out / "tiny" / "results.json").unlink()
     file = out / "tiny" / "disentangled" / "model.json"
@@ -123,6 +132,90 @@ def test_the_networks_take_images_of_people(finished, command, tmp_path):
     assert len((out / "poses.csv").read_text().splitlines()) == 4
     for path in out.glob("*.png"):
         assert np.asarray(Image.open(path)).shape == (128, 128)
+
+
+@pytest.fixture
+def stage(tmp_path, monkeypatch):
+    """`stage(5, "stop")` runs one training that takes 5 s and then is stopped, refused or finished; returns times.json."""
+    clock = [0.0]
+    folder = tmp_path / "small" / "posenet"
+
+    def act(seconds, ending):
+        def train(experiment, network, run_dir, data):
+            if ending == "refuse":
+                raise UserError("there is no data set")
+            if (folder / "summary.json").exists():
+                return False
+            write_json(folder / "model.json", {})
+            clock[0] += seconds
+            if ending == "stop":
+                raise KeyboardInterrupt
+            write_json(folder / "summary.json", {})
+            return True
+
+        monkeypatch.setattr(run, "_train", train)
+        with contextlib.suppress(KeyboardInterrupt, UserError):
+            run.run_stages(SMALL, ("posenet",), tmp_path, tmp_path, "none")
+        path = tmp_path / "small" / "times.json"
+        return json.loads(path.read_text()) if path.exists() else {}
+
+    monkeypatch.setattr(run, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    return act
+
+
+def test_a_stopped_stage_counts_all_of_its_time(stage, tmp_path):
+    assert stage(0, "refuse") == {}
+    assert stage(5, "stop") == {"posenet": 5}
+    assert stage(7, "stop") == {"posenet": 12}
+    assert stage(4, "finish") == {"posenet": 16}
+    assert stage(9, "finish") == {"posenet": 16}  # there was nothing to do
+
+
+@pytest.mark.parametrize("ending", ["stop", "finish"])
+def test_a_stage_done_again_from_the_start_counts_anew(stage, tmp_path, ending):
+    stage(5, ending)
+    shutil.rmtree(tmp_path / "small" / "posenet")
+    assert stage(3, "stop") == {"posenet": 3}
+    assert stage(3, "finish") == {"posenet": 6}
+
+
+def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch):
+    clock = [0.0]
+    made = {name: configs.set_folder(getattr(SMALL, name), SMALL.sensor, tmp_path) for name in ("paired", "pose")}
+
+    def make(*_):
+        clock[0] += 5
+        part = configs.unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path)
+        if not part.exists():
+            part.mkdir(parents=True)
+            raise KeyboardInterrupt
+        for folder in made.values():
+            folder.mkdir(parents=True)
+        part.rmdir()
+        return {}
+
+    monkeypatch.setattr(making, "make_sets", make)
+    monkeypatch.setattr(run, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    for seconds in (5, 10):
+        with contextlib.suppress(KeyboardInterrupt):
+            run.run_stages(SMALL, ("data",), tmp_path, tmp_path, "none")
+        assert json.loads((tmp_path / "small" / "times.json").read_text()) == {"data": seconds}
+    for folder in made.values():
+        shutil.rmtree(folder)
+    with contextlib.suppress(KeyboardInterrupt):
+        run.run_stages(SMALL, ("data",), tmp_path, tmp_path, "none")
+    assert json.loads((tmp_path / "small" / "times.json").read_text()) == {"data": 5}
+
+
+def test_two_runs_in_one_folder_are_refused(stage, tmp_path):
+    folder = tmp_path / "small"
+    with locked(folder / run.LOCK, wait=False) as free:
+        assert free
+        with pytest.raises(UserError, match=f"another run is at work in {folder}"):
+            run.run_stages(SMALL, ("posenet",), tmp_path, tmp_path, "none")
+        assert [path.name for path in folder.iterdir()] == [run.LOCK]
+    with locked(folder / tasks.LOCK, wait=False) as free:  # as the worker of a sweep's row holds it
+        assert free and stage(1, "finish") == {"posenet": 1}
 
 
 @pytest.mark.long

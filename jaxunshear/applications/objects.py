@@ -12,7 +12,16 @@ from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry_scores import growths, known_growths
 from jaxunshear.applications.occupancy import Occupancy, evidence, learn
 from jaxunshear.applications.perception import TRUE, Unshear, in_batches
-from jaxunshear.applications.reconstruct import Fused, Likeness, filled_shape, fuse, likeness, skin_places, to_target
+from jaxunshear.applications.reconstruct import (
+    CELL_MM,
+    Fused,
+    Likeness,
+    filled_shape,
+    fuse,
+    likeness,
+    skin_places,
+    to_target,
+)
 from jaxunshear.applications.servo import CLOSED, Course, Walks
 from jaxunshear.dataset.chunks import unpack
 from jaxunshear.experiment import Experiment
@@ -63,7 +72,8 @@ def solid(
         images = in_batches(unshear, images)
     growth = growths(lattice, images)
     place = skin_places(experiment.sensor)[occupancy.near]
-    fused = fuse(walks.point[walk, there], place, evidence(occupancy, growth))
+    whole = float(np.abs(line.points).max()) + CELL_MM  # also what a walk that ended early has not felt
+    fused = fuse(walks.point[walk, there], place, evidence(occupancy, growth), whole)
     shape = filled_shape(fused)
     true = _distance(stimulus, np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
     return Solid(fused, shape, true, likeness(fused, shape, true, line), int(np.isnan(growth[:, 0]).sum()))

@@ -44,14 +44,15 @@ def to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.stack([x, y], -1)
 
 
-def fuse(point: np.ndarray, place: np.ndarray, evidence: np.ndarray) -> Fused:
-    """Evidence (T, Q) of skin at (Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid around them.
+def fuse(point: np.ndarray, place: np.ndarray, evidence: np.ndarray, cover_mm: float = 0.0) -> Fused:
+    """Evidence (T, Q) of skin at (Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid around them
+    that reaches at least `cover_mm` from the origin.
 
     Rows with NaN evidence (an image whose pins were not identified) are left out.
     """
     told = ~np.isnan(evidence).any(axis=-1) & ~np.isnan(point[:, 0])
     x, y = np.moveaxis(to_target(point[told], place), -1, 0)
-    reach = np.abs(point[told, :2]).max(initial=0.0) + np.abs(place).max() + 4 * BLUR_MM
+    reach = max(cover_mm, np.abs(point[told, :2]).max(initial=0.0) + np.abs(place).max() + 4 * BLUR_MM)
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
 
     def gathered(weights: np.ndarray) -> np.ndarray:

@@ -197,7 +197,8 @@ def _touch(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Moves the walks `rows` on to this step's points: images (W, S, S), and how the contact ends a walk (W,)."""
     began = time.perf_counter()
-    count, friction = len(walks.way), stimulus_named(course.stimulus).friction
+    count, own = len(walks.way), stimulus_named(course.stimulus).friction
+    friction = own if settings.friction is None else settings.friction
     points = np.zeros((len(rows), 2, 6))
     points[:, 0, :3] = walks.point[rows, max(step - 1, 0)]
     points[:, 1, :3] = walks.point[rows, step]

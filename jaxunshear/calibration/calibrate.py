@@ -84,16 +84,19 @@ def calibrate(
     radius = fit_pin_radius(groups, after_sensor, fitted.values, solved)
     after_sensor = replace(after_sensor, pin_radius_mm=radius[0])
     after = replace(fitted.values, housing=fit_housing(groups, after_sensor, fitted.values, solved))
-    told: Summaries = {RECORDED: _merged([_summaries(group, group.seen) for group in groups])}
-    pictures = {f"recorded: {part.name}"[:40]: part.images[0] for part in recorded[:2]}
+    told: Summaries = {RECORDED: _merged([_summaries(group, group.seen, group.seen.sure) for group in groups])}
+    pictures = [(f"recorded: {part.name}", part.images[0]) for part in recorded[:2]]
     for kind, own, values, tips in (
         (BEFORE, sensor, before, tips_before),
         (AFTER, after_sensor, after, tips_after),
     ):
         told[kind], picture = _simulated(groups, own, values, tips)
-        pictures[kind] = picture
-    parameters = _parameters(start, fitted, sensor, radius)
-    notes += _told(held, fitted, tips_before, tips_after)
+        pictures.append((kind, picture))
+    parameters = _parameters(start, fitted, sensor, radius, held)
+    lost = {"the fit, where each counts for 3 px": fitted.dropped}
+    for where, tips in (("the images before, left out", tips_before), ("the images after, left out", tips_after)):
+        lost[where] = sum(int((~converged).sum()) for _, converged in tips)
+    notes += _told(held, fitted, lost)
     results: dict[str, Any] = {
         "rows": rows_of(told),
         "parameters": parameters,
@@ -170,6 +173,8 @@ def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: 
     rows = np.flatnonzero(seen.sure)
     if part.poses is not None:
         rows = rows[np.isfinite(part.poses[rows]).all(axis=-1)]
+    if part.moves is not None and np.isfinite(part.moves).any():  # a slide that cannot be read is no tap
+        rows = rows[np.isfinite(part.moves[rows]).all(axis=-1)]
     if part.poses is None or len(rows) < LEAST_LABELLED:
         notes.append(f"{part.name}: fewer than {LEAST_LABELLED} labelled poses, so it tells framing and pin size only")
         return Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
@@ -196,9 +201,14 @@ def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: 
     ), reading.surface_mm
 
 
-def _summaries(group: Group, seen: Seen) -> list[Summary]:
+def _summaries(group: Group, seen: Seen, kept: np.ndarray) -> list[Summary]:
+    """Of a group's images, recorded or simulated; NaN where they are not `kept` (N,)."""
     contacts = group.contacts
-    return summaries(seen, contacts.slide if contacts else None, contacts.yaw if contacts else None)
+    seen = seen._replace(
+        place=np.where(kept[:, None, None], seen.place, np.nan), diameter=np.where(kept[:, None], seen.diameter, np.nan)
+    )
+    rows = summaries(seen, contacts.slide if contacts else None, contacts.yaw if contacts else None)
+    return [row._replace(values=np.where(kept, row.values, np.nan)) for row in rows]
 
 
 def _merged(parts: list[list[Summary]]) -> list[Summary]:
@@ -212,43 +222,34 @@ def _merged(parts: list[list[Summary]]) -> list[Summary]:
 
 
 def _simulated(groups: list[Group], sensor: Sensor, values: Values, tips: list[tuple[np.ndarray, np.ndarray]]):
-    """Statistics of rendered images of the same contacts, those that did not converge left out, and the first image."""
+    """Statistics of rendered images of the same contacts, and the first image. Left out are, as among the recorded ones, images whose
+    pins cannot be followed, and contacts that did not converge."""
     parts, first = [], None
     for group, (tip, converged) in zip(groups, tips, strict=True):
         images = render(values.camera(group.seen.size), sensor, group.seen.size, tip)
         first = images[0] if first is None else first
         seen = observe(images, sensor)
-        seen = seen._replace(place=np.where(converged[:, None, None], seen.place, np.nan))
-        parts.append([row._replace(values=np.where(converged, row.values, np.nan)) for row in _summaries(group, seen)])
+        parts.append(_summaries(group, seen, converged & seen.sure))
     return _merged(parts), first
 
 
 def _parameters(
-    start: Values, fitted: Fitted, sensor: Sensor, radius: tuple[float, float, float]
+    start: Values, fitted: Fitted, sensor: Sensor, radius: tuple[float, float, float], held: Collection[str]
 ) -> list[dict[str, Any]]:
+    """Rows; `low` and `high` are None for what was not fitted, `determined` says whether the images tell it."""
     rows = []
+    low: float | None
+    high: float | None
     for name, unit in UNITS.items():
         if name == "pin_radius_mm":
-            rows.append(_parameter(name, unit, sensor.pin_radius_mm, *radius, True))
+            before, after, low, high = sensor.pin_radius_mm, *radius
         else:
-            ends = fitted.low.get(name), fitted.high.get(name)
             before, after = getattr(start, name), getattr(fitted.values, name)
-            rows.append(_parameter(name, unit, before, after, *ends, fitted.determined.get(name, False)))
+            low, high = fitted.low.get(name), fitted.high.get(name)
+        determined = name == "pin_radius_mm" or fitted.determined.get(name, False)
+        known = {"before": before, "after": after, "low": low, "high": high, "determined": determined}
+        rows.append({"name": name, "unit": unit, **known, "held": name in held})
     return rows
-
-
-def _parameter(
-    name: str, unit: str, before: float, after: float, low: float | None, high: float | None, determined: bool
-) -> dict[str, Any]:
-    return {
-        "name": name,
-        "unit": unit,
-        "before": before,
-        "after": after,
-        "low": low,
-        "high": high,
-        "determined": determined,
-    }
 
 
 def _preset(sensor: Sensor, values: Values) -> dict[str, Any]:
@@ -257,7 +258,7 @@ def _preset(sensor: Sensor, values: Values) -> dict[str, Any]:
     return {"sensor": asdict(sensor), "camera": camera, "friction": values.friction}
 
 
-def _told(held: Collection[str], fitted: Fitted, *tips: list[tuple[np.ndarray, np.ndarray]]) -> list[str]:
+def _told(held: Collection[str], fitted: Fitted, lost: dict[str, int]) -> list[str]:
     notes = [OVERALL_MODULUS]
     for name, low in fitted.low.items():
         if name.startswith("surface_mm"):
@@ -272,7 +273,9 @@ def _told(held: Collection[str], fitted: Fitted, *tips: list[tuple[np.ndarray, n
         notes.append(
             f"not fitted, as no labelled {'slides' if missing == ['friction'] else 'contacts'} tell them: {', '.join(missing)}"
         )
-    lost = sum(int((~converged).sum()) for part in tips for _, converged in part) + fitted.dropped
-    if lost:
-        notes.append(f"{lost} simulated contacts did not converge and were left out")
+    notes += [
+        f"{count} simulated contacts were out of reach or did not converge in {where}"
+        for where, count in lost.items()
+        if count
+    ]
     return notes

@@ -74,7 +74,7 @@ def fit(
         slopes = problem.slopes(x)
         if not elsewhere and old - cost < SETTLED * old:
             break
-    spread = _bootstrap(slopes, base, _weights(base), x, prior)
+    spread = _bootstrap(slopes, problem.redrawer(problem.values(x)), _weights(base), x, prior)
     return _told(problem, x, spread, before, base)
 
 
@@ -100,16 +100,17 @@ def _solve(slopes, residual, weight, x, prior, damping) -> np.ndarray:
     return -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
 
 
-def _bootstrap(slopes, residual, weight, x, prior) -> np.ndarray:
+def _bootstrap(slopes, redraw: Callable[[np.random.Generator], np.ndarray], weight, x, prior) -> np.ndarray:
     """(BOOTSTRAPS, K) minimisers of the linearised problem with images drawn again, and with them the places (K,) that the priors
-    hold parameters at: else one that the images say nothing of would not move, and pass for exactly known."""
+    hold parameters at: else one that the images say nothing of would not move, and pass for exactly known. `redraw`: see
+    `Problem.redrawer`."""
     generator = np.random.default_rng(0)
-    count = len(residual)
+    count = len(weight)
     draws = generator.multinomial(count, np.full(count, 1 / count), BOOTSTRAPS)
     places = prior * generator.standard_normal((BOOTSTRAPS, len(x)))
     return np.array(
         [
-            x + _solve(slopes, residual, weight * draw, x - place, prior, 0.0)
+            x + _solve(slopes, redraw(generator), weight * draw, x - place, prior, 0.0)
             for draw, place in zip(draws, places, strict=True)
         ]
     )

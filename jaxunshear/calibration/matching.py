@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxunshear.calibration.labels import Motions, motions
 from jaxunshear.calibration.prediction import Values, displacements, place_of
-from jaxunshear.calibration.statistics import Seen, ring_motion, ring_radii, unit_vectors
+from jaxunshear.calibration.statistics import Seen, ring_motion, ring_radii
 from jaxunshear.image.lattice import shells
 from jaxunshear.scene.sensor import Sensor
 
@@ -37,8 +37,9 @@ def read_labels(
 ) -> Reading | None:
     """The reading of labels (N, 6) of N images that agrees best with them; None where none does."""
     some = np.random.default_rng(0).permutation(np.flatnonzero(seen.sure))[:IMAGES]
-    recorded = ring_motion(seen.lattice.shell, seen.take(some).place)
-    widths = ring_radii(seen.lattice.shell, seen.take(some).place, seen.direction)
+    shell, places = seen.lattice.shell, seen.take(some).place
+    recorded = ring_motion(shell, places - seen.rest)
+    widths = ring_radii(shell, places, seen.rest)
     slid = moves is not None and bool(np.any(np.abs(moves) > 1e-6))
     best, best_score = None, -np.inf
     # Cameras look at the pins from behind, so that mirrored is the usual case and comes first.
@@ -51,8 +52,8 @@ def read_labels(
             if not converged.any():
                 continue
             place, rest = place_of(start, sensor, seen.size, np.where(converged[:, None, None], moved, np.nan))
-            simulated = ring_motion(shells(sensor), place)
-            wide = ring_radii(shells(sensor), place, unit_vectors(rest))
+            simulated = ring_motion(shells(sensor), place - rest)
+            wide = ring_radii(shells(sensor), place, rest)
             for mirrored in (True, False):
                 turn, match = _turn(recorded[converged], simulated[converged], mirrored)
                 score = match + 0.5 * _correlation(widths[converged], wide[converged])

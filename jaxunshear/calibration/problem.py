@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxunshear.calibration.labels import Motions
 from jaxunshear.calibration.prediction import Values, displacements, place_of
-from jaxunshear.calibration.statistics import Seen, ring_place, ring_radii, unit_vectors
+from jaxunshear.calibration.statistics import Seen, less_mean, ring_radii, ring_shift
 from jaxunshear.image.lattice import shells
 from jaxunshear.scene.sensor import Sensor
 
@@ -24,6 +24,7 @@ PRIORS = {
     "skin_to_gel": 1.5,
     "surface_mm": 5.0,
 }
+INSIDE = 0.98  # of a limit of the pins' spacing, so that slopes are taken within it
 UNSOLVED_PX = 3.0  # what a contact without a solution counts for: dropping it must not pay
 
 
@@ -82,20 +83,18 @@ def _lagrange(values: Values, node: float, others: np.ndarray) -> float:
     return float(np.prod(np.log(values.skin_to_gel / others) / np.log(node / others)))
 
 
-def features(seen_shell: np.ndarray, place: np.ndarray, direction: np.ndarray, size: int) -> np.ndarray:
-    """(N, F) px of 128: radii and mean places of the rings, each weighing as its pins. `place` as in `Seen`."""
-    pins = np.bincount(seen_shell)
+def features(shell: np.ndarray, place: np.ndarray, rest: np.ndarray, size: int) -> np.ndarray:
+    """(N, F) px of 128: radii and mean motions of the rings, each weighing as its pins. `place` (N, P, 2), `rest` (P, 2) as in `Seen`."""
+    pins = np.bincount(shell)
     weight = np.sqrt(pins / pins.sum()) * (128 / size)
-    radii = ring_radii(seen_shell, place, direction) * weight[1:]
-    across = ring_place(seen_shell, place) * weight
+    radii = ring_radii(shell, place, rest) * weight[1:]
+    across = ring_shift(shell, place - rest) * weight
     return np.concatenate([radii, across.real, across.imag], axis=1)
 
 
-def _less_mean_place(difference: np.ndarray, rings: int) -> np.ndarray:
-    """(N, F) with every ring's mean over the contacts taken from its places, those with NaN left out: cameras differ by a shift."""
-    known = np.isfinite(difference)
-    mean = np.where(known, difference, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    return difference - np.where(np.arange(len(mean)) < rings, 0, mean)
+def _less_mean_motion(difference: np.ndarray, rings: int) -> np.ndarray:
+    """(N, F) with every ring's mean over the contacts taken from its motions: nobody knows where the undisturbed pins stand."""
+    return np.concatenate([difference[:, :rings], less_mean(difference[:, rings:])], axis=1)
 
 
 class Problem:
@@ -113,8 +112,7 @@ class Problem:
             for i, group in enumerate(groups)
         ]
         self.recorded = [
-            features(group.seen.lattice.shell, group.seen.place, group.seen.direction, group.seen.size)
-            for group in groups
+            features(group.seen.lattice.shell, group.seen.place, group.seen.rest, group.seen.size) for group in groups
         ]
         labelled = any(group.contacts is not None for group in groups)
         slid = any(group.contacts is not None and np.any(np.abs(group.contacts.slide) > 1e-6) for group in groups)
@@ -153,6 +151,11 @@ class Problem:
         if "skin_to_gel" in self.names:
             k = self.names.index("skin_to_gel")
             low[k], high[k] = ((self.steps + end) * np.log(RATIO_STEP) for end in (-1, 1))
+        if "pin_spacing_mm" in self.names:  # pins that overlap, or go past the rim, are no sensor
+            k, sensor = self.names.index("pin_spacing_mm"), self.sensor
+            least, most = 2 * sensor.pin_radius_mm, sensor.dome_radius_mm * np.pi / 2 / sensor.rings
+            ends = np.log(np.array([least / INSIDE, most * INSIDE]) / self.start.pin_spacing_mm)
+            low[k], high[k] = max(low[k], ends[0]), min(high[k], ends[1])
         return low, high
 
     def recentre(self, values: Values) -> bool:
@@ -170,26 +173,49 @@ class Problem:
         solution."""
         difference = self._difference(values, which)
         unsolved = np.isnan(difference).all(axis=1)
-        difference = np.nan_to_num(_less_mean_place(difference, self.sensor.rings))
+        difference = np.nan_to_num(_less_mean_motion(difference, self.sensor.rings))
         difference[unsolved, 0] = UNSOLVED_PX
         return difference
 
     def _difference(self, values: Values, which: int, near: Values | None = None) -> np.ndarray:
-        """The same, but with places as they are, and NaN where nothing is known or a contact has no solution. `near`: see
+        """The same, but with motions as they are, and NaN where nothing is known or a contact has no solution. `near`: see
         `_Simulated.nearby`."""
         group, simulated = self.groups[which], self.simulated[which]
         moved = None
         if simulated is not None:
             moved = simulated.between(values) if near is None else simulated.nearby(values, near)
         place, rest = place_of(values, self.sensor, group.seen.size, moved)
-        expected = features(shells(self.sensor), place, unit_vectors(rest), group.seen.size)
+        expected = features(shells(self.sensor), place, rest, group.seen.size)
         difference = expected - self.recorded[which]
-        if (
-            simulated is None
-        ):  # a touch widens all rings, nobody knows how far: the narrowest tenth is held to be undisturbed
-            difference = np.broadcast_to(np.nanpercentile(difference, 90, axis=0), difference.shape).copy()
-            difference[:, self.sensor.rings :] = 0
+        return difference if simulated is not None else self._undisturbed(difference)
+
+    def _undisturbed(self, difference: np.ndarray) -> np.ndarray:
+        """(N, F) of unlabelled images: a touch widens all rings, nobody knows how far, so the narrowest tenth is held to be undisturbed."""
+        difference = np.broadcast_to(np.nanpercentile(difference, 90, axis=0), difference.shape).copy()
+        difference[:, self.sensor.rings :] = 0
         return difference
+
+    def redrawer(self, values: Values) -> Callable[[np.random.Generator], np.ndarray]:
+        """A function that gives `all(values)` with the rows of unlabelled groups told by images drawn anew."""
+        base, ends = self.all(values), self._ends()
+        apart = {}
+        for i, group in enumerate(self.groups):
+            if self.simulated[i] is None:
+                place, rest = place_of(values, self.sensor, group.seen.size, None)
+                apart[i] = features(shells(self.sensor), place, rest, group.seen.size) - self.recorded[i]
+
+        def redraw(generator: np.random.Generator) -> np.ndarray:
+            drawn = base.copy()
+            for i, difference in apart.items():
+                again = difference[generator.integers(len(difference), size=len(difference))]
+                drawn[ends[i] : ends[i + 1]] = np.nan_to_num(self._undisturbed(again))
+            return drawn
+
+        return redraw
+
+    def _ends(self) -> np.ndarray:
+        """(groups + 1,) rows of `all` where groups begin and end."""
+        return np.cumsum([0, *(len(recorded) for recorded in self.recorded)])
 
     def all(self, values: Values) -> np.ndarray:
         return np.concatenate([self.residuals(values, i) for i in range(len(self.groups))])
@@ -199,7 +225,7 @@ class Problem:
         here = self.values(x)
         base = [self._difference(here, i) for i in range(len(self.groups))]
         slopes = np.zeros((sum(map(len, base)), base[0].shape[1], len(x)))
-        ends = np.cumsum([0, *(len(recorded) for recorded in self.recorded)])
+        ends = self._ends()
         for k, name in enumerate(self.names):
             step = 0.05 if name.split()[0] in ("friction", "skin_to_gel", "surface_mm") else 0.01
             moved = x.copy()
@@ -210,5 +236,5 @@ class Problem:
             for i in own:
                 rows = slice(ends[i], ends[i + 1])
                 change = self._difference(values, i, near) - base[i]
-                slopes[rows, :, k] = np.nan_to_num(_less_mean_place(change, self.sensor.rings)) / step
+                slopes[rows, :, k] = np.nan_to_num(_less_mean_motion(change, self.sensor.rings)) / step
         return slopes

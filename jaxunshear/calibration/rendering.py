@@ -62,10 +62,10 @@ def _drawer(camera: Camera, sensor: Sensor, size: int):
 def fit_pin_radius(
     groups: list[Group], sensor: Sensor, values: Values, tips: list[np.ndarray]
 ) -> tuple[float, float, float]:
-    """(radius, low, high) mm: the pins of rendered images have the recorded ones' median diameter; 95 % over images."""
+    """(radius, low, high) mm: the pins of rendered images have the recorded ones' mean diameter; 95 % over images."""
     recorded, scatter = [], []
     for group in groups:
-        each = np.nanmedian(group.seen.diameter, axis=1)
+        each = np.nanmean(group.seen.diameter, axis=1)
         recorded.append(np.nanmean(each))
         scatter.append(np.nanstd(each) / np.sqrt(max(1, len(each))) / np.nanmean(each))
 
@@ -77,7 +77,7 @@ def fit_pin_radius(
             images = render(
                 values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), group.seen.size, some
             )
-            ratios.append(np.mean([np.nanmedian(pin_diameters(i, find_pins(i))) for i in images]) / wanted)
+            ratios.append(np.mean([np.nanmean(pin_diameters(i, find_pins(i))) for i in images]) / wanted)
         return float(np.mean(ratios))
 
     most = 0.49 * sensor.pin_spacing_mm
@@ -91,7 +91,7 @@ def fit_pin_radius(
         known.append((trial, larger(trial)))
         slope = max((known[-1][1] - factor) / (trial - radius), 0.3 / trial)
     best = min(known, key=lambda pair: abs(pair[1] - 1))[0]
-    error = 1.96 * float(np.sqrt(np.mean(np.square(scatter)))) / slope
+    error = 1.96 * float(np.sqrt(np.sum(np.square(scatter)))) / len(scatter) / slope
     return best, best - error, best + error
 
 

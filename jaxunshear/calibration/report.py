@@ -12,6 +12,7 @@ from jaxunshear.calibration.statistics import SLIDE_BINS_MM, Summary
 
 RECORDED, BEFORE, AFTER = "recorded", "simulated, before", "simulated, after"
 COLOURS = {RECORDED: "#1c2330", BEFORE: "#d9822b", AFTER: "#1f6feb"}
+LONGEST = 30  # characters of a title
 Summaries = dict[str, list[Summary]]
 
 
@@ -38,6 +39,11 @@ def _mean(summary: Summary) -> float | None:
     return float(np.nanmean(summary.values)) if np.isfinite(summary.values).any() else None
 
 
+def _mean_known(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")
+
+
 def table(rows: Sequence[dict[str, Any]], parameters: Sequence[dict[str, Any]]) -> str:
     """The same for people, as text."""
     width = max(len(row["name"]) for row in (*rows, *parameters))
@@ -51,7 +57,7 @@ def table(rows: Sequence[dict[str, Any]], parameters: Sequence[dict[str, Any]]) 
     lines += ["", f"{'':{width}}  {'before':>9}  {'after':>9}  95 % interval"]
     for row in parameters:
         interval = f"{row['low']:.4g} to {row['high']:.4g}" if row["low"] is not None else ""
-        known = "" if row["determined"] else "  not determined by these images"
+        known = "" if row["determined"] else "  held" if row["held"] else "  not determined by these images"
         lines.append(
             f"{row['name']:{width}}  {_number(row['before'])}  {_number(row['after'])}  {interval}  {_unit(row)}{known}"
         )
@@ -66,8 +72,8 @@ def _unit(row: dict[str, Any]) -> str:
     return "" if row["unit"] == "1" else row["unit"]
 
 
-def curves(summaries: Summaries, pictures: dict[str, np.ndarray] | None = None) -> bytes:
-    """PNG: ring layout, spacing, pin size and motion over slide; below them, where given, images (S, S) by name."""
+def curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]] = ()) -> bytes:
+    """PNG: ring layout, spacing, pin size and motion over slide; below them, where given, names and images (S, S)."""
     by_name = {kind: {row.name: row.values for row in rows} for kind, rows in summaries.items()}
     with rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}):
         figure = Figure(figsize=(11, 7 if pictures else 3.2), layout="constrained", dpi=110)
@@ -78,9 +84,9 @@ def curves(summaries: Summaries, pictures: dict[str, np.ndarray] | None = None) 
         _slides(panels[0, 3], by_name)
         for axes in panels[1:].ravel():
             axes.axis("off")
-        for axes, (name, image) in zip(panels[1:].ravel(), (pictures or {}).items(), strict=False):
+        for axes, (name, image) in zip(panels[1:].ravel(), pictures, strict=False):
             axes.imshow(image, cmap="gray", interpolation="nearest")
-            axes.set_title(name)
+            axes.set_title(name if len(name) <= LONGEST else f"...{name[3 - LONGEST :]}")
         stream = io.BytesIO()
         figure.savefig(stream, format="png")
     return stream.getvalue()
@@ -88,10 +94,10 @@ def curves(summaries: Summaries, pictures: dict[str, np.ndarray] | None = None) 
 
 def _rings(axes, by_name) -> None:
     names = [name for name in by_name[RECORDED] if name.startswith("ring ")]
-    recorded = [np.nanmean(by_name[RECORDED][name]) for name in names]
+    recorded = [_mean_known(by_name[RECORDED][name]) for name in names]
     for kind, values in by_name.items():
         rings = np.arange(1, len(names) + 1)
-        off = np.array([np.nanmean(values[name]) for name in names]) - recorded
+        off = np.array([_mean_known(values[name]) for name in names]) - recorded
         axes.plot(rings, off, "o-", markersize=3, color=COLOURS[kind], label=kind)
     axes.set(xlabel="ring", title="radius over outermost, less recorded")
     axes.legend()
@@ -101,7 +107,9 @@ def _histogram(axes, by_name, name: str, title: str) -> None:
     every = np.concatenate([values[name] for values in by_name.values()])
     edges = np.linspace(np.nanmin(every) - 0.05, np.nanmax(every) + 0.05, 30)
     for kind, values in by_name.items():
-        axes.hist(values[name], edges, density=True, histtype="step", color=COLOURS[kind], label=kind)
+        known = values[name][np.isfinite(values[name])]
+        if len(known):
+            axes.hist(known, edges, density=True, histtype="step", color=COLOURS[kind], label=kind)
     axes.set(title=title, yticks=[])
 
 

@@ -1,7 +1,11 @@
 """What images of pins say in numbers: the same functions on recorded and on simulated images.
 
 seen = observe(images, TACTIP_331)          # binary images (N, S, S)
-rings, motion = ring_radii(seen), ring_motion(seen)
+radii = ring_radii(seen.lattice.shell, seen.place, seen.rest)       # (N, rings)
+motion = ring_motion(seen.lattice.shell, seen.place - seen.rest)    # (N, rings + 1)
+
+Rings are told by the motions of the pins that were found: their mean place would jump by a sixtieth of the radius with every pin of the
+outermost ring that the housing hides.
 """
 
 from collections.abc import Iterable
@@ -46,9 +50,9 @@ class Seen(NamedTuple):
         return self._replace(place=self.place @ turn, lattice=self.lattice._replace(place=self.lattice.place @ turn))
 
     @property
-    def direction(self) -> np.ndarray:
-        """(P, 2) unit vectors from the middle to each pin of the lattice; zero for the apex pin."""
-        return unit_vectors(self.lattice.place - self.lattice.middle)
+    def rest(self) -> np.ndarray:
+        """(P, 2) place of each pin of the lattice."""
+        return self.lattice.place - self.lattice.middle
 
 
 def unit_vectors(place: np.ndarray) -> np.ndarray:
@@ -102,20 +106,27 @@ def _by_ring(shell: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.where(count > 0, np.where(known, values, 0) @ member / np.maximum(count, 1), np.nan)
 
 
-def ring_radii(shell: np.ndarray, place: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Mean distance (..., rings) from the middle of each ring, the apex pin left out, along the undisturbed directions."""
-    return _by_ring(shell, (place * direction).sum(-1))[..., 1:]
+def ring_radii(shell: np.ndarray, place: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """Mean distance (..., rings) from the middle of each ring, the apex pin left out, along the directions of `rest` (P, 2)."""
+    direction = unit_vectors(rest)
+    undisturbed, growth = ((each * direction).sum(-1) for each in (rest, place - rest))
+    return (_by_ring(shell, undisturbed) + _by_ring(shell, growth))[..., 1:]
 
 
-def ring_place(shell: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Mean place (N, rings + 1) of each ring as column + i row."""
-    return _by_ring(shell, place[..., 0]) + 1j * _by_ring(shell, place[..., 1])
+def ring_shift(shell: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Mean motion (N, rings + 1) of each ring as column + i row, from pins' motions (N, P, 2)."""
+    return _by_ring(shell, motion[..., 0]) + 1j * _by_ring(shell, motion[..., 1])
 
 
-def ring_motion(shell: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """`ring_place` (N, rings + 1) less its mean over the N images."""
-    across = ring_place(shell, place)
-    return across - np.nanmean(across, axis=0)
+def ring_motion(shell: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """`ring_shift` (N, rings + 1) less its mean over the N images."""
+    return less_mean(ring_shift(shell, motion))
+
+
+def less_mean(values: np.ndarray) -> np.ndarray:
+    """(N, F) less the mean over N, NaN left out."""
+    known = np.isfinite(values)
+    return values - np.where(known, values, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
 
 
 def central(motion: np.ndarray) -> np.ndarray:
@@ -148,14 +159,17 @@ class Summary(NamedTuple):
 def summaries(seen: Seen, slide: np.ndarray | None = None, yaw: np.ndarray | None = None) -> list[Summary]:
     """Statistics in px of 128, so that images of any size compare. `slide` (N, 2) mm and `yaw` (N,), see `left_behind`."""
     scale = 128 / seen.size
-    shell, radii = seen.lattice.shell, ring_radii(seen.lattice.shell, seen.place, seen.direction)
-    diameter = _by_ring(shell, seen.diameter)
-    area = np.nansum(np.pi / 4 * seen.diameter**2, axis=1) / seen.size**2
+    shell, radii = seen.lattice.shell, ring_radii(seen.lattice.shell, seen.place, seen.rest)
+    diameter, middle = _by_ring(shell, seen.diameter), _by_ring((shell > CENTRAL).astype(int), seen.diameter)[:, 0]
+    followed = np.isfinite(seen.diameter).any(axis=1)
+    usual, area = np.full((2, len(followed)), np.nan)
+    usual[followed] = np.nanmean(seen.diameter[followed], axis=1)  # the median would be that of a few whole pixels
+    area[followed] = np.nansum(np.pi / 4 * seen.diameter[followed] ** 2, axis=1) / seen.size**2
     rows = [
         Summary("pins found", "1", seen.found.astype(float)),
         Summary("pin spacing", "px", seen.spacing * scale),
-        Summary("pin diameter", "px", np.nanmedian(seen.diameter, axis=1) * scale),
-        Summary("pin diameter, rim over middle", "1", diameter[:, -1] / np.nanmean(diameter[:, : CENTRAL + 1], axis=1)),
+        Summary("pin diameter", "px", usual * scale),
+        Summary("pin diameter, rim over middle", "1", diameter[:, -1] / middle),
         Summary("white share of pins", "1", area),
         Summary("white share of image", "1", seen.white),
         Summary("outermost ring, share of width", "1", radii[:, -1] / seen.size),
@@ -164,7 +178,7 @@ def summaries(seen: Seen, slide: np.ndarray | None = None, yaw: np.ndarray | Non
         Summary(f"ring {k + 1} over outermost", "1", radii[:, k] / radii[:, -1]) for k in range(radii.shape[1] - 1)
     ]
     if slide is not None and yaw is not None:
-        motion, index = ring_motion(shell, seen.place), slide_bin(slide)
+        motion, index = ring_motion(shell, seen.place - seen.rest), slide_bin(slide)
         for name, part in (("central pins", central(motion)), ("outermost ring", motion[:, -1])):
             behind = left_behind(part, slide, yaw) * scale
             for k, least in enumerate(SLIDE_BINS_MM):

@@ -64,16 +64,19 @@ class Recordings:
         return tuple(name.decode("utf-8", "backslashreplace") for name in names)
 
     def frames(self, box: Box | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
-        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), all cropped to `box`, or each for itself.
+        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), cropped to `box`, or each folder's to the crop that they have in common.
 
         Raises UserError if not one image can be read.
         """
         from jaxunshear.image.preprocess import prepare_frame
 
         read, problem = 0, ""
+        boxes: dict[Path, Box | None] = {}
         for index, (file, name) in enumerate(zip(self.files, self.names, strict=True)):
+            if box is None and file.parent not in boxes:
+                boxes[file.parent] = self.common_box(file.parent)
             try:
-                image = prepare_frame(self.preprocess, read_image(file), box)
+                image = prepare_frame(self.preprocess, read_image(file), box or boxes[file.parent])
             except UserError as error:
                 problem = f"{name}: {error}"
                 self.notes.append(f"left out {problem}")
@@ -83,12 +86,14 @@ class Recordings:
         if not read:
             raise UserError(f"none of {len(self)} images in {self.path} can be read; the last: {problem}")
 
-    def common_box(self) -> Box | None:
-        """The crop (left, top, right, bottom) that suits up to BOXES frames, evenly spaced; None where they differ in size."""
+    def common_box(self, folder: Path | None = None) -> Box | None:
+        """The crop (left, top, right, bottom) that suits up to BOXES frames, of all or of one folder, evenly spaced: one that trembled
+        would look like motion. None where they differ in size."""
         from jaxunshear.image.preprocess import common_box
 
+        files = [file for file in self.files if folder in (None, file.parent)]
         raws = []
-        for file in self.files[:: -(-len(self) // BOXES)]:
+        for file in files[:: -(-len(files) // BOXES)]:
             with contextlib.suppress(UserError):  # `frames` will tell
                 raws.append(read_image(file))
         return common_box(self.preprocess, raws)

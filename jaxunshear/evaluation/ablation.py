@@ -3,7 +3,8 @@
     results = ablate(experiment, Path("runs/demo"), Path("datasets"), command)
 
 A cell is a decoder, the codes it is fed, and the image it ought to draw; a code that the decoder does not use can be spoilt
-without harm. "Another image" is one half the test split further on, at another pose.
+without harm. "Another image" is one half the test split further on or, where that one lies at the same pose, the next
+after it at another; only a split of a single pose has none there.
 """
 
 import io
@@ -28,11 +29,11 @@ from jaxunshear.model.layers import in_precision
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.progress import Progress
 from jaxunshear.storage import write_bytes, write_json
-from jaxunshear.training.checkpoint import load_best, read_net
+from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.origin import check_origin
 
 BATCH = 32
-FIELDS = ("canonical", "sheared", "stimulus", "pose_id")
+FIELDS = ("canonical", "sheared")
 SHOWN = 6  # contacts in the picture
 SEED = 0
 
@@ -56,11 +57,13 @@ def cell_scores(drawn: dict[str, Array], tap: Array, sheared: Array) -> dict[str
 def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> dict[str, Any]:
     """Scores all cells of the disentangled network in `run_dir` on the test split; writes ablation.json and ablation.png there.
 
-    Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled or learnt from other data.
+    Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled, learnt from
+    other data or is not trained to the end.
     """
     from jaxunshear.dataset.reading import open_set
 
     folder = Path(run_dir) / "disentangled"
+    check_finished(folder)
     net = read_net(folder)
     if not isinstance(net, UnshearNet) or not net.disentangled:
         raise UserError(f"{folder} holds no disentangled network: there are no codes to swap")
@@ -70,6 +73,8 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     check_origin(experiment, "disentangled", run_dir)
     pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
     total = pairs.length("test")
+    labels = pairs.take("test", np.arange(total), ("stimulus", "pose_id"))
+    poses = np.unique(np.stack(list(labels.values()), axis=1), axis=0, return_inverse=True)[1].reshape(-1)
 
     @jax.jit
     def run(tap: Array, sheared: Array, key: Array):
@@ -78,27 +83,27 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
         return drawn, cell_scores(drawn, tap, sheared)
 
     found: list[dict[str, np.ndarray]] = []
-    poses: list[np.ndarray] = []
+    order: list[np.ndarray] = []
     shown: dict[str, np.ndarray] = {}
     with Progress("ablate", total) as progress:
-        for number, (rows, counts) in enumerate(partners(total, BATCH)):
+        for number, (rows, counts) in enumerate(partners(poses, BATCH)):
             key = jax.random.fold_in(jax.random.key(SEED), number)
             batch = pairs.take("test", rows, FIELDS)
             drawn, scores = jax.device_get(run(batch["canonical"], batch["sheared"], key))
             found.append({name: value[counts] for name, value in scores.items()})
-            poses.append(np.stack([batch["stimulus"], batch["pose_id"]], axis=1)[counts])
-            if not shown:
-                some = np.linspace(0, counts.sum() - 1, min(SHOWN, counts.sum())).round().astype(int)
+            order.append(rows[counts])
+            if not shown and counts.any():
+                some = np.flatnonzero(counts)
+                some = some[np.linspace(0, len(some) - 1, min(SHOWN, len(some))).round().astype(int)]
                 shown = {name: batch[name][some, ..., 0] / 255 for name in ("sheared", "canonical")}
                 shown |= {name: image[some, ..., 0] for name, image in drawn.items()}
             progress.advance(int(counts.sum()))
     scores = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
-    group = np.unique(np.concatenate(poses), axis=0, return_inverse=True)[1].reshape(-1)
     results = {
         "experiment": experiment.name,
         "simulated": True,
         "metric": {"ms_ssim": ms_ssim_name(scales_that_fit(net.size))},
-        "rows": rows_of(scores, group),
+        "rows": rows_of(scores, poses[np.concatenate(order)]),
         "contacts": total,
         "seed": SEED,
         "command": command,
@@ -110,18 +115,35 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     return results
 
 
-def partners(total: int, batch: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Batches of rows of a split of `total`, half a batch apart those that lie half the split apart; and which of them count.
+def partners(poses: np.ndarray, batch: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Batches of rows of a split, partners half a batch apart; and which of them count. `poses` (N,): number of each row's.
 
-    All are of one size, the last one filled up by rows that have been there. Every row counts once.
+    Partners lie half the split apart; where these are at one pose, each of them counts later, beside the next row at
+    another. All batches are of one size, filled up by rows that have been there. Every row counts once.
     """
-    half = (total + 1) // 2
+    total, half = len(poses), (len(poses) + 1) // 2
     width = min(max(1, batch // 2), half)
-    for start in range(0, half, width):
-        place = np.arange(start, start + width)
-        first = place % half
-        rows = np.concatenate([first, (first + half) % total])
-        yield rows, np.concatenate([place < half, (place < half) & (place + half < total)])
+    first = np.arange(half)
+    second = (first + half) % total
+    apart = (poses[first] != poses[second]) | (len(np.unique(poses)) == 1)
+    own = first + half < total  # of an odd number, one row is the partner of two
+    again = np.concatenate([first[~apart], second[~apart & own]])
+    others = np.array([_next_elsewhere(poses, row, half) for row in again], int)
+    none, every = np.zeros(len(again), bool), np.ones(len(again), bool)
+    for left, right, left_counts, right_counts in ((first, second, apart, apart & own), (again, others, every, none)):
+        for start in range(0, len(left), width):
+            place = np.arange(start, start + width)
+            here, new = place % len(left), place < len(left)
+            yield (
+                np.concatenate([left[here], right[here]]),
+                np.concatenate([left_counts[here] & new, right_counts[here] & new]),
+            )
+
+
+def _next_elsewhere(poses: np.ndarray, row: int, far: int) -> int:
+    """The first of the rows from `far` beyond `row` on, around the end, that is at another pose."""
+    rows = (row + far + np.arange(len(poses))) % len(poses)
+    return int(rows[np.argmax(poses[rows] != poses[row])])
 
 
 def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[dict[str, Any]]:

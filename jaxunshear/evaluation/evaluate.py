@@ -41,14 +41,18 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     Writes and returns the results; also writes `montage.npz` and, for who wants to compare runs contact by contact, every score
     of every contact: `scores.npz`, `scores-<test>.npz`. `command` is what a person typed, to stand beside the figures.
 
-    Raises `UserError` where a network or the data set is missing, damaged or empty, or a network learnt from other data.
+    Raises `UserError` where a network or the data set is missing, damaged or empty, or a network learnt from other data
+    or is not trained to the end.
     """
     from jaxunshear.dataset.reading import open_set
     from jaxunshear.evaluation.networks import load
     from jaxunshear.evaluation.speed import ms_per_image
+    from jaxunshear.training.checkpoint import check_finished
 
     started = time.perf_counter()
     run_dir = Path(run_dir)
+    for network in experiment.networks:
+        check_finished(run_dir / network)
     pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
     total = pairs.length("test")
     if not total:

@@ -88,6 +88,7 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, bbox: tuple[int, int,
     not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.
     """
     grey = to_grey(raw)
+    _check_seen(grey)
     square = crop(grey, bbox or _box(preprocess, grey))
     if is_binary(grey):
         small = _both_sides(np.matmul, _area_matrix(square.shape[0], preprocess.size), square)
@@ -168,8 +169,7 @@ def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
     It goes by the dark dome disc in a light surround; without such a disc by the pins; without pins it is the middle square.
     Raises UserError for a frame of one flat grey.
     """
-    if np.ptp(grey) < 0.05:
-        raise UserError("this image is one flat grey: there is nothing to see in it")
+    _check_seen(grey)
     smallest = min(grey.shape)
     disc = _fit_circle(_disc_rim(grey))
     if disc is not None and 0.15 * smallest < disc.radius < 0.75 * smallest and disc.off < 0.05 * disc.radius:
@@ -179,12 +179,19 @@ def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
     return _middle(grey.shape) if pins is None else _square(pins.row, pins.column, pins.radius / outer_pins)
 
 
+def _check_seen(grey: np.ndarray) -> None:
+    if np.ptp(grey) < 0.05:
+        raise UserError("this image is one flat grey: there is nothing to see in it")
+
+
 def _disc_rim(grey: np.ndarray) -> np.ndarray:
     """Rim of the largest dark part with its holes (the pins) filled, (N, 2) px as (row, column)."""
     dark = grey < threshold_otsu(grey)
     parts = label(dark, connectivity=1)
     disc = ndimage.binary_fill_holes(parts == 1 + np.argmax(np.bincount(parts[dark])[1:]))
-    disc = ndimage.binary_opening(disc, iterations=max(1, min(grey.shape) // 60))
+    steps = max(1, min(grey.shape) // 60)
+    disc = np.pad(disc, steps, mode="edge")  # else the opening rounds the corners of a frame that is dark all over
+    disc = ndimage.binary_opening(disc, iterations=steps)[steps:-steps, steps:-steps]
     rim = disc & ~ndimage.binary_erosion(disc)
     rim[[0, -1], :] = rim[:, [0, -1]] = False  # where the frame cuts the disc, its border is no rim
     return np.argwhere(rim).astype(float)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from jaxunshear.style import COLOURS, FAINT, STYLE
+from jaxunshear.style import COLOURS, FAINT, INK, STYLE
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "ms_ssim/disentangled": ("likeness to the tap, MS-SSIM", True),
@@ -20,6 +20,11 @@ ERRORS = {  # of the disentangled network: metric, label, whether more is better
 }
 COSTS = {"train_seconds": "seconds of training", "ms_per_image": "ms an image"}
 NETWORK = "disentangled"
+TEST = ("paired.", "sensor")  # settings that decide which contacts the test holds, and how their images look
+SIZES = (
+    "paired.preprocess.size",
+    "paired.camera.frame_px",
+)  # but for these: errors in mm and degrees compare across sizes
 
 
 def frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
@@ -34,26 +39,46 @@ def frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
 
 
 def efficient(summary: dict[str, Any]) -> dict[str, dict[str, list[str]]]:
-    """Labels on the frontier, cheapest first, by metric and cost."""
+    """Labels on the frontier, cheapest first, by metric and cost; of the cells that can be ranked, see `ranked`."""
+    comparable = ranked(summary)
     named: dict[str, dict[str, list[str]]] = {}
     for metric, (_, more) in ERRORS.items():
         named[metric] = {}
         for cost in COSTS:
             labels, x, y = points(summary, metric, cost)
-            named[metric][cost] = [labels[index] for index in frontier(x, -y if more else y)]
+            inside = [index for index, label in enumerate(labels) if label in comparable]
+            best = frontier(x[inside], -y[inside] if more else y[inside])
+            named[metric][cost] = [labels[inside[index]] for index in best]
     return named
+
+
+def ranked(summary: dict[str, Any]) -> list[str]:
+    """Labels of the cells tested on the same contacts as the reference: on others an error may be less because they are easier."""
+    test = _test(_reference(summary))
+    return [cell["label"] for cell in summary["cells"] if _test(cell) == test]
+
+
+def _reference(summary: dict[str, Any]) -> dict[str, Any]:
+    """The reference cell, or the first where there is none."""
+    cells = summary["cells"]
+    return next((cell for cell in cells if cell["label"] == summary["reference"]), cells[0])
+
+
+def _test(cell: dict[str, Any]) -> dict[str, str]:
+    return {name: value for name, value in cell["settings"].items() if name.startswith(TEST) and name not in SIZES}
 
 
 def points(summary: dict[str, Any], metric: str, cost: str) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
 
-    Milliseconds are those of all cells with the same network, since nothing else tells them apart. MS-SSIM of other scales than the
-    first cell's (other image sizes) is another quantity, and left out.
+    Milliseconds are those of all cells with the same network in the same precision, since nothing else tells them apart. MS-SSIM of
+    other scales than the reference's (other image sizes) is another quantity, and left out.
     """
     found = []
     cells = [cell for cell in summary["cells"] if metric in cell["metrics"]]
+    scale = _reference(summary)["metric"]["ms_ssim"]
     for cell in cells:
-        if metric.startswith("ms_ssim") and cell["metric"]["ms_ssim"] != cells[0]["metric"]["ms_ssim"]:
+        if metric.startswith("ms_ssim") and cell["metric"]["ms_ssim"] != scale:
             continue
         alike = [cell] if cost != "ms_per_image" else [other for other in cells if _network(other) == _network(cell)]
         if spent := [seconds for each in alike for seconds in _spent(each, cost)]:
@@ -63,7 +88,7 @@ def points(summary: dict[str, Any], metric: str, cost: str) -> tuple[list[str], 
 
 
 def _network(cell: dict[str, Any]) -> dict[str, str]:
-    return {name: value for name, value in cell["settings"].items() if name.startswith("unshear.")}
+    return {name: value for name, value in cell["settings"].items() if name.startswith(("unshear.", "train.precision"))}
 
 
 def _spent(cell: dict[str, Any], cost: str) -> list[float]:
@@ -73,7 +98,8 @@ def _spent(cell: dict[str, Any], cost: str) -> list[float]:
 
 
 def frontier_figure(summary: dict[str, Any]) -> bytes | None:
-    """PNG: a row a cost, a column an error; what no other setting beats is joined. None where nothing can be drawn."""
+    """PNG: a row a cost, a column an error; what no other setting beats is joined, what cannot be ranked is hollow. None where
+    nothing can be drawn."""
     metrics = [metric for metric in ERRORS if len(points(summary, metric, "train_seconds")[0]) > 1]
     if not metrics:
         return None
@@ -90,6 +116,7 @@ def frontier_figure(summary: dict[str, Any]) -> bytes | None:
                 _panel(axes, summary, metric, cost, number)
         seeds = len(summary["seeds"])
         names = "      ".join(f"{digit} {label}" for label, digit in number.items())
+        names += "      hollow: another test" * (len(ranked(summary)) < len(number))
         figure.suptitle(f"{summary['sweep']}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none")
         figure.supxlabel("\n".join(wrap(names, 42 * len(metrics))), fontsize=9)
         picture = io.BytesIO()
@@ -99,18 +126,20 @@ def frontier_figure(summary: dict[str, Any]) -> bytes | None:
 
 def _panel(axes: Any, summary: dict[str, Any], metric: str, cost: str, number: dict[str, str]) -> None:
     labels, x, y = points(summary, metric, cost)
-    best = frontier(x, -y if ERRORS[metric][1] else y)
+    best = [labels.index(label) for label in efficient(summary)[metric][cost]]
+    comparable = ranked(summary)
     axes.plot(x[best], y[best], "-", color=COLOURS[NETWORK])
     for index, label in enumerate(labels):
-        on = index in best
+        on, full = index in best, label in comparable
+        inside = COLOURS[NETWORK] if on else FAINT if full else "white"
         axes.annotate(
             number[label],
             (x[index], y[index]),
             ha="center",
             va="center",
             fontsize=7,
-            color="white",
-            bbox={"boxstyle": "circle,pad=0.25", "facecolor": COLOURS[NETWORK] if on else FAINT, "edgecolor": "white"},
+            color="white" if full else INK,
+            bbox={"boxstyle": "circle,pad=0.25", "facecolor": inside, "edgecolor": "white" if full else FAINT},
             zorder=3 + on,
         )
     axes.plot(x, y, "o", alpha=0)  # so that the axes reach as far as the numbers

@@ -46,7 +46,10 @@ def times(results: dict[str, Any], histories: dict[str, History]) -> str:
             drawn.append(
                 page.drawing(figures.error_over_time(histories, name, label), f"{label} over seconds of training")
             )
-    lead = "Wall clock of each stage of the run, and what the seconds of training bought on poses kept out of it."
+    lead = (
+        "Wall clock of each stage, summed over the runs that it was stopped and continued in (what one had spent that was "
+        "killed outright is lost), and what the seconds of training bought on poses kept out of it."
+    )
     waits = "; ".join(
         f"{name} {times['median']:.1f} ms (95th percentile {times['p95']:.1f})"
         for name, times in results["ms_per_image"].items()

@@ -61,7 +61,10 @@ def headlines(results: dict[str, Any]) -> str:
             f"of {results['metric']['image_px']} px; root mean square",
         ),
         page.card(
-            "Whole run", "", total, f"{results['machine']['cores']} cores, {results['machine']['device'].split(':')[0]}"
+            "Whole run",
+            "",
+            total,
+            f"sum of its stages; {results['machine']['cores']} cores, {results['machine']['device'].split(':')[0]}",
         ),
     )
 

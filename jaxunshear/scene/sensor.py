@@ -42,11 +42,11 @@ TACTIP_331 = Sensor()
 TACTIP_127 = Sensor(name="tactip127", layout="hexagonal", rings=6, pin_spacing_mm=2.4, pin_radius_mm=0.6)
 # Pins that end where they stand: they show where the skin moves, but not how it turns.
 TACTIP_331_FLUSH = replace(TACTIP_331, name="tactip331-flush", pin_length_mm=0.0)
-# Fitted by `jaxunshear calibrate` to 182 contacts of a real TacTip with an edge (docs/results/calibrate_edge_2d.json).
+# Fitted by `jaxunshear calibrate` to 200 contacts of a real TacTip with an edge (docs/results/calibrate_edge_2d.json).
 TACTIP_331_FITTED = replace(
-    TACTIP_331, name="tactip331-fitted", pin_spacing_mm=2.24, pin_radius_mm=0.524, gel_modulus_mpa=0.0084
+    TACTIP_331, name="tactip331-fitted", pin_spacing_mm=2.18, pin_radius_mm=0.511, gel_modulus_mpa=0.00702
 )
-FITTED_FRICTION = 0.361  # of that skin on that edge
+FITTED_FRICTION = 0.386  # of that skin on that edge
 LAYOUTS = ("rings", "hexagonal")
 SENSORS = {sensor.name: sensor for sensor in (TACTIP_331, TACTIP_127, TACTIP_331_FLUSH, TACTIP_331_FITTED)}
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.locks import locked
 from jaxunshear.progress import Progress
 from jaxunshear.report.frontier_figure import frontier_figure
 from jaxunshear.report.sweep_figure import sweep_figure
@@ -18,7 +19,7 @@ from jaxunshear.sweep.engines import Engine, serial
 from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
 from jaxunshear.sweep.settings import Sweep
 from jaxunshear.sweep.summary import Measured, summarise
-from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, locked, read_outcome
+from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, read_outcome
 
 SCORES = "scores.npz"  # of the evaluation, beside scores-<test>.npz
 

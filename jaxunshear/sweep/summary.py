@@ -13,6 +13,7 @@ from jaxunshear.sweep.rows import Cell, axis_values, name_of
 from jaxunshear.sweep.settings import Sweep, base_of, names_of
 
 TABLES = ("pin_error",)  # of a run's results: figures that are no means over contacts
+NOT_CONTACTS = ("config", "camera", "nuisance", "preprocess")  # of the paired data: a name, and how contacts look
 COSTS = ("train_seconds", "images_per_second", "ms_per_image", "wall_seconds", "peak_memory_bytes", "device", "host")
 
 
@@ -173,16 +174,16 @@ def _recovery(seeds: Sequence[int], values: np.ndarray, poses: np.ndarray) -> di
 def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
     """By metric that both have: `mean` and `interval` of this less the other, over the seeds that both have.
 
-    Empty where there is no such seed, or the test contacts are not the same. MS-SSIM of different scales is not compared.
+    Empty where there is no such seed, or the test contacts are not the same. Likeness of images of different sizes is not compared.
     """
     common = [seed for seed in rows if seed in other]
     rows, other = ({seed: cell[seed] for seed in common} for cell in (rows, other))
     found = {}
-    one_scale = _metric(rows).get("ms_ssim") == _metric(other).get("ms_ssim")
+    one_size = all(_metric(rows).get(name) == _metric(other).get(name) for name in ("ms_ssim", "image_px"))
     for test, name in _names(rows):
-        if "ms_ssim" in name and not one_scale:
+        if ("ms_ssim" in name or name.startswith("swap/")) and not one_size:
             continue
-        if (test, name) in _names(other) and np.array_equal(_poses(rows, test), _poses(other, test)):
+        if (test, name) in _names(other) and _same_contacts(rows, other, test):
             values = _stacked(rows, test, name) - _stacked(other, test, name)
             found[_called(test, name)] = {
                 "mean": float(values.mean()),
@@ -269,6 +270,21 @@ def _shapes(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     names = results["tests"][test]["stimuli"] if test else results["settings"]["paired"]["stimuli"]
     stimulus = np.asarray(first.tests[test]["stimulus"])
     return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
+
+
+def _same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], test: str) -> bool:
+    """Whether both were drawn from the same settings, and none was lost that the other has."""
+    return _drawn_from(rows, test) == _drawn_from(other, test) and np.array_equal(
+        _poses(rows, test), _poses(other, test)
+    )
+
+
+def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, Any]:
+    """The settings that decide the contacts of a test."""
+    results = next(iter(rows.values())).outcome["results"]
+    settings, own = results["settings"], results["tests"][test] if test else {}
+    paired = {name: own.get(name, value) for name, value in settings["paired"].items() if name not in NOT_CONTACTS}
+    return paired | {"sensor": settings["sensor"]}
 
 
 def _poses(rows: Mapping[int, Measured], test: str) -> np.ndarray:

@@ -2,11 +2,14 @@
 
 from typing import Any
 
+from jaxunshear.report.frontier_figure import ranked
+
 MAIN = ("ms_ssim/*", "pose/*/edge_mm", "pose/*/edge_deg", "swap/DS(z_p,z_s)/mse")  # *: each network
 
 
 def table(summary: dict[str, Any]) -> str:
-    """A line a cell: the main figures with their intervals, seconds of training, memory; then the failures with their reasons."""
+    """A line a cell: the main figures with their intervals, seconds of training, memory; then the failures with their reasons,
+    and what no other setting beats."""
     cells = summary["cells"]
     names = main_metrics(summary)
     lines = [["", "seeds", *names, "training", "memory"]]
@@ -24,17 +27,21 @@ def table(summary: dict[str, Any]) -> str:
         text += [
             f"failed: {cell['label']}, seed {failure['seed']}: {failure['reason']}" for failure in cell["failures"]
         ]
+    if any(cell["failures"] for cell in cells):
+        text.append("the same command leaves failed rows as they are: --retry-failed tries them again")
     return "\n".join(text + _frontiers(summary))
 
 
 def _frontiers(summary: dict[str, Any]) -> list[str]:
-    """What no other setting beats, of a sweep that is a list of settings."""
-    return [
+    """What no other setting beats, of a sweep that is a list of settings; then which ones were not ranked."""
+    lines = [
         f"{metric} against {cost}: {' < '.join(labels)}"
         for metric, costs in summary["efficient"].items()
         for cost, labels in costs.items()
         if len(labels) > 1
     ]
+    others = [cell["label"] for cell in summary["cells"] if cell["label"] not in ranked(summary)] if lines else []
+    return [*lines, *([f"not ranked, tested on other contacts: {'; '.join(others)}"] if others else [])]
 
 
 def main_metrics(summary: dict[str, Any]) -> list[str]:

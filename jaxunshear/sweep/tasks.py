@@ -1,25 +1,25 @@
 """A task of a sweep is one folder and one process: task.json goes in, <kind>.json comes out, log.txt holds what was said.
 
 However the process ends (a refusal, a crash, a kill for memory), <kind>.json says so, and nothing but this task is lost. Where
-the sweep itself is stopped there is none, and the same task goes on from its checkpoints. Imports no JAX.
+the sweep itself is stopped, or the disk is full, there is none, and the same task goes on from its checkpoints. Imports no JAX.
 """
 
-import contextlib
-import fcntl
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from jaxunshear.errors import UserError
 from jaxunshear.storage import read_json, write_json
 
 TASK, LOG, LOCK = "task.json", "log.txt", "lock"
 WORKER = (sys.executable, "-m", "jaxunshear.sweep.work")
+DISK_FULL = 75  # exit code of a task that has no outcome, since the disk is full
 SAID = ("label", "seed", "networks")  # what the outcome repeats of the task
 
 
@@ -58,6 +58,7 @@ def repeated(task: dict[str, Any]) -> dict[str, Any]:
 def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bool = True) -> None:
     """Runs the task of `folder` in a process of its own, to its outcome; if it leaves none, writes the failure.
 
+    Raises `UserError` where the disk is full: the next task would end there, too.
     `quiet`: what the process prints goes to log.txt, else where this process prints.
     """
     with (folder / LOG).open("ab") as log:
@@ -75,6 +76,8 @@ def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bo
             process.kill()
             process.wait()
             raise
+    if code == DISK_FULL:
+        raise UserError(f"{folder}: the disk is full; free some space, then run the same command")
     if not outcome_file(folder, kind).exists():
         time.sleep(0.2)  # whoever kills all processes of a sweep kills this one next: that is no failure of the task
         give_up(folder, kind, _ending(code, folder))
@@ -85,22 +88,6 @@ def give_up(folder: Path, kind: str, reason: str) -> None:
     path = outcome_file(folder, kind)
     if not path.exists():
         write_json(path, failure(read_json(folder / TASK), reason, folder))
-
-
-@contextlib.contextmanager
-def locked(path: Path, wait: bool) -> Iterator[bool]:
-    """Holds the lock file `path` while open, for no other process to hold it; yields whether it could be had.
-
-    `wait`: until it can. The system frees it when the process dies, however it dies.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
-            yield False
-        else:
-            yield True
 
 
 def _ending(code: int, folder: Path) -> str:

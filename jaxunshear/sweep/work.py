@@ -17,10 +17,11 @@ from typing import Any
 
 from jaxunshear.config import from_json
 from jaxunshear.errors import UserError
+from jaxunshear.locks import locked
 from jaxunshear.memory import keep_freed_memory, restart_with_large_pages
 from jaxunshear.run import run_stages
-from jaxunshear.storage import read_json, write_json
-from jaxunshear.sweep.tasks import LOCK, TASK, failure, locked, outcome_file, read_outcome, repeated
+from jaxunshear.storage import disk_is_full, read_json, write_json
+from jaxunshear.sweep.tasks import DISK_FULL, LOCK, TASK, failure, outcome_file, read_outcome, repeated
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -33,7 +34,13 @@ def main(folder: Path, parent: int) -> int:
         task = read_json(folder / TASK)
         outcome = outcome_file(folder, task["kind"])
         if not outcome.exists():
-            write_json(outcome, attempt(task, folder))
+            try:
+                write_json(outcome, attempt(task, folder))
+            except Exception as error:
+                if disk_is_full(error):
+                    print(f"{type(error).__name__}: {error}", file=sys.stderr)
+                    return DISK_FULL
+                raise
     return 0
 
 
@@ -46,14 +53,18 @@ def die_with(parent: int) -> None:
 
 
 def attempt(task: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The outcome of `task`: what it made, or why it failed, and what it took."""
+    """The outcome of `task`: what it made, or why it failed, and what it took. A full disk is no failure of the task: raised."""
     began = time.perf_counter()
     try:
         made = {"data": _data, "training": _training, "row": _row}[task["kind"]](task, folder)
         outcome = {"status": "done", "reason": None} | repeated(task) | made
     except UserError as error:
-        outcome = failure(task, str(error), folder)
+        if disk_is_full(error):
+            raise
+        outcome = failure(task, str(error) if task["kind"] == "data" else _to_retry(str(error)), folder)
     except Exception as error:  # also a MemoryError, and what XLA makes of one
+        if disk_is_full(error):
+            raise
         traceback.print_exc()
         outcome = failure(task, f"{type(error).__name__}: {error}"[:500], folder)
     kilobyte = 1 if sys.platform == "darwin" else 1024
@@ -62,6 +73,12 @@ def attempt(task: dict[str, Any], folder: Path) -> dict[str, Any]:
         "peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * kilobyte,
         "host": platform.node(),
     }
+
+
+def _to_retry(reason: str) -> str:
+    """`reason` with the option that tries a failed task again, where it asks for the same command."""
+    option = "--retry-failed"
+    return reason if option in reason else reason.replace("the same command", f"the same command with {option}")
 
 
 def _data(task: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -4,6 +4,8 @@ FOLDER/model.json                  what is trained, with which settings
 FOLDER/checkpoints/<step>/state    arrays by name (Orbax)
 FOLDER/checkpoints/<step>/record.json   history of the training up to here, the best step, a digest of the arrays
 
+FOLDER/summary.json                once the training has come to its end
+
 FOLDER/weights.npz                 of a released model, in the place of checkpoints: the arrays that using it takes, and their digest
 
 A checkpoint is written under another name and then renamed, so a killed run leaves whole ones only. The latest and the
@@ -27,7 +29,7 @@ from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
 
-MODEL = "model.json"
+MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST = "weights.npz", "digest"
 NETS = {"unshear": UnshearNet, "unet": UNet, "posenet": PoseNet}
 
@@ -91,6 +93,14 @@ def restore(folder: Path, step: int, like: Any) -> tuple[Any, dict[str, Any]]:
 def holds_model(folder: Path) -> bool:
     """Whether `folder` holds a network that `load_best` can read."""
     return (Path(folder) / WEIGHTS).exists() or latest(folder) is not None
+
+
+def check_finished(folder: Path) -> None:
+    """Raises UserError where the training in `folder` was begun and has not come to its end; released weights have."""
+    folder = Path(folder)
+    if (folder / MODEL).exists() and not any((folder / name).exists() for name in (SUMMARY, WEIGHTS)):
+        finish = f"jaxunshear train FILE --network {folder.name} --out {folder.absolute().parents[1]}"
+        raise UserError(f"the training of {folder.name} in {folder} was not finished: finish it with `{finish}`")
 
 
 def load_best(folder: Path) -> dict[str, Any]:

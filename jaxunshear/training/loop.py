@@ -116,8 +116,8 @@ def _train(
     asked: dict[str, Any],
 ) -> Summary:
     checkpoint.write_settings(folder, {"kind": task.kind} | asked)
-    if (folder / "summary.json").exists():
-        return _summary(folder / "summary.json")
+    if (folder / checkpoint.SUMMARY).exists():
+        return _summary(folder / checkpoint.SUMMARY)
     keep_freed_memory()
     batch_size, steps_per_epoch = training.batch, epoch_images / training.batch
     steps = max(1, round(training.epochs * steps_per_epoch))
@@ -188,7 +188,7 @@ def _train(
         compile_seconds=compile_seconds,
         images_per_second=steps * batch_size / seconds,
     )
-    storage.write_json(folder / "summary.json", asdict(summary))
+    storage.write_json(folder / checkpoint.SUMMARY, asdict(summary))
     return summary
 
 

@@ -43,6 +43,14 @@ def test_half_a_walk_encloses_nothing():
     assert got.iou < 0.4 and got.hausdorff_mm > 20
 
 
+def test_what_a_walk_did_not_reach_still_counts():
+    line, point, evidence = walked("disk", share=0.05)
+    reach = np.abs(line.points).max()
+    fused = fuse(point, PLACE, evidence, reach)
+    assert fused.x[-1] >= reach - 0.5
+    assert likeness(fused, filled_shape(fused), truth("disk", fused), line).iou < 0.05
+
+
 def test_nothing_felt_is_told():
     line, point, evidence = walked("disk")
     fused = fuse(point, PLACE, -np.abs(evidence))

@@ -104,3 +104,17 @@ def test_walks_of_other_networks_or_another_sensor_are_not_taken_for_these(short
     ):
         with pytest.raises(UserError, match="another model or sensor"):
             follow_contour(COURSE, sensor, settings, WAYS, file, {"true": digest})
+
+
+@pytest.mark.parametrize(("asked", "used"), [(None, STIMULI["disk"].friction), (0.2, 0.2)])
+def test_walks_touch_with_the_friction_of_the_data(short, tmp_path, monkeypatch, asked, used):
+    class Touched(Exception):
+        pass
+
+    def follow(sensor, names, paths, start):
+        np.testing.assert_array_equal(paths.friction, used)
+        raise Touched
+
+    monkeypatch.setattr(servo, "follow", follow)
+    with pytest.raises(Touched):
+        follow_contour(COURSE, TACTIP_331, dataclasses.replace(SETTINGS, friction=asked), WAYS, tmp_path / "disk.npz")

@@ -6,11 +6,16 @@ import shutil
 import numpy as np
 import pytest
 
+from jaxunshear.calibration import calibrate as module
 from jaxunshear.calibration.calibrate import calibrate
+from jaxunshear.calibration.prediction import Values, skin_to_gel
+from jaxunshear.calibration.rendering import render
+from jaxunshear.calibration.sampling import Recorded
+from jaxunshear.calibration.statistics import observe
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import outer_fraction
 from jaxunshear.image.settings import Camera
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.scene.sensor import Sensor, pin_tips
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
 
 
@@ -84,3 +89,22 @@ def test_what_is_no_recording_is_refused(tmp_path):
         calibrate(tmp_path / "few", log=_quiet)
     with pytest.raises(UserError, match="cannot be held"):
         calibrate(tmp_path / "few", held=("colour",), log=_quiet)
+
+
+def test_an_image_whose_slide_cannot_be_read_is_no_tap(monkeypatch):
+    seen = observe(render(GUESS, SMALL, 128, np.repeat(pin_tips(SMALL)[None], 20, axis=0)), SMALL)
+    moves = np.ones((20, 6))
+    moves[4] = np.nan
+    part = Recorded("one", np.zeros((20, 128, 128), np.uint8), np.arange(120.0).reshape(20, 6), moves)
+    asked = []
+    monkeypatch.setattr(module, "read_labels", lambda seen, poses, moves, start, sensor: asked.append(poses))
+    start = Values(GUESS.mm_across, GUESS.distance_mm, SMALL.pin_spacing_mm, 0.3, skin_to_gel(SMALL))
+    module._labelled(part, seen, SMALL, start, [])
+    np.testing.assert_array_equal(asked[0], np.delete(part.poses, 4, axis=0))
+
+
+def test_what_was_held_is_not_called_undetermined(results):
+    held = _parameters(results[0])["pin_spacing_mm"]
+    assert held["held"] and held["after"] == held["before"] and held["low"] is None
+    line = next(line for line in (results[1] / "calibration.txt").read_text().splitlines() if "pin_spacing_mm" in line)
+    assert "held" in line and "not determined" not in line

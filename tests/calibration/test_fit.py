@@ -15,7 +15,7 @@ def test_a_parameter_that_the_images_do_not_tell_is_as_wide_as_its_prior(slope, 
     residual = noise * generator.normal(size=(100, 5)) / np.sqrt(5)
     slopes = np.zeros((100, 5, 2))
     slopes[:, 1:, 0], slopes[:, 0, 1] = 1.0, slope * PRIOR_PX / PRIOR[1]
-    drawn = _bootstrap(slopes, residual, np.ones(100), np.zeros(2), PRIOR)
+    drawn = _bootstrap(slopes, lambda generator: residual, np.ones(100), np.zeros(2), PRIOR)
     width = np.ptp(np.percentile(drawn, [2.5, 97.5], axis=0), axis=0) / (2 * 1.96 * PRIOR)
     assert width[0] < DETERMINED / 4
     assert (width[1] < DETERMINED) == known

@@ -1,15 +1,18 @@
-"""A contact that does not converge counts for a fixed residual, and bends nobody's slope."""
+"""Contacts that do not converge bend nobody's slope; unlabelled images tell as much as their scatter lets them."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from jaxunshear.calibration import problem
+from jaxunshear.calibration.fit import fit
 from jaxunshear.calibration.labels import motions
 from jaxunshear.calibration.prediction import PROBE_RINGS, Values, skin_to_gel
 from jaxunshear.calibration.problem import UNSOLVED_PX, Group, Problem
 from jaxunshear.calibration.rendering import render
 from jaxunshear.calibration.statistics import observe
-from jaxunshear.scene.sensor import pin_tips
+from jaxunshear.scene.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor, pin_tips
 from tests.calibration.conftest import GUESS, SMALL
 
 FRICTION, LOST, COUNT = 0.3, 2, 4
@@ -56,3 +59,25 @@ def test_a_lost_contact_has_no_slope_and_moves_no_other(group, monkeypatch, at_s
     assert slopes[others, RINGS:] == pytest.approx(places, abs=1e-5)
     residual = made.all(made.values(x))
     assert (residual[LOST, 0] == UNSOLVED_PX and not residual[LOST, 1:].any()) == at_start
+
+
+def test_intervals_of_unlabelled_images_are_as_wide_as_the_scatter_of_samples(group):
+    """Touches widen the rings by 0 to 8 per cent; which of them are in a sample is chance."""
+    start = Values(GUESS.mm_across, GUESS.distance_mm, SMALL.pin_spacing_mm, FRICTION, skin_to_gel(SMALL), (0.0,))
+    generator = np.random.default_rng(0)
+    found, half = [], []
+    for _ in range(12):
+        widened = group.seen.rest * (1 + generator.uniform(0, 0.08, (20, 1, 1)))
+        seen = group.seen.take(np.zeros(20, int))._replace(place=widened)
+        fitted = fit([Group("one", seen)], SMALL, start, held=("distance_mm",))
+        found.append(fitted.values.mm_across)
+        half.append((fitted.high["mm_across"] - fitted.low["mm_across"]) / 2)
+    assert 0.6 < np.mean(half) / (1.96 * np.std(found, ddof=1)) < 1.7
+
+
+@pytest.mark.parametrize("sensor", [TACTIP_331, TACTIP_331_FITTED, SMALL])
+def test_every_place_within_the_bounds_is_a_sensor(group, sensor):
+    start = Values(GUESS.mm_across, GUESS.distance_mm, sensor.pin_spacing_mm, FRICTION, skin_to_gel(sensor), (0.0,))
+    made = Problem([replace(group, side=0)], sensor, start, (), lambda contacts: None)
+    for bound in made.bounds():
+        check_sensor(made.values(bound).sensor(sensor))

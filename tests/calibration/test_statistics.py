@@ -3,6 +3,9 @@
 import numpy as np
 import pytest
 
+from jaxunshear.calibration.calibrate import _summaries
+from jaxunshear.calibration.labels import motions
+from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.rendering import render
 from jaxunshear.calibration.statistics import (
     central,
@@ -10,6 +13,7 @@ from jaxunshear.calibration.statistics import (
     observe,
     pin_diameters,
     ring_motion,
+    ring_radii,
     slide_bin,
     summaries,
 )
@@ -104,6 +108,25 @@ def test_central_pins_weigh_alike():
     place = np.zeros((2, 7, 2))
     place[1] = [3, -1]
     np.testing.assert_allclose(np.diff(ring_motion(shell, place), axis=0), 3 - 1j)
+
+
+def test_missing_pins_move_no_ring(images):
+    """Hidden on one side, as the housing hides them after a slide."""
+    seen = observe(images, TACTIP_331)
+    shell, place = seen.lattice.shell, seen.place.copy()
+    place[0, -8:] = np.nan
+    whole = ring_motion(shell, seen.place - seen.rest)
+    np.testing.assert_allclose(ring_motion(shell, place - seen.rest), whole, atol=0.05)
+    np.testing.assert_allclose(ring_radii(shell, place, seen.rest), ring_radii(shell, seen.place, seen.rest), atol=0.05)
+
+
+def test_what_is_not_followed_is_left_out_of_all(images, recwarn):
+    seen = observe(images, TACTIP_331)
+    contacts = motions(np.tile(np.arange(6.0), (2, 1)) + np.eye(6)[:2], np.ones((2, 6)))
+    told = {row.name: row.values for row in _summaries(Group("one", seen, contacts), seen, np.array([True, False]))}
+    assert all(np.isnan(values[1]) for values in told.values())
+    assert told["white share of pins"][0] > 0.05 and told["pins found"][0] == 331
+    assert not recwarn.list
 
 
 def test_black_images_are_refused():

@@ -175,3 +175,20 @@ def test_names_that_no_encoding_or_number_suits(tmp_path):
     recordings = read_recordings(tmp_path / "a", PREPROCESS)
     assert set(recordings.names) == {"a.png", "caf\\xe9.png", "\u00b25.png"}
     assert len("".join(recordings.names).encode()) and len(list(recordings.frames())) == 3
+
+
+def test_images_of_a_folder_are_cropped_alike(tmp_path):
+    """Pins that move as one stay moved: a crop of each image's own would follow them."""
+    column, row = np.meshgrid(np.arange(320), np.arange(240))
+    pins = np.concatenate([9 * k * np.exp(2j * np.pi * np.arange(6 * k) / (6 * k)) for k in range(1, 11)])
+    for folder, off in (("a", 0), ("b", 20)):
+        (tmp_path / folder).mkdir()
+        for i, shift in enumerate((-6, 0, 6)):
+            grey = (20 + row // 4).astype(np.uint8)  # not of two levels
+            for pin in pins + 150 + 120j + off + shift:
+                grey[np.hypot(column - pin.real, row - pin.imag) < 2.5] = 200
+            Image.fromarray(grey).save(tmp_path / folder / f"{i}.png")
+    frames = read_recordings(tmp_path, Preprocess(size=128)).frames()
+    middles = [np.argwhere(image).mean(axis=0)[1] for _, _, image in frames]
+    scale = 0.375 * 128 / 90  # px of an image a px of a frame
+    np.testing.assert_allclose(middles, 63.5 + scale * np.array([-6, 0, 6, -6, 0, 6]), atol=0.5)

@@ -7,6 +7,7 @@ import pytest
 
 from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
+from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 
@@ -31,4 +32,5 @@ def trained(tmp_path_factory):
         }
         checkpoint.write_settings(folder / name, {"kind": kind, "net": asdict(settings)})
         checkpoint.save(folder / name, 1, {"average": variables}, {"best_step": 1, "history": []})
+        write_json(folder / name / "summary.json", {"steps": 1})
     return folder

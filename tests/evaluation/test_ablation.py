@@ -13,7 +13,7 @@ from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
 from jaxunshear.experiment import Experiment
 from jaxunshear.model import unshearnet
 from jaxunshear.model.settings import UnshearNet
-from jaxunshear.training.checkpoint import write_settings, write_weights
+from jaxunshear.training.checkpoint import save, write_settings, write_weights
 from jaxunshear.training.loop import run_once
 
 init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
@@ -69,12 +69,43 @@ def test_rows_tell_which_image_was_drawn(drawn):
 
 @pytest.mark.parametrize("total", [1, 2, 5, 32, 48, 49, 720])
 def test_every_row_counts_once_beside_one_half_the_split_on(total):
-    parts = list(partners(total, 32))
+    parts = list(partners(np.arange(total), 32))
     assert len({rows.shape for rows, _ in parts}) == 1
     assert sorted(np.concatenate([rows[counts] for rows, counts in parts])) == list(range(total))
     for rows, counts in parts:
         apart = np.abs(rows - np.roll(rows, len(rows) // 2))[counts]
         assert np.all(apart >= total // 2) and np.all(apart <= (total + 1) // 2)
+
+
+@pytest.mark.parametrize(("total", "poses"), [(5, 2), (12, 6), (49, 3), (720, 8), (720, 360)])
+def test_the_other_image_is_at_another_pose_wherever_there_is_one(total, poses):
+    pose = np.random.default_rng(total).integers(poses, size=total)
+    parts, plain = list(partners(pose, 32)), list(partners(np.arange(total), 32))
+    assert len({rows.shape for rows, _ in parts}) == 1
+    assert sorted(np.concatenate([rows[counts] for rows, counts in parts])) == list(range(total))
+    again = 0
+    for number, (rows, counts) in enumerate(parts):
+        others = np.roll(rows, len(rows) // 2)
+        assert np.all(pose[rows] != pose[others], where=counts)
+        if number < len(plain):  # whoever had a partner at another pose keeps it, and its place
+            np.testing.assert_array_equal(rows, plain[number][0])
+            np.testing.assert_array_equal(counts, plain[number][1] & (pose[rows] != pose[others]))
+            again += np.sum(plain[number][1] & ~counts)
+    assert again > 0
+
+
+def test_images_of_a_single_pose_are_each_others_partners():
+    for (rows, counts), (plain, every) in zip(partners(np.zeros(9, int), 4), partners(np.arange(9), 4), strict=True):
+        np.testing.assert_array_equal(rows, plain)
+        np.testing.assert_array_equal(counts, every)
+
+
+def test_a_half_trained_network_is_not_ablated(tmp_path):
+    folder = tmp_path / "disentangled"
+    write_settings(folder, {"kind": "unshear", "net": asdict(NET)})
+    save(folder, 1, {"average": init(NET, jax.random.key(0))}, {"best_step": 1, "history": []})
+    with pytest.raises(UserError, match=r"disentangled was not finished: .*--network disentangled"):
+        ablate(Experiment(name="x", claim="none"), tmp_path, tmp_path, "none")
 
 
 def test_released_weights_cannot_be_ablated(tmp_path):

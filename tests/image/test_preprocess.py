@@ -128,6 +128,19 @@ def test_pins_in_a_dark_surround_are_found_too():
     assert len(find_pins(prepare_frame(Preprocess(size=256), photo))) == 331
 
 
+@pytest.mark.parametrize("scale", [1.0, 0.75])
+def test_a_square_frame_that_is_dark_all_round_is_framed_by_its_pins(scale):
+    """Its corners, which an opening would round, are not taken for a dome's rim."""
+    dark = Nuisance(housing_ring=False, specks=0)
+    square = np.asarray(frame(CAMERA, TACTIP_331, dark, pin_tips(TACTIP_331), jax.random.key(0)))
+    side = square.shape[0]
+    around = np.full((round(side / scale),) * 2, square.min(), np.float32)
+    start = (len(around) - side) // 2
+    around[start : start + side, start : start + side] = square
+    box = find_dome(around, Preprocess().outer_pins)
+    np.testing.assert_allclose(box, [start, start, start + side, start + side], atol=0.02 * side)
+
+
 def test_a_bbox_is_obeyed(frames):
     photo = photograph(frames[0], side=400, top=30, left=150)
     image = prepare_frame(Preprocess(size=256), photo, bbox=(150, 30, 550, 430))

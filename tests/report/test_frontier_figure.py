@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
 
-from jaxunshear.report.frontier_figure import ERRORS, efficient, frontier, frontier_figure, points
+from jaxunshear.report.frontier_figure import ERRORS, _panel, efficient, frontier, frontier_figure, points
 
 
 def summary(settings, seeds=("0", "1")):
@@ -27,7 +29,7 @@ def summary(settings, seeds=("0", "1")):
                 "costs": costs,
             }
         )
-    return {"sweep": "frontier", "seeds": [0, 1], "cells": cells}
+    return {"sweep": "frontier", "seeds": [0, 1], "reference": None, "cells": cells}
 
 
 THREE = [("small", 10, 2, 0.4), ("middling", 100, 4, 0.3), ("wasteful", 200, 3, 0.35), ("large", 400, 9, 0.1)]
@@ -66,6 +68,36 @@ def test_likeness_of_other_scales_is_not_compared():
     made["cells"][3]["metric"] = {"ms_ssim": "ms_ssim@5"}
     assert points(made, "ms_ssim/disentangled", "train_seconds")[0] == ["small", "middling", "wasteful"]
     assert len(points(made, "pose/disentangled/edge_mm", "train_seconds")[0]) == 4
+    for cell in made["cells"][:3]:
+        cell["settings"]["paired.preprocess.size"] = "64"
+    assert points(made | {"reference": "large"}, "ms_ssim/disentangled", "train_seconds")[0] == ["large"]
+
+
+@pytest.mark.parametrize("changed", ["paired.slides", "paired.ranges.move_mm", "paired.camera.mm_across", "sensor"])
+def test_cells_with_another_test_than_the_reference_are_not_ranked(changed):
+    made = summary(THREE)
+    made["cells"][3]["settings"][changed] = "another"
+    for metric in ERRORS:
+        assert efficient(made)[metric]["train_seconds"] == ["small", "middling"]
+        assert efficient(made)[metric]["ms_per_image"] == ["small", "wasteful", "middling"]
+        assert efficient(made | {"reference": "large"})[metric]["train_seconds"] == ["large"]
+
+
+def test_images_of_another_size_are_ranked_by_their_errors_in_mm():
+    made = summary(THREE)
+    made["cells"][3]["settings"]["paired.preprocess.size"] = "256"
+    assert efficient(made) == efficient(summary(THREE))
+
+
+def test_what_is_not_ranked_is_drawn_hollow_and_not_joined():
+    made = summary(THREE)
+    made["cells"][3]["settings"]["paired.slides"] = "8"
+    axes = Figure().subplots()
+    _panel(axes, made, "pose/disentangled/edge_mm", "train_seconds", {label: label for label, *_ in THREE})
+    assert axes.lines[0].get_xdata().tolist() == [10, 100]
+    colours = {text.get_text(): to_hex(text.get_bbox_patch().get_facecolor()) for text in axes.texts}
+    assert colours["large"] == "#ffffff" and len(colours) == 4
+    assert "#ffffff" not in [colours[label] for label in ("small", "middling", "wasteful")]
 
 
 def test_a_picture_is_drawn_where_there_is_something_to_draw():
@@ -79,3 +111,12 @@ def test_cells_of_one_network_take_equally_long_for_an_image():
         made["cells"][cell]["settings"] = {"train.epochs": str(cell)}
     cost = dict(zip(*points(made, "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
     assert cost == pytest.approx({"small": 5, "middling": 5, "wasteful": 3, "large": 5})
+
+
+def test_another_precision_takes_its_own_time_for_an_image():
+    made = summary(THREE)
+    for cell in made["cells"]:
+        cell["settings"] = {}
+    made["cells"][3]["settings"] = {"train.precision": "bfloat16"}
+    cost = dict(zip(*points(made, "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
+    assert cost == pytest.approx({"small": 3, "middling": 3, "wasteful": 3, "large": 9})

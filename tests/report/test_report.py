@@ -86,6 +86,7 @@ def test_the_figures_of_the_results_are_on_it(made_up_run):
         assert words in text
     assert "missed ·" not in text
     assert "8 min 18 s" in text  # the sum of times.json, which has grown since the evaluation
+    assert "sum of its stages" in text and "killed outright is lost" in text
 
 
 def test_the_montage_is_a_picture_of_every_shape_too(made_up_run):

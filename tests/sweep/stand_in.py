@@ -2,9 +2,10 @@
 
 And a whole sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray]`. A training takes ten steps of
 `STAND_IN_PAUSE` seconds with a checkpoint each, and writes a line for every step to <data>/steps.txt; learning rates of 1/2, 1/4 and
-1/8 let it fail.
+1/8 let it fail, 1/16 finds the disk full where `STAND_IN_FULL` is set.
 """
 
+import errno
 import json
 import os
 import signal
@@ -19,7 +20,7 @@ from jaxunshear.config import to_json
 from jaxunshear.dataset.configs import describe
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import TRAINABLE, Experiment, learnt_from
-from jaxunshear.storage import read_json, write_json
+from jaxunshear.storage import os_error, read_json, write_json
 from jaxunshear.sweep import work
 from jaxunshear.sweep.rows import training_part
 from jaxunshear.sweep.settings import Sweep
@@ -78,6 +79,9 @@ def fail(learning_rate, place):
         raise UserError(f"training {place} stopped: supervised not finite at step 5")
     if learning_rate == 1 / 4:
         os.kill(os.getpid(), signal.SIGKILL)
+    if learning_rate == 1 / 16 and "STAND_IN_FULL" in os.environ:
+        error = OSError(errno.ENOSPC, "No space left on device")
+        raise os_error(place, error) from error
     if learning_rate == 1 / 8:
         raise ZeroDivisionError("a bug\nof two lines")
 
@@ -91,7 +95,7 @@ def evaluate(experiment, folder):
     np.savez(folder / "scores.npz", **scores, stimulus=pose % 3, pose_id=pose)
     return {
         "metric": {"ms_ssim": "ms_ssim@4"},
-        "settings": {"paired": {"stimuli": experiment.paired.stimuli}},
+        "settings": to_json(experiment),
         "tests": {},
         "pin_error": {"disentangled": {"rms_px": float(random.random())}},
         "ms_per_image": {network: {"median": 1.0, "p95": 2.0} for network in experiment.networks},

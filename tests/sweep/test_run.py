@@ -16,12 +16,13 @@ import pytest
 from jaxunshear.config import from_json
 from jaxunshear.dataset.making import sets_of
 from jaxunshear.errors import UserError
+from jaxunshear.locks import locked
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.rows import cells_of, rows_of
 from jaxunshear.sweep.summary import reproducible
 from jaxunshear.sweep.table import table
-from jaxunshear.sweep.tasks import LOCK, TASK, locked
+from jaxunshear.sweep.tasks import LOCK, TASK
 
 
 def rows(tmp_path: Path) -> dict[str, dict]:
@@ -120,6 +121,22 @@ def test_a_failed_row_is_told_left_alone_and_tried_again_when_asked(stand_in, sw
     assert swept(sweep, retry_failed=True)["cells"][1:] == summary["cells"][1:]
     tried = steps() - done
     assert sum(tried.values()) == 3 and {step for _, step in tried} == {"5"}  # each from its checkpoint
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_full_disk_stops_the_sweep_and_the_same_command_goes_on(
+    stand_in, swept, steps, tmp_path, monkeypatch, shared
+):
+    base = replace(stand_in.BASE, train=replace(stand_in.BASE.train, learning_rate=1 / 16))
+    grid = (("posenet.hidden", (8, 16) if shared else (8,)),)
+    sweep = replace(stand_in.SWEEP, base=base, grid=grid, seeds=(0,))
+    monkeypatch.setenv("STAND_IN_FULL", "1")
+    with pytest.raises(UserError, match=r"the disk is full; .* run the same command$"):
+        swept(sweep)
+    assert rows(tmp_path) == {}
+    monkeypatch.delenv("STAND_IN_FULL")
+    assert not any(cell["failures"] for cell in swept(sweep)["cells"])
+    assert steps().total() == 1 + 10 * (1 + len(sweep.grid[0][1]))  # goes on from its checkpoint
 
 
 def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, swept, steps):

@@ -31,8 +31,16 @@ def done(values: np.ndarray, **more) -> Measured:
         "status": "done",
         "results": {
             "metric": {"ms_ssim": "ms_ssim@4"},
-            "settings": {"paired": {"stimuli": ["disk", "clover", "teardrop"]}},
-            "tests": {"unseen": {"stimuli": ["flower", "leaf"]}},
+            "settings": {
+                "paired": {
+                    "stimuli": ["disk", "clover", "teardrop"],
+                    "tap_depth_jitter_mm": 0.0,
+                    "ranges": {"depth_max_mm": 6.0},
+                    "preprocess": {"size": 128},
+                },
+                "sensor": {"skin_mm": 1.0},
+            },
+            "tests": {"unseen": {"stimuli": ["flower", "leaf"], "tap_depth_jitter_mm": 0.0}},
             "pin_error": {"disentangled": {"rms_px": float(values[0]), "note": "text"}, "missing": None},
         },
         "ablation": [
@@ -155,10 +163,29 @@ def test_other_test_contacts_have_no_difference():
     assert differences({0: done(random(0))}, {1: done(random(0))}) == {}
 
 
-def test_ms_ssim_of_other_scales_is_not_compared():
-    larger = done(random(1))
-    larger.outcome["results"]["metric"] = {"ms_ssim": "ms_ssim@5"}
-    assert differences({0: done(random(0))}, {0: larger}) == {}
+def test_contacts_of_the_same_labels_drawn_from_other_settings_have_no_difference():
+    for part, change in (("paired", {"ranges": {"depth_max_mm": 3.0}}), ("sensor", {"skin_mm": 2.0})):
+        elsewhere = done(random(1))
+        elsewhere.outcome["results"]["settings"][part] |= change
+        assert differences({0: done(random(0))}, {0: elsewhere}) == {}
+
+
+def test_a_further_test_is_compared_by_its_own_settings():
+    jittered, others = done(random(1)), done(random(1))
+    jittered.outcome["results"]["settings"]["paired"]["tap_depth_jitter_mm"] = 1.0  # of the main test alone
+    others.outcome["results"]["tests"]["unseen"]["stimuli"] = ["leaf", "flower"]
+    assert list(differences({0: done(random(0))}, {0: jittered})) == [f"unseen: {NAME}"]
+    assert list(differences({0: done(random(0))}, {0: others})) == [NAME]
+
+
+@pytest.mark.parametrize("metric", [{"ms_ssim": "ms_ssim@5"}, {"ms_ssim": "ms_ssim@4", "image_px": 160}])
+def test_poses_read_from_images_of_another_size_are_compared_and_their_likeness_is_not(metric):
+    smaller, larger = done(random(0)), done(random(1))
+    larger.outcome["results"]["metric"] = metric
+    larger.outcome["results"]["settings"]["paired"]["preprocess"] = {"size": 160}
+    for row in (smaller, larger):
+        row.tests[""] |= {"swap/DC(z_p)/mse": random(2), "pose/disentangled/x_mm": random(3)}
+    assert list(differences({0: smaller}, {0: larger})) == ["pose/disentangled/x_mm"]
 
 
 def test_a_failure_is_told_with_its_reason_and_the_other_seed_counts(summary):
@@ -197,10 +224,29 @@ def test_the_table_shows_figures_reference_and_failures(summary):
     lines = table(summary).splitlines()
     assert lines[0].split() == ["seeds", NAME, "training", "memory"]
     assert lines[2].startswith("patch_weight=0.1 *") and "50 s" in lines[2] and "1.0 GiB" in lines[2]
-    assert "1 of 2" in lines[3] and lines[-1] == "failed: patch_weight=1.0, seed 1: killed by signal 9"
+    assert "1 of 2" in lines[3] and lines[-2] == "failed: patch_weight=1.0, seed 1: killed by signal 9"
+    assert lines[-1].endswith("--retry-failed tries them again")
     low, high = interval(np.stack([random(0), random(1)]), GROUPS)
     assert f"[{low:.3g}, {high:.3g}]" in lines[1]
     assert "*" not in table(replace_reference(summary)).splitlines()[2]
+
+
+def test_nothing_failed_is_nothing_to_try_again(summary):
+    assert "--retry-failed" not in table(summary | {"cells": summary["cells"][:2]})
+
+
+def test_the_table_tells_which_settings_were_not_ranked_and_ranks_the_others():
+    rows = ((), (("train.epochs", 9.0),), (("paired.slides", 8),))
+    sweep = replace(SWEEP, grid=(), rows=rows, labels=("base", "longer", "more slides"), seeds=(0,))
+    cells = cells_of(sweep)
+    measured = {
+        (cell.label, 0): done(np.full(12, 0.5 + number / 10), train_seconds={"disentangled": 10.0 + number})
+        for number, cell in enumerate(cells)
+    }
+    found = summarise(sweep, cells, measured, reference_of(sweep, cells))
+    lines = table(found).splitlines()
+    assert f"{NAME} against train_seconds: base < longer" in lines
+    assert lines[-1] == "not ranked, tested on other contacts: more slides"
 
 
 def replace_reference(summary: dict) -> dict:

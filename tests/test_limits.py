@@ -1,0 +1,55 @@
+"""Settings that would be read by nothing, or would spoil what is measured, are refused by name."""
+
+import pytest
+
+from jaxunshear.config import override, validate
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+
+PLAIN = Experiment(name="plain", claim="none")
+
+
+def refusal(words: str) -> str:
+    with pytest.raises(UserError) as refused:
+        validate(override(PLAIN, words.split()))
+    assert "\n" not in str(refused.value)
+    return str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "default"),
+    [
+        ("patch_weight", "0.2", "0.1"),
+        ("crops", "50", "100"),
+        ("crop_px", "10", "20"),
+        ("reconstruction_weight", "0.3", "1"),
+        ("pose_weight", "1", "0"),
+    ],
+)
+def test_posenets_training_has_no_losses_of_pairs(field, value, default):
+    line = refusal(f"--train_posenet.{field} {value}")
+    assert line.startswith(f"--train_posenet.{field} ") and line.endswith(f"unshear: leave it at {default}")
+    validate(override(PLAIN, [f"--train.{field}", value]))
+
+
+def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
+    groups = ("paired.preprocess", "pose.preprocess", "unshear", "posenet")
+    words = [f"--{group}.size=16" for group in groups]
+    validate(override(PLAIN, [*words, "--unshear.widths", "8,8", "--train.crop_px", "8"]))
+
+
+@pytest.mark.parametrize("group", ["paired", "pose"])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("camera.mm_across", "60"), ("camera.frame_px", "300"), ("preprocess.offset", "0.1"), ("preprocess.block", "0.2")],
+)
+def test_posenet_reads_pairs_that_look_like_its_taps(group, field, value):
+    line = refusal(f"--{group}.{field} {value}")
+    assert line.startswith(f"--pose.{field} ") and f"differs from paired.{field} (" in line
+    validate(override(PLAIN, [f"--paired.{field}", value, f"--pose.{field}", value]))
+
+
+def test_without_a_posenet_of_taps_pairs_may_look_otherwise():
+    words = ["--paired.camera.mm_across", "60", "--networks"]
+    validate(override(PLAIN, [*words, "disentangled,posenet_sheared"]))
+    assert "differs" in refusal("--paired.camera.mm_across 60 --networks disentangled --train.pose_weight 0.1")
