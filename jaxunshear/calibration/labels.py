@@ -73,6 +73,7 @@ def to_paths(motions: Motions, sensor: Sensor, surface_mm: float, side: int, fri
     count = len(motions)
     tip = motions.tip.copy()
     tip[..., 2] += surface_mm
+    tip[..., 1] -= tip[:, 1:, 1]  # a half plane is the same all along, but not without end
     turn = motions.turn
     if side < 0:  # half a turn about the normal
         half = Rotation.from_euler("z", 180, degrees=True)

@@ -33,7 +33,8 @@ TIGHT = tuple(
 )  # or else the second
 SOLVED, RETRIED, REFUSED = "solved", "solved at a stronger level", "refused"
 UNSOLVED = "given up: not converged"  # and it says so: whoever uses contacts drops and counts it
-PROMISED = (SOLVED, RETRIED, REFUSED, UNSOLVED)
+UNCOMPARED = "solved, with no tight solution to compare with"
+PROMISED = (SOLVED, RETRIED, REFUSED, UNSOLVED, UNCOMPARED)
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,9 @@ class Row:
     residual_mm: float = np.nan
     float_px: float = np.nan  # tight float32 against tight float64: largest of any pin
     twin_px: float = np.nan  # tight, against the other way to the same contact: largest
-    tight_px: float = np.nan  # auto against tight float64: rms over the pins
+    tight_px: float = (
+        np.nan
+    )  # auto against tight float64, or the reference where that does not converge: rms over the pins
     iterations: int = 0
     nodes: int = 0
     ms: float = np.nan  # of auto, once compiled
@@ -117,10 +120,13 @@ def _examine(case: Case) -> Row:
         narrow, wide = (case.solve(replace(level, precision=kind), False) for kind in ("float32", "float64"))
         if narrow.converged.all() and wide.converged.all():
             break
-    row = replace(row, float_px=_apart(case, narrow, wide).max_px, tight_px=_apart(case, contacts, wide).rms_px)
+    row = replace(row, float_px=_apart(case, narrow, wide).max_px)
+    if not wide.converged.all():
+        wide = case.solve("reference", False)
+    row = replace(row, tight_px=_apart(case, contacts, wide).rms_px)
     if case.twin is not None:
         row = replace(row, twin_px=_apart(case, case.twin(level, False), narrow).max_px)
-    outcome = _outcome(row, bool(contacts.retried.any()))
+    outcome = _outcome(row, bool(contacts.retried.any()), case.twin is not None)
     return replace(row, outcome=outcome, holds=outcome in PROMISED)
 
 
@@ -131,13 +137,15 @@ def _apart(case: Case, some: Contacts, others: Contacts) -> PinError:
     return pin_error(case.sensor, some.pins, others.pins)
 
 
-def _outcome(row: Row, retried: bool) -> str:
+def _outcome(row: Row, retried: bool, twin: bool) -> str:
     if row.tight_px > SILENT_PX:
         return "converged to something else"
     if row.float_px > PRECISION_PX:
         return "float32 is too coarse"
     if row.twin_px > PRECISION_PX:
         return "differs from its twin"
+    if np.isnan(row.float_px) or np.isnan(row.tight_px) or (twin and np.isnan(row.twin_px)):
+        return UNCOMPARED
     return RETRIED if retried else SOLVED
 
 

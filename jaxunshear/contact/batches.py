@@ -86,7 +86,7 @@ def solve_batches(
         if len(part.nodes):
             parts.append(_solve(sensor, obstacles, paths.take(part.rows), part, level, batch, before))
         else:
-            parts.append(_untouched(sensor, paths.take(part.rows), level))
+            parts.append(_untouched(sensor, obstacles, paths.take(part.rows), level))
         order.append(part.rows)
         if progress is not None:
             progress.advance(len(part.rows))
@@ -103,14 +103,25 @@ def _with_loaded(part: Batch, start: Skins, turned: np.ndarray) -> Batch:
     return part._replace(nodes=np.union1d(part.nodes, np.concatenate(loaded)).astype(int), friction=friction)
 
 
-def _untouched(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins, np.ndarray]:
+def nothing_solved(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins]:
+    """The undeformed dome, as converged."""
     count, whole = len(paths), dome(sensor)
     none, nothing = np.zeros(count), np.zeros(count, np.int64)
     pins = np.repeat(whole.pins[None].astype(level.precision), count, axis=0)
     free = np.full(count, len(whole.nodes))
     good = np.ones(count, bool)
     contacts = Contacts(pins, none, good, nothing, nothing, nothing, free, np.zeros((count, 3)), nothing, ~good)
-    return contacts, Skins(np.zeros((count, len(whole.nodes), 3)), paths.points[:, -1]), ~good
+    return contacts, Skins(np.zeros((count, len(whole.nodes), 3)), paths.points[:, -1])
+
+
+def _untouched(sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level) -> tuple[Contacts, Skins, np.ndarray]:
+    """Of paths for which no node seemed to be needed. One that ends inside the stimulus tells that some are: a grazing touch."""
+    nodes = dome(sensor).nodes
+    pose = paths.points[:, -1].astype(float)
+    pose[:, [YAW, TILT_X, TILT_X + 1]] = np.radians(pose[:, [YAW, TILT_X, TILT_X + 1]])
+    still = np.zeros((len(paths), *nodes.shape))
+    gap = gaps(obstacles, nodes, sensor.dome_radius_mm, paths.stimulus, pose, still)
+    return *nothing_solved(sensor, paths, level), np.min(gap, axis=1) < -PENETRATION_MM
 
 
 def _turned_back(turn: np.ndarray) -> np.ndarray:

@@ -113,7 +113,7 @@ def pin_model(
     within = lambda wide: reachable(obstacles, nodes, sensor.dome_radius_mm, paths, wide)  # noqa: E731
     touched = within(wide)
     if start is not None:
-        check_start(paths, start)
+        check_start(paths, start, len(nodes))
         touched |= np.any(start.force_n != 0, axis=-1)
     index = np.flatnonzero(touched.any(axis=0))
     index = index if len(index) else np.arange(1)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxunshear.contact.plan import LEVELS, REACHED, Level
+from jaxunshear.contact.plan import LEAST_LEG_MM, LEVELS, REACHED, Level
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
@@ -55,9 +55,24 @@ def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
         )
 
 
-def check_start(paths: Paths, start: Skins) -> None:
-    if start.force_n.shape[0] != len(paths) or not np.isfinite(start.force_n).all():
-        raise UserError(f"the skins to start from: give {len(paths)} of them, with finite forces")
+def check_begun(paths: Paths) -> None:
+    """Refuses, where there is no skin to start from, paths that stand still in contact: nothing tells how it came about."""
+    still = np.all(np.abs(np.diff(paths.points, axis=1)) < LEAST_LEG_MM, axis=(1, 2))
+    held = np.flatnonzero(still & (paths.points[:, 0, DEPTH] > 0))
+    if len(held):
+        raise UserError(
+            f"scene {held[0]}: its path stays where it begins, at depth {paths.points[held[0], 0, DEPTH]:.3g} mm: begin at depth 0, "
+            "or give the skin to start from"
+        )
+
+
+def check_start(paths: Paths, start: Skins, nodes: int) -> None:
+    """`nodes`: of the dome."""
+    if start.force_n.shape != (len(paths), nodes, 3) or not np.isfinite(start.force_n).all():
+        raise UserError(
+            f"the skins to start from: give {len(paths)} of them, with finite forces on {nodes} nodes; "
+            f"these are {start.force_n.shape[0]} with {start.force_n.shape[1]}"
+        )
     apart = np.flatnonzero(np.abs(paths.points[:, 0] - start.point).max(axis=-1) > 1e-6)
     if len(apart):
         raise UserError(

@@ -8,9 +8,9 @@
 
 import numpy as np
 
-from jaxunshear.contact.batches import Stimuli, obstacles_of, plan_paths, solve_batches
+from jaxunshear.contact.batches import Stimuli, dome, nothing_solved, obstacles_of, plan_paths, solve_batches
 from jaxunshear.contact.plan import STRONGER, Level
-from jaxunshear.contact.scope import check_paths, check_scenes, check_start, level_named
+from jaxunshear.contact.scope import check_begun, check_paths, check_scenes, check_start, level_named
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import Scenes
@@ -51,7 +51,11 @@ def follow(
     chosen = level_named(level)
     check_paths(sensor, len(names), paths)
     if start is not None:
-        check_start(paths, start)
+        check_start(paths, start, len(dome(sensor).nodes))
+    else:
+        check_begun(paths)
+    if not len(paths):
+        return nothing_solved(sensor, paths, chosen)
     obstacles = obstacles_of(names)
     contacts, skins, incomplete = solve_batches(sensor, obstacles, paths, chosen, start, batch, progress, wide=False)
 

@@ -79,3 +79,14 @@ def test_taps_have_no_slide():
     contacts = motions(POSES, None)
     np.testing.assert_array_equal(contacts.slide, 0)
     assert contacts.across
+
+
+@pytest.mark.parametrize("side", [0, 1, -1])
+def test_where_along_the_edge_a_contact_lies_does_not_matter(side):
+    """A simulated half plane has an end; recordings may be made far from their origin."""
+    poses = np.tile([300.0, 1.0, -40.0, 0, 0, 5.0], (3, 1)) + np.diag([0.5, 1.0, 0.2, 0, 0, 0])[:3]
+    moves = np.tile([0.3, 0.4, 0, 0, 0, 0], (3, 1))
+    paths = to_paths(motions(poses, moves), TACTIP_331, -43.0, side, 0.5)
+    np.testing.assert_allclose(paths.points[:, -1, 1], 0, atol=1e-9)
+    near = to_paths(motions(poses - [300, 0, 0, 0, 0, 0], moves), TACTIP_331, -43.0, side, 0.5)
+    np.testing.assert_allclose(paths.points, near.points, atol=1e-9)

@@ -87,6 +87,21 @@ def test_what_says_that_it_has_not_converged_is_given_up_and_shown():
     assert "the line" in stability.table([row])
 
 
+def test_what_nothing_could_be_compared_with_is_not_called_solved():
+    """No tight solution: the reference judges; without that one it is said that nothing did."""
+
+    def tight_fails(reference):
+        return lambda level, retry: answer(PINS + (level == "auto") * 0.001, converged=level in ("auto", reference))
+
+    row = stability.examine(made_up(tight_fails("reference")))
+    assert row.outcome == stability.UNCOMPARED and row.holds and np.isnan(row.float_px) and row.tight_px > 0
+    assert np.isnan(stability.examine(made_up(tight_fails("none"))).tight_px)
+    off = made_up(lambda level, retry: answer(PINS + 10 * (level == "auto"), converged=level in ("auto", "reference")))
+    assert stability.examine(off).outcome == "converged to something else"
+    lone = made_up(lambda *_: answer(PINS), twin=lambda *_: answer(PINS, converged=False))
+    assert stability.examine(lone).outcome == stability.UNCOMPARED
+
+
 def test_a_twin_that_differs_does_not_pass():
     row = stability.examine(made_up(lambda *_: answer(PINS), twin=lambda *_: answer(PINS + 0.1)))
     assert row.outcome == "differs from its twin" and not row.holds

@@ -212,3 +212,29 @@ def test_scenes_are_paths(contacts):
 
 def test_the_deepest_pose_of_the_paper_is_covered():
     assert deepest_mm(TACTIP_331) > 6.0
+
+
+@pytest.mark.parametrize(("x", "depth"), [(10.3, 3.0), (13.8, 6.0)])
+@pytest.mark.parametrize("level", ["auto", "fast"])
+def test_a_grazing_touch_is_felt(x, depth, level):
+    """No node that usually suffices is near the disk, and some that do not lie half a millimetre inside."""
+    grazed, whole = (simulate(TACTIP_331, TRAINING, one(depth, x, friction=0.7), each) for each in (level, "default"))
+    assert grazed.converged.all() and whole.force_n[0, 2] > 0.1
+    assert grazed.force_n[0, 2] == pytest.approx(whole.force_n[0, 2], rel=0.1)
+    assert rms_mm(grazed.pins, whole.pins)[0] < 0.02
+
+
+def test_no_scenes_give_no_contacts():
+    contacts, skins = follow(TACTIP_331, TRAINING, path_of(one(3.0)).take(np.zeros(0, int)))
+    assert contacts.pins.shape == (0, 331, 3) and contacts.converged.shape == (0,) and len(skins.force_n) == 0
+
+
+def test_standing_still_in_contact_needs_a_skin_to_start_from():
+    held = path([-20, 0, 0, 3, 0, 0], [-20, 0, 0, 3, 0, 0])
+    with pytest.raises(UserError, match="stays where it begins"):
+        follow(TACTIP_331, TRAINING, held)
+    contacts, skins = follow(TACTIP_331, TRAINING, path([-20, 0, 0, 0, 0, 0], [-20, 0, 0, 3, 0, 0]))
+    again, _ = follow(TACTIP_331, TRAINING, held, start=skins)
+    np.testing.assert_allclose(again.force_n, contacts.force_n, rtol=1e-3)
+    with pytest.raises(UserError, match=r"nodes; these are 1 with 9"):
+        follow(TACTIP_331, TRAINING, held, start=skins._replace(force_n=np.zeros((1, 9, 3))))
