@@ -1,8 +1,11 @@
 """`jaxunshear` and `python -m jaxunshear`."""
 
+import os
 import sys
 
 from jaxunshear.memory import restart_with_large_pages
+
+INTERRUPTED = 130
 
 
 def run() -> int:
@@ -10,7 +13,14 @@ def run() -> int:
     restart_with_large_pages()
     from jaxunshear.cli import main
 
-    return main()
+    code = main()
+    if (
+        code == INTERRUPTED
+    ):  # threads of readers and checkpoints may be at work still, and crash in an interpreter that is taken down
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        os._exit(code)
+    return code
 
 
 if __name__ == "__main__":

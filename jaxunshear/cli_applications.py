@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
-from jaxunshear.storage import check_beside, check_new_folder
+from jaxunshear.storage import check_beside, check_new_file, check_new_folder
 
 if TYPE_CHECKING:
     from jaxunshear.applications.servo import Walks
@@ -48,7 +48,13 @@ def add_parsers(commands: Any) -> None:
     parser = command("geometry", "contact geometry of taps, sheared and unsheared images", "for the results (geometry)")
     parser.add_argument("path", metavar="IMAGES", type=Path, nargs="?", help="also of these recordings")
     _add_model(parser)
-    parser.add_argument("--contacts", metavar="N", type=int, default=300, help="fresh ones to be scored on (300)")
+    parser.add_argument(
+        "--contacts",
+        metavar="N",
+        type=int,
+        default=300,
+        help="fresh ones to be scored on, at least 3 of each shape (300)",
+    )
 
     parser = command("servo", "follow the outlines of objects by touch, in the simulator", "for the results (servo)")
     _add_model(parser)
@@ -140,6 +146,7 @@ def _pins(arguments: argparse.Namespace, out: Path, model: "Model | None") -> di
     from dataclasses import replace
 
     from jaxunshear.applications import pins
+    from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.image.fitting import Layout, layout_of, read_layout
     from jaxunshear.image.lattice import Lattice
     from jaxunshear.image.settings import Preprocess
@@ -150,6 +157,7 @@ def _pins(arguments: argparse.Namespace, out: Path, model: "Model | None") -> di
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
     for recordings in (arguments.path, *([arguments.rest] if arguments.rest else [])):
         check_beside(recordings, out, "--out")
+        read_recordings(recordings, Preprocess())  # refuses a place without images before there is work to lose
     if arguments.size is not None and not 32 <= arguments.size <= 2048:
         raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
     preprocess = Preprocess()
@@ -192,6 +200,8 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
         check_beside(arguments.path, out, "--out")
     folder, experiment = model
     networks = unshearers(folder, unshearing_of(folder))
+    if not networks:
+        raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
     lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
     mm = mm_of_growth(lattice, fresh_contacts(experiment, KNOWN, seed=1))
     contacts = fresh_contacts(experiment, arguments.contacts)
@@ -216,6 +226,8 @@ def _stimuli(text: str) -> tuple[str, ...]:
     names = tuple(STIMULI) if text == "all" else tuple(name.strip() for name in text.split(","))
     for name in names:
         stimulus_named(name)
+    if len(set(names)) < len(names):
+        raise UserError(f"--stimulus {text}: name each once")
     return names
 
 
@@ -236,6 +248,10 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
     deepest = deepest_mm(experiment.sensor)
     if not 0 < arguments.depth <= deepest:
         raise UserError(f"--depth {arguments.depth:g}: use more than 0, up to {deepest:.1f} mm")
+    if not arguments.ways and not perception.ways_of(folder):
+        raise UserError(
+            f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE}"
+        )
     chosen = arguments.ways.split(",") if arguments.ways else (perception.TRUE, *perception.ways_of(folder))
     known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
     ways, digests = {way: known.get(way) for way in chosen}, perception.digests(folder, chosen)
@@ -308,6 +324,7 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
         raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
     if arguments.images is not None and Path(arguments.source).exists():
         check_beside(Path(arguments.source), arguments.images, "--images")
+    check_new_file(arguments.lines, "--lines")
     folder, experiment = model
     step = step_of(folder, experiment, arguments.precision)
     frames, live = frames_of(arguments.source, arguments.fps)

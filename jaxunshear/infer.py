@@ -138,12 +138,14 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
     from jaxunshear.memory import keep_freed_memory
     from jaxunshear.model import posenet, unshearnet
     from jaxunshear.model.ready import ready
-    from jaxunshear.training.checkpoint import holds_model, load_best, read_net
+    from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net
 
     keep_freed_memory()
     wanted = ["disentangled"]
     if pose_needed or holds_model(model / "posenet"):
         wanted.append("posenet")
+    for name in wanted:
+        check_finished(model / name)
     nets: dict[str, Any] = {name: read_net(model / name) for name in wanted}
     variables = {name: load_best(model / name) for name in wanted}
 

@@ -73,7 +73,8 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
     """experiment.json, or a refusal to mix the work of two different experiments in one folder."""
     path = folder / "experiment.json"
     wanted = to_json(experiment)
-    if path.exists():
+    begun = any(each.name not in (path.name, LOCK) for each in folder.iterdir())  # else a refusal came before any work
+    if path.exists() and begun:
         try:
             stored = to_json(from_json(read_json(path), str(path)))
         except UserError as error:
@@ -106,7 +107,13 @@ def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -
 def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
     """Train one network, or find it trained. Returns whether there was anything to do."""
     settings: Any = learnt_from(experiment, network)
-    if (folder / network / "summary.json").exists():
+    from jaxunshear.training.checkpoint import SUMMARY, holds_model
+
+    if (folder / network / SUMMARY).exists():
+        if not holds_model(folder / network):
+            raise UserError(
+                f"{folder / network} has lost its checkpoints: delete that folder, then run the same command"
+            )
         check_origin(experiment, network, folder)
         return False
     from jaxunshear.dataset.reading import open_set
@@ -197,7 +204,10 @@ def _times(folder: Path) -> dict[str, float]:
     A stage that is done again from the start counts anew. What a run had spent that was killed outright is lost.
     """
     path = folder / "times.json"
-    return read_json(path) if path.exists() else {}
+    try:
+        return read_json(path) if path.exists() else {}
+    except UserError:  # times are no reason to lose the work that they tell of
+        return {}
 
 
 def _keep_time(folder: Path, stage: str, seconds: float) -> None:

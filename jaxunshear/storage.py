@@ -39,15 +39,20 @@ def disk_is_full(error: BaseException | None) -> bool:
 BROKEN_NPZ = (OSError, ValueError, EOFError, KeyError, RuntimeError, zlib.error, zipfile.BadZipFile)  # of np.load
 
 
-def check_new_file(path: Path | None) -> None:
-    """Refuses, before there is work to lose, a --json file that is a folder or lies in a file."""
+def check_new_file(path: Path | None, option: str = "--json") -> None:
+    """Refuses, before there is work to lose, a file for JSON that is a folder, lies in a file, or holds something else."""
     if path is None:
         return
     if Path(path).is_dir():
-        raise UserError(f"--json {path} is a folder: name a file")
+        raise UserError(f"{option} {path} is a folder: name a file")
     above = _file_above(Path(path))
     if above is not None:
-        raise UserError(f"--json {path}: {above} is a file: name a file in a folder")
+        raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
+    if Path(path).is_file():
+        with Path(path).open("rb") as file:
+            begins = file.read(1)
+        if begins not in (b"", b"{"):
+            raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
 
 
 def check_new_folder(path: Path | None, option: str = "--out") -> None:

@@ -1,6 +1,7 @@
 """The commands that put networks to use: what they refuse, in one line, before anything is written."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -55,6 +56,7 @@ def few(monkeypatch):
     ("words", "said"),
     [
         (("servo", "--stimulus", "cube"), "stimulus 'cube' is unknown"),
+        (("servo", "--stimulus", "disk,disk"), "name each once"),
         (("servo", "--starts", "0"), "--starts 0"),
         (("servo", "--seed", "-1"), "--seed -1"),
         (("servo", "--json", "."), "--json . is a folder"),
@@ -83,6 +85,14 @@ def test_a_model_that_is_none(command, tmp_path, monkeypatch, name):
     (tmp_path / "servo").mkdir()
     answer = command(name, "--model", tmp_path / "nothing")
     assert answer.code == 2 and "experiment.json" in answer.err
+
+
+@pytest.mark.parametrize(("name", "said"), [("servo", "--ways true"), ("geometry", "no trained network")])
+def test_a_model_without_networks(command, tmp_path, model, name, said):
+    (tmp_path / "empty").mkdir()
+    shutil.copy(model / "experiment.json", tmp_path / "empty")
+    answer = command(name, "--model", tmp_path / "empty", "--out", tmp_path / "out")
+    assert answer.code == 2 and said in answer.err and not (tmp_path / "out").exists()
 
 
 def test_servo_then_reconstruct(command, tmp_path, monkeypatch, model):
@@ -116,6 +126,7 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
     (tmp_path / "images").mkdir()
     Image.fromarray(np.zeros((64, 64), np.uint8)).save(tmp_path / "images" / "000000.png")
     (tmp_path / "others").mkdir()
+    Image.fromarray(np.zeros((64, 64), np.uint8)).save(tmp_path / "others" / "1.png")
     kept = (tmp_path / "images" / "000000.png").read_bytes()
     for words in (
         ("pins", "."),
@@ -127,7 +138,7 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
     ):
         answer = command(*words)
         assert answer.code == 2 and "lies among the recordings" in answer.err, words
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["000000.png", "images", "others"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["000000.png", "1.png", "images", "others"]
     assert (tmp_path / "images" / "000000.png").read_bytes() == kept
 
 

@@ -39,6 +39,7 @@ def init(module, net, seed):
 def trained(folder, kind, net, variables):
     checkpoint.write_settings(folder, json.loads(json.dumps({"kind": kind, "net": vars(net)})))
     checkpoint.save(folder, 1, {"average": variables}, {"history": [], "best_step": 1})
+    write_json(folder / checkpoint.SUMMARY, {})
 
 
 @pytest.fixture(scope="module")
@@ -198,3 +199,20 @@ def test_real_recordings_go_through(command, model, real_recordings, tmp_path):
     answer = command("unshear", real_recordings / "raw", "--model", model, "--out", tmp_path / "raw")
     assert answer.code == 0, answer.err
     assert len(rows_of(tmp_path / "raw")) == 3
+
+
+def test_a_half_trained_network_is_refused(command, model, tmp_path):
+    Image.fromarray(np.zeros((SIZE, SIZE), np.uint8)).save(tmp_path / "one.png")
+    (model / "disentangled" / checkpoint.SUMMARY).unlink()
+    answer = command("unshear", tmp_path / "one.png", "--model", model, "--out", tmp_path / "out")
+    assert answer.code == 2 and "was not finished" in answer.err and not (tmp_path / "out").exists()
+
+
+def test_a_recording_is_not_taken_for_a_file_of_rows(command, model, tmp_path):
+    Image.fromarray(np.zeros((SIZE, SIZE), np.uint8)).save(tmp_path / "one.png")
+    kept = (tmp_path / "one.png").read_bytes()
+    answer = command("pose", tmp_path / "one.png", "--model", model, "--json", tmp_path / "one.png")
+    assert answer.code == 2 and "holds something else" in answer.err
+    answer = command("stream", tmp_path / "one.png", "--model", model, "--lines", tmp_path / "one.png")
+    assert answer.code == 2 and "--lines" in answer.err
+    assert (tmp_path / "one.png").read_bytes() == kept

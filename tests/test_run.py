@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -238,3 +239,12 @@ def test_killed_ten_times_ends_with_the_same_numbers(finished, tmp_path):
     assert last.returncode == 0, last.stderr
     assert kills >= 2
     assert reproducible(results(tmp_path)) == reproducible(results(finished))
+
+
+def test_a_refusal_before_any_work_binds_nobody(tmp_path):
+    """What was asked for, and the lock, are all that it leaves: another seed may follow."""
+    for seed in (0, 7):
+        with pytest.raises(UserError, match="no data set"):
+            run.run_stages(replace(SMALL, seed=seed), ("posenet",), tmp_path, tmp_path / "nowhere", "none")
+        left = sorted(path.name for path in (tmp_path / SMALL.name).iterdir())
+        assert left == ["experiment.json", "run.lock"]

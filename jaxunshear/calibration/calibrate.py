@@ -81,7 +81,7 @@ def calibrate(
     after_sensor = fitted.values.sensor(sensor)
     tips_after = [contact_tips(group, after_sensor, fitted.values, i) for i, group in enumerate(groups)]
     solved = [tips[converged] if converged.any() else tips for tips, converged in tips_after]
-    radius = fit_pin_radius(groups, after_sensor, fitted.values, solved)
+    radius = _with_scale(fit_pin_radius(groups, after_sensor, fitted.values, solved), fitted)
     after_sensor = replace(after_sensor, pin_radius_mm=radius[0])
     after = replace(fitted.values, housing=fit_housing(groups, after_sensor, fitted.values, solved))
     told: Summaries = {RECORDED: _merged([_summaries(group, group.seen, group.seen.sure) for group in groups])}
@@ -118,8 +118,12 @@ def _fit(groups: list[Group], sensor: Sensor, start: Values, held: Collection[st
     """On some images first: most of the way needs no more."""
     count = sum(len(group.seen.found) for group in groups if group.contacts is not None)
     with Progress("fit", CONTACTS_EACH * count, unit="contacts") as progress:
-        rough = fit([group.thinned(FIRST_OF) for group in groups], sensor, start, held, progress.advance)
-        fitted = fit(groups, sensor, start, held, progress.advance, begin=rough.values)
+
+        def advance(contacts: int) -> None:
+            progress.advance(max(0, min(contacts, progress.total - 1 - progress.done)))
+
+        rough = fit([group.thinned(FIRST_OF) for group in groups], sensor, start, held, advance)
+        fitted = fit(groups, sensor, start, held, advance, begin=rough.values)
         progress.advance(progress.total - progress.done)
     return fitted
 
@@ -250,6 +254,16 @@ def _parameters(
         known = {"before": before, "after": after, "low": low, "high": high, "determined": determined}
         rows.append({"name": name, "unit": unit, **known, "held": name in held})
     return rows
+
+
+def _with_scale(radius: tuple[float, float, float], fitted: Fitted) -> tuple[float, float, float]:
+    """A pin radius (mm, low, high) at the fitted scale of the camera, with what is not known of that scale."""
+    best, low, high = radius
+    scale = 0.0
+    if "mm_across" in fitted.low:
+        scale = best * (fitted.high["mm_across"] - fitted.low["mm_across"]) / 2 / fitted.values.mm_across
+    half = float(np.hypot((high - low) / 2, scale))
+    return best, best - half, best + half
 
 
 def _preset(sensor: Sensor, values: Values) -> dict[str, Any]:
