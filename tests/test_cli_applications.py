@@ -95,6 +95,16 @@ def test_a_model_without_networks(command, tmp_path, model, name, said):
     assert answer.code == 2 and said in answer.err and not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("name", ["servo", "geometry", "stream"])
+def test_a_half_trained_network_is_refused(command, tmp_path, model, name):
+    shutil.copytree(model, tmp_path / "half")
+    (tmp_path / "half" / "disentangled" / "summary.json").unlink()
+    Image.fromarray(np.zeros((128, 128), np.uint8)).save(tmp_path / "one.png")
+    given = (tmp_path / "one.png",) if name == "stream" else ("--out", tmp_path / "out")
+    answer = command(name, *given, "--model", tmp_path / "half")
+    assert answer.code == 2 and "was not finished" in answer.err and not (tmp_path / "out").exists()
+
+
 def test_servo_then_reconstruct(command, tmp_path, monkeypatch, model):
     """A few steps by each way; networks that have learnt nothing go astray, which is told."""
     monkeypatch.setattr(servo, "PATIENCE", 8 * 0.5 / outline(STIMULI["disk"]).length)

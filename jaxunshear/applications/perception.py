@@ -19,7 +19,7 @@ from jaxunshear.model import posenet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import unshear
-from jaxunshear.training.checkpoint import digest_of, holds_model, load_best, read_net
+from jaxunshear.training.checkpoint import check_finished, digest_of, holds_model, load_best, read_net
 
 TRUE = "true"  # the pose that the simulator knows
 WAYS = {  # name: the networks it runs, the last of them a PoseNet
@@ -92,12 +92,15 @@ def look_of(nets: Mapping[str, Any], ranges: Ranges, precision: str = "float32")
 def read_look(model: Path, experiment: Experiment, way: str, precision: str = "float32") -> tuple[Look, Any]:
     """A way of looking and its networks' variables, from the folder of a run. Raises `UserError`."""
     names = WAYS[way]
+    for name in names:
+        check_finished(model / name)
     ranges = (experiment.paired if names[-1] == "posenet_sheared" else experiment.pose).ranges
     nets = {name: read_net(model / name) for name in names}
     return look_of(nets, ranges, precision), {name: load_best(model / name) for name in names}
 
 
 def _unshearer(model: Path, name: str) -> Unshear:
+    check_finished(model / name)
     net: Any = read_net(model / name)
     run = ready(lambda known, images: unshear(net, known, _unit(images))[..., 0], load_best(model / name))
     return lambda images: jax.device_get(run(images))
