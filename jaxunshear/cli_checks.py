@@ -16,6 +16,14 @@ LEVEL_NAMES = (
     "reference",
 )  # of `contact.plan`, which imports JAX; a test holds the two together
 
+_CONTACT: dict[str, Any] = {
+    "stimulus": "disk",
+    "pose": "0,0,0,3",
+    "move": "0,0",
+    "twist": 0.0,
+    "tilt": "0,0",
+}  # of plan
+
 
 def add_parsers(commands: Any) -> None:
     """Adds `plan`, `verify`, `stability`, `bench`, `calibrate` and `identify` to an argparse subparsers object."""
@@ -30,11 +38,11 @@ def add_parsers(commands: Any) -> None:
         return parser
 
     parser = command("plan", "show what a contact needs, and what leaving out the rest saves and costs")
-    parser.add_argument("--stimulus", metavar="NAME", default="disk", help="what is touched (disk)")
-    parser.add_argument("--pose", metavar="X,Y,YAW,DEPTH", default="0,0,0,3", help="mm, mm, deg, mm (0,0,0,3)")
-    parser.add_argument("--move", metavar="DX,DY", default="0,0", help="slide that ends at the pose, mm (0,0)")
-    parser.add_argument("--twist", metavar="DEG", type=_number, default=0.0, help="turn that ends at the pose (0)")
-    parser.add_argument("--tilt", metavar="TX,TY", default="0,0", help="deg (0,0)")
+    parser.add_argument("--stimulus", metavar="NAME", help="what is touched (disk)")
+    parser.add_argument("--pose", metavar="X,Y,YAW,DEPTH", help="mm, mm, deg, mm (0,0,0,3)")
+    parser.add_argument("--move", metavar="DX,DY", help="slide that ends at the pose, mm (0,0)")
+    parser.add_argument("--twist", metavar="DEG", type=_number, help="turn that ends at the pose (0)")
+    parser.add_argument("--tilt", metavar="TX,TY", help="deg (0,0)")
     parser.add_argument("--friction", metavar="MU", type=_number, help="0 to inf (default: that of the stimulus)")
     parser.add_argument("--level", choices=LEVEL_NAMES, default="auto", help="(auto)")
     parser.add_argument("--sensor", metavar="NAME", default="tactip331", help="(tactip331)")
@@ -219,15 +227,22 @@ def _bench_needs(arguments: argparse.Namespace, keep: Keep) -> int:
 def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.checks import show_plan
 
+    given = vars(arguments)
     if arguments.scenes is not None:
+        for option in (*_CONTACT, "friction"):
+            if given[option] is not None:
+                raise UserError(
+                    f"--{option}: plan --scenes draws its own contacts; it takes --level, --sensor and --json"
+                )
         shown = show_plan.show_grouping(arguments.scenes, arguments.level, arguments.sensor)
     else:
+        one = {option: usual if given[option] is None else given[option] for option, usual in _CONTACT.items()}
         shown = show_plan.show_plan(
-            arguments.stimulus,
-            _numbers(arguments.pose, 4, "--pose"),
-            _numbers(arguments.move, 2, "--move"),
-            arguments.twist,
-            _numbers(arguments.tilt, 2, "--tilt"),
+            one["stimulus"],
+            _numbers(one["pose"], 4, "--pose"),
+            _numbers(one["move"], 2, "--move"),
+            one["twist"],
+            _numbers(one["tilt"], 2, "--tilt"),
             arguments.friction,
             arguments.level,
             arguments.sensor,

@@ -31,6 +31,10 @@ def test_values_that_begin_with_a_minus_are_values():
         ("plan --friction -1", "friction -1"),
         ("plan --pose 0,0,0,15", "cannot be reached"),
         ("plan --scenes 0", "--scenes 0"),
+        (
+            "plan --scenes 10 --pose -1,0,0,3",
+            "--pose: plan --scenes draws its own contacts; it takes --level, --sensor and --json",
+        ),
         ("bench", "what"),
         ("bench sim --batch 0", "--batch 0"),
         ("bench sim --size 128", "--size: bench sim has no use for it"),

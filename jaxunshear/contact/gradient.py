@@ -29,7 +29,7 @@ from jaxunshear.contact.friction import RHO, Skin, System
 from jaxunshear.contact.implicit import GOAL_MM, pin_state
 from jaxunshear.contact.obstacle import Obstacles
 from jaxunshear.contact.plan import Level, increments, reachable
-from jaxunshear.contact.scope import check_paths, check_start, level_named
+from jaxunshear.contact.scope import check_batch, check_paths, check_start, level_named
 from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
@@ -206,6 +206,9 @@ def pin_gradient(
     batch: int = 16,
 ) -> PinGradient:
     """Pins of B scenes and their derivatives by everything, in float64."""
+    check_batch(batch)
+    if not len(paths):
+        raise UserError("paths: no scene is given, so there is nothing to differentiate")
     parts = []
     with jax.enable_x64(True):
         for first in range(0, len(paths), batch):

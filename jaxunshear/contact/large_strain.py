@@ -67,9 +67,9 @@ def press(
 ) -> LargeStrain:
     """The dome pressed to each of D depths (mm, rows in the order given); `density` as `hyperelastic.neo_hookean`."""
     depths = np.asarray(depths_mm, float)
-    if depths.ndim != 1 or not len(depths) or not np.all(depths < sensor.dome_radius_mm / 2):
+    if depths.ndim != 1 or not len(depths) or not np.all(np.isfinite(depths) & (depths < sensor.dome_radius_mm / 2)):
         raise UserError(
-            f"depths_mm = {depths.tolist()}: give a list of depths below half the dome's radius, {sensor.dome_radius_mm / 2:g} mm"
+            f"depths_mm = {depths.tolist()}: give a list of finite depths below half the dome's radius, {sensor.dome_radius_mm / 2:g} mm"
         )
     body = dome_body(sensor, mesh_mm, density)
     face = make_face(body.mesh)

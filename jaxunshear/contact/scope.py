@@ -19,6 +19,11 @@ def level_named(level: str | Level) -> Level:
     return LEVELS[level]
 
 
+def check_batch(batch: int) -> None:
+    if batch < 1:
+        raise UserError(f"batch = {batch}: solve at least 1 scene at a time")
+
+
 def check_scenes(scenes: Scenes) -> None:
     """Before they become paths, so that a complaint names the scene's own field."""
     for field, values in zip(("pose", "move"), (scenes.pose, scenes.move), strict=True):

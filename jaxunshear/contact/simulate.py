@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxunshear.contact.batches import Stimuli, dome, nothing_solved, obstacles_of, plan_paths, solve_batches
 from jaxunshear.contact.plan import STRONGER, Level
-from jaxunshear.contact.scope import check_begun, check_paths, check_scenes, check_start, level_named
+from jaxunshear.contact.scope import check_batch, check_begun, check_paths, check_scenes, check_start, level_named
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import Scenes
@@ -49,6 +49,7 @@ def follow(
     returned as not converged: it is for the caller to drop and to count.
     """
     chosen = level_named(level)
+    check_batch(batch)
     check_paths(sensor, len(names), paths)
     if start is not None:
         check_start(paths, start, len(dome(sensor).nodes))

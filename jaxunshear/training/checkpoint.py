@@ -96,11 +96,14 @@ def holds_model(folder: Path) -> bool:
 
 
 def check_finished(folder: Path) -> None:
-    """Raises UserError where the training in `folder` was begun and has not come to its end; released weights have."""
+    """Raises UserError where the training in `folder` was begun and has not come to its end, or says so in a damaged file;
+    released weights have come to it."""
     folder = Path(folder)
     if (folder / MODEL).exists() and not any((folder / name).exists() for name in (SUMMARY, WEIGHTS)):
         finish = f"jaxunshear train FILE --network {folder.name} --out {folder.absolute().parents[1]}"
         raise UserError(f"the training of {folder.name} in {folder} was not finished: finish it with `{finish}`")
+    if (folder / SUMMARY).exists():
+        storage.read_json(folder / SUMMARY)
 
 
 def load_best(folder: Path) -> dict[str, Any]:

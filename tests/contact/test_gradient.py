@@ -273,3 +273,10 @@ def test_half_space_in_stick_and_in_slip(half_space):
     assert unmoved == 0
     assert weighed == pytest.approx(load(half_space, radius), rel=0.03)
     assert not np.any(by_slide - np.diag(np.diag(by_slide)))  # no scene knows of another
+
+
+def test_without_scenes_or_batches_nothing_can_be_differentiated(paths):
+    with pytest.raises(UserError, match="no scene"):
+        pin_gradient(SMALL, ("disk",), paths.take(np.arange(0)))
+    with pytest.raises(UserError, match="batch = 0"):
+        pin_gradient(SMALL, ("disk",), paths, batch=0)

@@ -240,7 +240,7 @@ def test_what_does_not_converge_is_said_and_not_shown(monkeypatch):
     assert np.isnan(made.pins[1:]).all() and np.isnan(made.force_n[1:]).all() and made.residual[1] > 1e-9
 
 
-@pytest.mark.parametrize("depths", [[], [np.nan], [12.0], 3.0])
+@pytest.mark.parametrize("depths", [[], [np.nan], [-np.inf], [12.0], 3.0])
 def test_depths_out_of_reach_are_refused(depths):
     with pytest.raises(UserError, match="depths_mm"):
         press(TACTIP_331, depths)

@@ -193,6 +193,8 @@ def test_bad_paths_and_levels_are_refused():
         follow(TACTIP_331, ("disk",), path([0, 0, 0, 0, 50, 0], [0, 0, 0, 3, 50, 0]))
     with pytest.raises(UserError, match="shape"):
         follow(TACTIP_331, ("disk",), path([0, 0, 0, 0, 0, 0]))
+    with pytest.raises(UserError, match="batch = 0"):
+        simulate(TACTIP_331, ("disk",), one(1.0), batch=0)
 
 
 def test_what_does_not_converge_is_solved_again_and_said():
