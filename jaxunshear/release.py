@@ -76,8 +76,8 @@ def card(results: dict[str, Any], name: str) -> str:
         f"    jaxunshear pose RECORDINGS --model {name}",
         f"    jaxunshear servo --stimulus disk --model {name}",
         "",
-        f"* **Learnt from** simulated touches only: sensor `{sensor}`, shapes {shapes}; {results['counts']['train']} pairs, "
-        f"{pose['poses'] * len(pose['stimuli'])} taps before a fifth each was put aside to validate and to test; images of "
+        f"* **Learnt from** simulated touches only: sensor `{sensor}`, shapes {shapes}; {results['counts']['train']} pairs "
+        f"and three fifths of {pose['poses'] * len(pose['stimuli'])} taps, the others put aside to validate and to test; images of "
         f"{metric['image_px']} px, {paired['camera']['mm_across']:g} mm across, camera noise {paired['nuisance']['noise']:g}; "
         f"over the set the view drifts by {paired['nuisance']['drift_px']:g} px of the camera's frame in pairs, "
         f"{pose['nuisance']['drift_px']:g} px in taps.",
