@@ -114,8 +114,13 @@ def from_json(data: Any, source: str = "experiment.json") -> Experiment:
 
 
 def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted names and types of all fields that can be overridden; `sensor` itself takes a name."""
+    """Dotted names and types of all fields that can be overridden; `sensor` itself takes a name.
+
+    No `config`: it names settings and sets none.
+    """
     for field in dataclasses.fields(kind):
+        if field.name == "config":
+            continue
         hint = _hints(kind)[field.name]
         if not dataclasses.is_dataclass(hint) or hint is Sensor:
             yield prefix + field.name, hint
@@ -156,6 +161,8 @@ def _hints(kind: type) -> dict[str, Any]:
 
 def _suggestion(name: str, kinds: Iterable[str]) -> str:
     kinds = list(kinds)
+    if name in ("paired.config", "pose.config"):
+        return ": a configuration is chosen by the experiment's file; run another one, or change its fields"
     inside = [kind for kind in kinds if kind.startswith(name + ".")]
     if inside:
         return (

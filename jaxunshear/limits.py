@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
+from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, further_tests, trained
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import Sensor, sensor_rules
 from jaxunshear.training.settings import Training
@@ -249,6 +249,29 @@ def _networks(experiment: Experiment) -> Iterator[Rule]:
     )
     if {"posenet", TEACHER} & set(trained(experiment)):
         yield from _seen_alike(experiment.paired, experiment.pose)
+        yield from _kept_out(experiment)
+        yield from _covered(experiment.paired.ranges, experiment.pose.ranges)
+
+
+def _kept_out(experiment: Experiment) -> Iterator[Rule]:
+    """Sets of one seed hold the same poses: a test's would be among PoseNet's taps."""
+    pose = experiment.pose
+    for settings in (experiment.paired, *further_tests(experiment).values()):
+        yield (
+            settings.seed != pose.seed or not set(settings.stimuli) & set(pose.stimuli),
+            "pose.seed",
+            "gives PoseNet the taps of poses that it is tested at: use another",
+        )
+
+
+def _covered(pairs: Ranges, taps: Ranges) -> Iterator[Rule]:
+    for field in ("lateral_mm", "yaw_deg", "depth_max_mm"):
+        most = getattr(taps, field)
+        remedy = f"goes beyond pose.ranges.{field} ({most:g}), where PoseNet knows no pose: widen that one, too"
+        yield getattr(pairs, field) <= most, f"paired.ranges.{field}", remedy
+    least = taps.depth_min_mm
+    remedy = f"is below pose.ranges.depth_min_mm ({least:g}), where PoseNet knows no pose: lower that one, too"
+    yield pairs.depth_min_mm >= least, "paired.ranges.depth_min_mm", remedy
 
 
 def _seen_alike(paired: PairedData, pose: PoseData) -> Iterator[Rule]:

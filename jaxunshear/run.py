@@ -137,7 +137,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     if pose:
         summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
     else:
-        teacher = _teacher(folder) if training.pose_weight else None
+        teacher = _teacher(experiment, folder) if training.pose_weight else None
         summary = train_unshear(unshear_net(experiment.unshear, network), teacher=teacher, **common)
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
@@ -146,13 +146,14 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     return True
 
 
-def _teacher(folder: Path) -> Callable[[Any], Any]:
+def _teacher(experiment: Experiment, folder: Path) -> Callable[[Any], Any]:
     from jaxunshear.model import posenet
     from jaxunshear.training.checkpoint import load_best, read_net
 
     path = folder / TEACHER
     if not (path / "summary.json").exists():
         raise UserError(f"{path} is missing, and train.pose_weight needs it: train {TEACHER} first")
+    check_origin(experiment, TEACHER, folder)
     net: Any = read_net(path)
     return partial(posenet.predict, net, load_best(path))
 

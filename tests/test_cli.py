@@ -54,7 +54,7 @@ BAD_FIELDS = [
     ("--paired.stimuli disk,box", "stimulus box is unknown"),
     ("--paired.stimuli=", "name at least one"),
     ("--paired.stimuli disk,disk", "each stimulus once"),
-    ("--paired.config mine", "no stored configuration"),
+    ("--paired.config standard", "no field --paired.config: a configuration is chosen by the experiment's file"),
     ("--paired.seed -1", "--paired.seed"),
     ("--seed 3000000000", "2147483647"),
     ("--paired.ranges.depth_max_mm 25", "cannot be reached"),

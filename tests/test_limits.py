@@ -53,3 +53,19 @@ def test_without_a_posenet_of_taps_pairs_may_look_otherwise():
     words = ["--paired.camera.mm_across", "60", "--networks"]
     validate(override(PLAIN, [*words, "disentangled,posenet_sheared"]))
     assert "differs" in refusal("--paired.camera.mm_across 60 --networks disentangled --train.pose_weight 0.1")
+
+
+def test_a_tests_poses_are_none_that_posenet_learnt():
+    assert "poses that it is tested at" in refusal("--pose.seed 0")
+    assert "poses that it is tested at" in refusal("--paired.seed 1")
+    assert "poses that it is tested at" in refusal("--other_jitters_mm 1 --pose.seed 1000")
+    validate(override(PLAIN, ["--pose.seed", "1000"]))
+    validate(override(PLAIN, ["--pose.seed", "0", "--networks", "entangled,posenet_sheared"]))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("lateral_mm", 6), ("yaw_deg", 60), ("depth_max_mm", 6.5), ("depth_min_mm", 0.5)]
+)
+def test_posenet_knows_the_poses_of_pairs(field, value):
+    assert f"pose.ranges.{field}" in refusal(f"--paired.ranges.{field} {value}")
+    validate(override(PLAIN, [f"--paired.ranges.{field}", str(value), f"--pose.ranges.{field}", str(value)]))

@@ -113,6 +113,12 @@ def test_a_network_is_taught_by_a_posenet_that_the_results_do_not_know(finished,
     assert teacher["seed"] != other["seed"] and teacher["net"] == other["net"]
     found = json.loads((folder / "results.json").read_text())
     assert "disentangled" in found["ms_ssim"] and "posenet_teacher" not in json.dumps(found["ms_per_image"])
+
+    shutil.rmtree(folder / "disentangled")
+    teacher["origin"]["version"] = "2.3.0"
+    (folder / "posenet_teacher" / "model.json").write_text(json.dumps(teacher))
+    refused = command("train", *words, "--networks", "disentangled,posenet", "--network", "disentangled")
+    assert refused.code == 2 and "posenet_teacher learnt from a data set with another version" in refused.err
     plain = json.loads((finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
     assert "pose" not in plain["train"]
 

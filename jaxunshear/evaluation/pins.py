@@ -15,7 +15,8 @@ from jaxunshear.metrics.pins import pin_error
 def pin_errors(
     images: Mapping[str, np.ndarray], tap_pins: np.ndarray, sheared_pins: np.ndarray, mm_per_px: float
 ) -> dict[str, dict[str, float]]:
-    """Root-mean-square distance of matched pins in px and mm, missed and extra pins an image, by kind of image.
+    """Root-mean-square distance of matched pins in px and mm, missed and extra pins an image, by kind of image. A mm is one at the
+    height of the apex' pin: pins of the rim, nearer to the camera, move by less than it says (`tactip331-fitted`: a tenth).
 
     `images`: (N, S, S) uint8, binarised here at half of full scale; pins: (N, P, 2) true (column, row) in px. Partners
     lie within half the tap's pitch. NaN where no pin found a partner.

@@ -124,6 +124,8 @@ def as_large_entangled(net: UnshearNet) -> UnshearNet:
         return dataclasses.replace(net, widths=widths, disentangled=False)
 
     low, high = 0.25, 4.0
+    while parameters(scaled(high)) < wanted:
+        low, high = high, 2 * high
     for _ in range(12):  # parameters grow with the ratio
         middle = (low + high) / 2
         low, high = (middle, high) if parameters(scaled(middle)) < wanted else (low, middle)

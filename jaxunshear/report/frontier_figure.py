@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
+from jaxunshear.experiment import TEACHER
 from jaxunshear.style import COLOURS, FAINT, INK, STYLE
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
@@ -59,8 +60,8 @@ def ranked(summary: dict[str, Any]) -> list[str]:
 
 
 def _reference(summary: dict[str, Any]) -> dict[str, Any]:
-    """The reference cell, or the first where there is none."""
-    cells = summary["cells"]
+    """The reference cell, or the first where there is none, of those that have figures; the first cell where none has."""
+    cells = [cell for cell in summary["cells"] if cell["metrics"]] or summary["cells"]
     return next((cell for cell in cells if cell["label"] == summary["reference"]), cells[0])
 
 
@@ -76,7 +77,7 @@ def points(summary: dict[str, Any], metric: str, cost: str) -> tuple[list[str], 
     """
     found = []
     cells = [cell for cell in summary["cells"] if metric in cell["metrics"]]
-    scale = _reference(summary)["metric"]["ms_ssim"]
+    scale = _reference(summary)["metric"].get("ms_ssim")
     for cell in cells:
         if metric.startswith("ms_ssim") and cell["metric"]["ms_ssim"] != scale:
             continue
@@ -92,9 +93,13 @@ def _network(cell: dict[str, Any]) -> dict[str, str]:
 
 
 def _spent(cell: dict[str, Any], cost: str) -> list[float]:
-    """Of every seed that has it."""
-    entries = [costs.get(cost, {}).get(NETWORK) for costs in cell["costs"].values()]
-    return [entry["median"] if isinstance(entry, dict) else entry for entry in entries if entry is not None]
+    """Of every seed that has it. The training of a taught network includes its teacher's."""
+    spent = []
+    for costs in cell["costs"].values():
+        entries = costs.get(cost, {})
+        if (entry := entries.get(NETWORK)) is not None:
+            spent.append(entry["median"] if isinstance(entry, dict) else entry + entries.get(TEACHER, 0.0))
+    return spent
 
 
 def frontier_figure(summary: dict[str, Any]) -> bytes | None:

@@ -13,6 +13,7 @@ OVER_TIME = {  # a network's validation figures, drawn over its seconds of train
     "edge_mm": "edge distance of taps, mm",
     "edge_deg": "edge angle of taps, deg",
 }
+SHOWN = ("parameters", "steps", "images_per_second", "train_seconds", "best_step")  # of a training's summary
 
 
 def training(histories: dict[str, History], summaries: dict[str, dict]) -> str:

@@ -97,4 +97,4 @@ def drawing(svg: str, text: str) -> str:
 
 def number(value: float | None, digits: int = 2) -> str:
     """Fixed digits; a dash where there is no value."""
-    return "&ndash;" if value is None else f"{value:.{digits}f}"
+    return "\u2013" if value is None else f"{value:.{digits}f}"

@@ -26,7 +26,7 @@ def write_report(run_dir: Path) -> Path:
     logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
-    summaries = {name: read_json(path) for name, path in endings.items() if path.exists()}
+    summaries = {name: _ending(path) for name, path in endings.items() if path.exists()}
     shown = montage.read(run_dir / "montage.npz")
     try:
         results["time_s"] |= grown
@@ -51,6 +51,17 @@ def write_report(run_dir: Path) -> Path:
     path = run_dir / "report.html"
     write_text(path, page.page(f"jaxunshear: {results['experiment']}", *parts))
     return path
+
+
+def _ending(path: Path) -> dict[str, Any]:
+    """What a finished training says of itself."""
+    stored = read_json(path)
+    lacking = [name for name in making.SHOWN if not isinstance(stored, dict) or name not in stored]
+    if lacking:
+        raise UserError(
+            f"{path} lacks '{lacking[0]}': delete it, then run the same experiment again, which goes on from the checkpoint"
+        )
+    return stored
 
 
 def _heading(results: dict[str, Any]) -> str:

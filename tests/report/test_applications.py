@@ -61,7 +61,7 @@ def test_what_was_run_is_shown_and_nothing_else(run, picture):
 def test_a_network_that_lost_its_pins_has_a_dash(run):
     lost = {name: value for name, value in GEOMETRY.items() if "correlation" not in name and "rmse" not in name}
     put(run / "geometry", "geometry", {"rows": [lost]})
-    assert "&ndash;" in applications.sections(run)[0]
+    assert "\u2013" in applications.sections(run)[0]
 
 
 def test_damage_is_told(run):

@@ -63,6 +63,24 @@ def test_costs_are_means_over_seeds_and_cells_without_figures_are_left_out():
     assert cost == pytest.approx([20, 400])
 
 
+@pytest.mark.parametrize("reference", ["small", None])
+def test_a_reference_without_figures_stops_nothing(reference):
+    found = summary(THREE[:2])
+    found["reference"] = reference
+    found["cells"][0] |= {"metrics": {}, "metric": {}}
+    assert efficient(found)["ms_ssim/disentangled"]["train_seconds"] == ["middling"]
+    found["cells"][1] |= {"metrics": {}, "metric": {}}
+    assert set(efficient(found)) == set(ERRORS) and frontier_figure(found) is None
+
+
+def test_a_taught_network_took_the_time_of_its_teacher_too():
+    found = summary(THREE[:2])
+    before = points(found, "ms_ssim/disentangled", "train_seconds")[1]
+    for costs in found["cells"][1]["costs"].values():
+        costs["train_seconds"]["posenet_teacher"] = 30.0
+    np.testing.assert_allclose(points(found, "ms_ssim/disentangled", "train_seconds")[1] - before, [0, 30])
+
+
 def test_likeness_of_other_scales_is_not_compared():
     made = summary(THREE)
     made["cells"][3]["metric"] = {"ms_ssim": "ms_ssim@5"}

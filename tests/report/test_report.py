@@ -137,11 +137,13 @@ def test_nulls_are_shown_as_dashes(made_up_run):
     folder, results = made_up_run
     results["ms_ssim"]["sheared"]["disk"] = None
     results["spread"]["ms_ssim"]["sheared"]["disk"] = None
-    results["pin_error"]["entangled"]["rms_px"] = None
+    for kind in ("entangled", "disentangled"):
+        results["pin_error"][kind]["rms_px"] = None
     results["swap"].pop("DC(z_s)")
     results["pose_recovery"]["disentangled"] = dict.fromkeys(results["pose_recovery"]["disentangled"])
     (folder / "results.json").write_text(json.dumps(results))
-    assert "&ndash;" in write_report(folder).read_text().split("Where the pins are")[0]
+    page = write_report(folder).read_text()
+    assert "\u2013" in page.split("Where the pins are")[0] and "\u2013 px" in page and "ndash" not in page
 
 
 def test_what_is_won_back_is_told_by_shape(made_up_run):

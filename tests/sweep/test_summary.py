@@ -203,6 +203,14 @@ def test_nothing_done_is_a_summary_too():
     assert table(found).count("failed: ") == 6
 
 
+def test_nothing_done_without_a_grid_is_a_summary_too():
+    sweep = replace(SWEEP, grid=(), rows=((), (("train.epochs", 2),)))
+    cells = cells_of(sweep)
+    rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
+    found = summarise(sweep, cells, rows, reference_of(sweep, cells))
+    assert [cell["metrics"] for cell in found["cells"]] == [{}, {}] and "failed: " in table(found)
+
+
 def test_it_is_json_and_costs_are_all_that_may_differ(summary):
     again = json.loads(json.dumps(summary))
     assert again["axes"] == [
