@@ -2,11 +2,12 @@
 
     jaxunshear run experiments/best.py
 
-Expected on two cores, as measured with light work beside (docs/results/best.json): two hours, 19 minutes of it for the
-data, 81 for the disentangled network; MS-SSIM 0.980, edge distance to 0.25 mm where taps give 0.22. The networks of
-`standard.py`, but that the disentangled one sees seven and a half times as many poses, eight times as long, and is told
-how far apart the poses lie that a PoseNet of its own (`posenet_teacher`) reads off its image and off the tap. Both
-PoseNets see twice as many taps. The released weights `best` are of this run.
+Expected on two cores: an hour and a half on a fast machine, as measured with light work beside (docs/results/best.json:
+69 minutes for the disentangled network, ten for the data), about three hours on the one of the other results; MS-SSIM
+0.982, edge distance to 0.25 mm where taps give 0.22. The networks of `standard.py`, but that the disentangled one sees
+seven and a half times as many poses, 15 times as many images, and is told how far apart the poses lie that a PoseNet of
+its own (`posenet_teacher`) reads off its image and off the tap. Both PoseNets see twice as many taps. The released
+weights `best` are of this run.
 """
 
 from dataclasses import replace
@@ -24,6 +25,6 @@ experiment = replace(
     networks=("disentangled", "posenet"),
     paired=PAIRED["best"],
     pose=POSE["best"],
-    train=replace(STANDARD.train, epochs=9, pose_weight=0.1),
+    train=replace(STANDARD.train, epochs=16, pose_weight=0.1),
     train_posenet=replace(STANDARD.train_posenet, epochs=8),
 )
