@@ -2,8 +2,8 @@
 
     jaxunshear run experiments/best.py
 
-Expected on two cores: an hour and a half on a fast machine, as measured with light work beside (docs/results/best.json:
-69 minutes for the disentangled network, ten for the data), about three hours on the one of the other results; MS-SSIM
+Expected on two cores: an hour and a half on a fast machine, with light work beside (docs/results/best.json: 69 minutes for
+the disentangled network; the data were made apart, in nine more), reckoned three hours on that of the other results; MS-SSIM
 0.982, edge distance to 0.25 mm where taps give 0.22. The networks of `standard.py`, but that the disentangled one sees
 seven and a half times as many poses, 15 times as many images, and is told how far apart the poses lie that a PoseNet of
 its own (`posenet_teacher`) reads off its image and off the tap. Both PoseNets see twice as many taps. The released
