@@ -21,7 +21,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics
-from jaxunshear.evaluation.spread import intervals
+from jaxunshear.evaluation.spread import intervals, numbered_poses
 from jaxunshear.experiment import Experiment
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
@@ -74,7 +74,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
     total = pairs.length("test")
     labels = pairs.take("test", np.arange(total), ("stimulus", "pose_id"))
-    poses = np.unique(np.stack(list(labels.values()), axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    poses = numbered_poses(**labels)
 
     @jax.jit
     def run(tap: Array, sheared: Array, key: Array):

@@ -23,7 +23,8 @@ from jaxunshear.evaluation.measurements import BARS
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.score import chance, shown_kind
-from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, tables, typical
+from jaxunshear.evaluation.spread import numbered_poses
+from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_depth, tables, typical
 from jaxunshear.experiment import Experiment, further_tests
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit, true_quantities
 from jaxunshear.metrics.machine import machine, versions
@@ -101,7 +102,7 @@ def results_of(
     experiment: Experiment, gathered: Gathered, further: Mapping[str, Gathered] = MappingProxyType({})
 ) -> dict[str, Any]:
     """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
-    labels, scores = gathered.labels, gathered.scores
+    labels = gathered.labels
     names = experiment.paired.stimuli
     size = experiment.paired.preprocess.size
     scales = scales_that_fit(size)
@@ -122,7 +123,7 @@ def results_of(
             "swap": f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image with its target",
             "pin_error": f"matched centroids of {len(gathered.kept)} images against the tap's true pins",
         },
-        **tables(scores, names, labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED),
+        **_tables(experiment.paired, gathered),
         "pin_error": pin_errors(
             gathered.images,
             gathered.pins["canonical_pins"],
@@ -133,7 +134,7 @@ def results_of(
         "baselines": {"pose_chance": chance(true)},
         "contact": contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
         "counts": {
-            "test_poses": len(np.unique(np.stack([labels["stimulus"], labels["pose_id"]], axis=1), axis=0)),
+            "test_poses": len(np.unique(numbered_poses(labels["stimulus"], labels["pose_id"]))),
             "test_by_stimulus": {name: int(np.sum(labels["stimulus"] == index)) for index, name in enumerate(names)},
             "pin_images": len(gathered.kept),
         },
@@ -151,12 +152,23 @@ def results_of(
 
 def _further(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
     """The tables of a test of its own, with what it was made of."""
-    labels = gathered.labels
     return {
         "stimuli": settings.stimuli,
         "tap_depth_jitter_mm": settings.tap_depth_jitter_mm,
-        "contacts": len(labels["stimulus"]),
-        **tables(gathered.scores, settings.stimuli, labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED),
+        "contacts": len(gathered.labels["stimulus"]),
+        **_tables(settings, gathered),
+    }
+
+
+def _tables(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
+    """All that is told of the scores of one test."""
+    labels, ranges = gathered.labels, settings.ranges
+    drawn = (labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED)
+    return {
+        **tables(gathered.scores, settings.stimuli, *drawn),
+        "pose_by_depth": pose_by_depth(
+            gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, *drawn
+        ),
     }
 
 

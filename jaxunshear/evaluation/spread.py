@@ -9,6 +9,11 @@ LEVEL = 0.95
 RESAMPLES = 1000
 
 
+def numbered_poses(stimulus: np.ndarray, pose_id: np.ndarray) -> np.ndarray:
+    """(N,) which pose of which stimulus a contact belongs to; both (N,)."""
+    return np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+
+
 def redrawn_means(values: dict[str, np.ndarray], poses: np.ndarray, seed: int) -> dict[str, np.ndarray]:
     """Means (RESAMPLES,) of each (N,) array over as many draws of the poses (N,) that its numbers belong to.
 

@@ -1,14 +1,16 @@
 """From one number an image to the tables: pure functions of arrays, so they are tested without networks or data."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
-from jaxunshear.evaluation.spread import LEVEL, RESAMPLES, interval, redrawn_means
+from jaxunshear.evaluation.spread import LEVEL, RESAMPLES, interval, numbered_poses, redrawn_means
 from jaxunshear.metrics import QUANTITIES
 
+DEPTHS = 3  # equal parts of the range of indentation depths
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 
 
@@ -24,7 +26,7 @@ def tables(
     Difference: disentangled less another network, contact by contact.
     """
     groups = {name: stimulus == index for index, name in enumerate(names)} | {"overall": np.ones(len(stimulus), bool)}
-    poses = np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    poses = numbered_poses(stimulus, pose_id)
     redrawn = {
         group: redrawn_means({name: score[inside] for name, score in scores.items()}, poses[inside], seed)
         for group, inside in groups.items()
@@ -63,6 +65,33 @@ def tables(
             "difference": _by_kind({place: interval(overall[name]) for place, name in apart.items()}),
         },
     }
+
+
+def pose_by_depth(
+    scores: dict[str, np.ndarray],
+    depth: np.ndarray,
+    shallowest: float,
+    deepest: float,
+    stimulus: np.ndarray,
+    pose_id: np.ndarray,
+    seed: int,
+) -> dict[str, Any]:
+    """What `tables` says of poses, by the slides' indentation depth (N,), mm, in DEPTHS equal parts of its range: a shallow touch
+    tells little of a pose even as a tap. A part without test contacts is null; a range of zero has no parts."""
+    if shallowest == deepest:
+        return {}
+    bounds = np.linspace(shallowest, deepest, DEPTHS + 1)
+    part, poses = np.digitize(depth, bounds[1:-1]), numbered_poses(stimulus, pose_id)
+    felt = {name: score for name, score in scores.items() if name.startswith("pose/")}
+    found: dict[str, Any] = {}
+    for index, (low, high) in enumerate(itertools.pairwise(bounds)):
+        inside = part == index
+        name = f"{low:.1f}-{high:.1f} mm"
+        found[name] = None
+        if inside.any():
+            again = redrawn_means({name: score[inside] for name, score in felt.items()}, poses[inside], seed)
+            found[name] = _poses_of(felt, inside, again)
+    return found
 
 
 def _poses_of(

@@ -148,23 +148,25 @@ def poses(results: dict[str, Any]) -> str:
         lead,
         page.table(head, rows, range(1 + len(QUANTITY), len(head)), [len(ours) - 1]),
         note,
-        _by_shape(results),
+        _won_back(results, "pose_by_stimulus", "shape"),
+        _won_back(results, "pose_by_depth", "depth"),
         _apart(results, "edge_mm", "mm from the edge", 3, -1),
     )
 
 
-def _by_shape(results: dict[str, Any]) -> str:
-    """What is won back on each shape, by the network that `poses` names; folded away. Nothing of runs evaluated by an earlier version."""
+def _won_back(results: dict[str, Any], table: str, by: str) -> str:
+    """What is won back in each part of `table`, by the network that `poses` names; folded away. Nothing of runs evaluated by an
+    earlier version."""
     kind = shown_kind(results["pose_recovery"])
     rows = []
-    for shape, found in results.get("pose_by_stimulus", {}).items():
+    for part, found in results.get(table, {}).items():
         if found and kind in found["pose_recovery"]:
             won, spread = found["pose_recovery"][kind], found["spread"]["pose_recovery"][kind]
-            rows.append([escape(shape), *(_with_interval(won[q], spread[q], 2) for q in QUANTITY)])
+            rows.append([escape(part), *(_with_interval(won[q], spread[q], 2) for q in QUANTITY)])
     if not rows:
         return ""
-    table = page.table(["won back, by shape", *(name.partition("<br>")[0] for name in QUANTITY.values())], rows)
-    return f"<details><summary>By shape</summary>{table}</details>"
+    head = [f"won back, by {by}", *(name.partition("<br>")[0] for name in QUANTITY.values())]
+    return f"<details><summary>By {by}</summary>{page.table(head, rows)}</details>"
 
 
 def further(results: dict[str, Any]) -> str:

@@ -5,7 +5,7 @@ import pytest
 
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.evaluation.spread import intervals
-from jaxunshear.evaluation.summary import contact_quality, tables, typical
+from jaxunshear.evaluation.summary import contact_quality, pose_by_depth, tables, typical
 from jaxunshear.metrics import QUANTITIES
 
 KINDS = ("tap", "sheared", "entangled", "disentangled")
@@ -53,6 +53,27 @@ def test_poses_of_each_stimulus_are_those_of_its_contacts_alone():
     assert found["teardrop"] is None
     alone = tables({name: score[:4] for name, score in scores.items()}, ("disk",), STIMULUS[:4], POSE_ID[:4], seed=0)
     assert found["disk"]["spread"]["pose_mae"] == alone["spread"]["pose_mae"]
+
+
+def test_poses_of_each_depth_are_those_of_its_contacts_alone():
+    scores = made_up()
+    scores["pose/disentangled/x_mm"] = np.array([1, 1, 2, 2, 4, 5], np.float32)
+    depth = np.array([1.0, 1.5, 2.9, 2.6, 3.0, 2.0])  # parts meet at 2 and 3 mm; a bound belongs to the deeper part
+    found = pose_by_depth(scores, depth, 1.0, 4.0, STIMULUS, POSE_ID, seed=0)
+    assert list(found) == ["1.0-2.0 mm", "2.0-3.0 mm", "3.0-4.0 mm"]
+    error = {name: part["pose_mae"]["disentangled"]["x_mm"] for name, part in found.items()}
+    assert error == pytest.approx({"1.0-2.0 mm": 1.0, "2.0-3.0 mm": 3.0, "3.0-4.0 mm": 4.0})
+    middle = found["2.0-3.0 mm"]
+    assert middle["pose_recovery"]["disentangled"]["x_mm"] == pytest.approx((5 - 3) / 4)
+    # two poses, drawn with their slides: errors (2 + 2) / 2 and 5
+    assert middle["spread"]["pose_mae"]["disentangled"]["x_mm"] == pytest.approx([2.0, 5.0])
+    assert "ms_ssim" not in middle
+
+
+def test_depths_without_contacts_are_null_and_one_depth_is_not_divided():
+    found = pose_by_depth(made_up(), np.full(6, 1.5), 1.0, 4.0, STIMULUS, POSE_ID, seed=0)
+    assert [part is None for part in found.values()] == [False, True, True]
+    assert pose_by_depth(made_up(), np.full(6, 2.0), 2.0, 2.0, STIMULUS, POSE_ID, seed=0) == {}
 
 
 def test_no_recovery_where_the_slide_does_no_damage():

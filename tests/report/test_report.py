@@ -146,14 +146,16 @@ def test_nulls_are_shown_as_dashes(made_up_run):
     assert "\u2013" in page.split("Where the pins are")[0] and "\u2013 px" in page and "ndash" not in page
 
 
-def test_what_is_won_back_is_told_by_shape(made_up_run):
+@pytest.mark.parametrize(("table", "by"), [("pose_by_stimulus", "shape"), ("pose_by_depth", "depth")])
+def test_what_is_won_back_is_told_by_shape_and_by_depth(made_up_run, table, by):
     folder, results = made_up_run
-    won = results["pose_by_stimulus"]["clover"]["pose_recovery"]["disentangled"]["x_mm"]
-    told = write_report(folder).read_text().split("<summary>By shape</summary>")[1].split("</details>")[0]
-    assert f"<td>{won:.2f} <small>" in told.split("clover")[1].split("</tr>")[0]
-    del results["pose_by_stimulus"]  # of an earlier version
+    part, found = next((part, found) for part, found in results[table].items() if found)
+    won = found["pose_recovery"]["disentangled"]["x_mm"]
+    told = write_report(folder).read_text().split(f"<summary>By {by}</summary>")[1].split("</details>")[0]
+    assert f"<td>{won:.2f} <small>" in told.split(part)[1].split("</tr>")[0]
+    del results[table]  # of an earlier version
     (folder / "results.json").write_text(json.dumps(results))
-    assert "By shape" not in write_report(folder).read_text()
+    assert f"By {by}" not in write_report(folder).read_text()
 
 
 @pytest.mark.parametrize("name", ["results.json", "montage.npz"])
