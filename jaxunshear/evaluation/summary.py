@@ -1,6 +1,7 @@
 """From one number an image to the tables: pure functions of arrays, so they are tested without networks or data."""
 
 import itertools
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -83,10 +84,11 @@ def pose_by_depth(
     bounds = np.linspace(shallowest, deepest, DEPTHS + 1)
     part, poses = np.digitize(depth, bounds[1:-1]), numbered_poses(stimulus, pose_id)
     felt = {name: score for name, score in scores.items() if name.startswith("pose/")}
+    digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as tell the parts apart
     found: dict[str, Any] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
         inside = part == index
-        name = f"{low:.1f}-{high:.1f} mm"
+        name = f"{low:.{digits}f}-{high:.{digits}f} mm"
         found[name] = None
         if inside.any():
             again = redrawn_means({name: score[inside] for name, score in felt.items()}, poses[inside], seed)

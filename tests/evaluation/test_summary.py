@@ -76,6 +76,11 @@ def test_depths_without_contacts_are_null_and_one_depth_is_not_divided():
     assert pose_by_depth(made_up(), np.full(6, 2.0), 2.0, 2.0, STIMULUS, POSE_ID, seed=0) == {}
 
 
+def test_narrow_depths_have_names_of_their_own():
+    found = pose_by_depth(made_up(), np.full(6, 2.0), 2.0, 2.06, STIMULUS, POSE_ID, seed=0)
+    assert list(found) == ["2.000-2.020 mm", "2.020-2.040 mm", "2.040-2.060 mm"]
+
+
 def test_no_recovery_where_the_slide_does_no_damage():
     same = dict.fromkeys(KINDS, 2.0)
     assert tables(made_up(same), NAMES, STIMULUS, POSE_ID, 0)["pose_recovery"]["entangled"]["x_mm"] is None
