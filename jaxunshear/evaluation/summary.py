@@ -78,12 +78,13 @@ def pose_by_depth(
     seed: int,
 ) -> dict[str, Any]:
     """What `tables` says of poses, by the slides' indentation depth (N,), mm, in DEPTHS equal parts of its range: a shallow touch
-    tells little of a pose even as a tap. A part without test contacts is null; a range of zero has no parts."""
-    if shallowest == deepest:
+    tells little of a pose even as a tap. A part without test contacts is null; a range of zero has no parts, nor
+    has a test without poses."""
+    felt = {name: score for name, score in scores.items() if name.startswith("pose/")}
+    if shallowest == deepest or not felt:
         return {}
     bounds = np.linspace(shallowest, deepest, DEPTHS + 1)
     part, poses = np.digitize(depth, bounds[1:-1]), numbered_poses(stimulus, pose_id)
-    felt = {name: score for name, score in scores.items() if name.startswith("pose/")}
     digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as tell the parts apart
     found: dict[str, Any] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):

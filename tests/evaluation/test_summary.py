@@ -70,10 +70,12 @@ def test_poses_of_each_depth_are_those_of_its_contacts_alone():
     assert "ms_ssim" not in middle
 
 
-def test_depths_without_contacts_are_null_and_one_depth_is_not_divided():
+def test_depths_without_contacts_are_null_and_one_depth_or_no_pose_is_not_divided():
     found = pose_by_depth(made_up(), np.full(6, 1.5), 1.0, 4.0, STIMULUS, POSE_ID, seed=0)
     assert [part is None for part in found.values()] == [False, True, True]
     assert pose_by_depth(made_up(), np.full(6, 2.0), 2.0, 2.0, STIMULUS, POSE_ID, seed=0) == {}
+    images_only = {name: score for name, score in made_up().items() if not name.startswith("pose/")}
+    assert pose_by_depth(images_only, np.full(6, 1.5), 1.0, 4.0, STIMULUS, POSE_ID, seed=0) == {}
 
 
 def test_narrow_depths_have_names_of_their_own():
