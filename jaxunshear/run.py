@@ -16,8 +16,8 @@ from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment, learnt_from
 from jaxunshear.locks import locked
-from jaxunshear.model.settings import UNet, UnshearNet
-from jaxunshear.storage import read_json, write_json
+from jaxunshear.model.settings import UNet, UnshearNet, without_codes
+from jaxunshear.storage import read_json, read_json_if_sound, write_json
 from jaxunshear.training.origin import check_origin, origin_of
 
 FIELDS = {  # what a training reads; others the pair
@@ -26,6 +26,7 @@ FIELDS = {  # what a training reads; others the pair
     "posenet_sheared": ("sheared", "pose", "edge"),
 }
 TEACHER_SEED = 1000  # beyond the run's own
+TIMES = "times.json"
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
 
 
@@ -73,17 +74,23 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
     """experiment.json, or a refusal to mix the work of two different experiments in one folder."""
     path = folder / "experiment.json"
     wanted = to_json(experiment)
-    begun = any(each.name not in (path.name, LOCK) for each in folder.iterdir())  # else a refusal came before any work
-    if path.exists() and begun:
+    begun = any(
+        each.name not in (path.name, LOCK, TIMES) for each in folder.iterdir()
+    )  # else data at most, which lie elsewhere
+    if path.exists():
         try:
             stored = to_json(from_json(read_json(path), str(path)))
         except UserError as error:
-            raise UserError(f"{error}; to start anew give another --out, or delete {folder}") from error
+            if begun:
+                raise UserError(f"{error}; to start anew give another --out, or delete {folder}") from error
+            stored = {}
         changed = [name for name in configs.differences(stored, wanted) if name != "claim"]
-        if changed:
+        if changed and begun:
             raise UserError(
                 f"{folder} holds a run with another {', '.join(changed[:3])}: give another --out, or delete that folder"
             )
+        if changed:
+            (folder / TIMES).unlink(missing_ok=True)  # of the making of other data
     write_json(path, wanted)
 
 
@@ -166,7 +173,9 @@ def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
         return UNet(net.size, net.widths)
     if network == "entangled_large":
         return as_large_entangled(dataclasses.replace(net, disentangled=True))
-    return dataclasses.replace(net, disentangled=network == "disentangled")
+    if network == "entangled":
+        return dataclasses.replace(without_codes(net), disentangled=False)
+    return dataclasses.replace(net, disentangled=True)
 
 
 def _as_image(batch: dict[str, Any]) -> dict[str, Any]:
@@ -204,15 +213,11 @@ def _times(folder: Path) -> dict[str, float]:
 
     A stage that is done again from the start counts anew. What a run had spent that was killed outright is lost.
     """
-    path = folder / "times.json"
-    try:
-        return read_json(path) if path.exists() else {}
-    except UserError:  # times are no reason to lose the work that they tell of
-        return {}
+    return read_json_if_sound(folder / TIMES) or {}  # times are no reason to lose the work that they tell of
 
 
 def _keep_time(folder: Path, stage: str, seconds: float) -> None:
-    write_json(folder / "times.json", _times(folder) | {stage: round(seconds, 3)})
+    write_json(folder / TIMES, _times(folder) | {stage: round(seconds, 3)})
 
 
 def _tell(results: dict[str, Any]) -> None:

@@ -25,6 +25,24 @@ def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
     return UserError(f"cannot {verb} {path}: {error.strerror or error}")
 
 
+OF_THE_MACHINE = ("EACCES", "EPERM", "EMFILE", "ENFILE", "ENOMEM", "EIO", "ESTALE", "EROFS", "ENOSPC", "EDQUOT")
+
+
+def blame_the_machine(path: Path, error: BaseException) -> None:
+    """Raises a `UserError` where `error`, met in reading `path`, says nothing about the file: no memory, no right, no place.
+
+    Also when a library wrapped it in one of its own. So nobody is told to delete what is sound.
+    """
+    codes = {getattr(errno, name, None) for name in OF_THE_MACHINE}
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, MemoryError):
+            raise UserError(f"cannot read {path}: there is not enough memory") from error
+        if isinstance(cause, OSError) and cause.errno in codes:
+            raise os_error(path, cause, "read") from error
+        cause = cause.__cause__ or cause.__context__
+
+
 def disk_is_full(error: BaseException | None) -> bool:
     """Also when a library wrapped the operating system's error in one of its own."""
     while error is not None:
@@ -115,6 +133,14 @@ def read_json(path: Path) -> Any:
         raise os_error(path, error, "read") from error
     except ValueError as error:
         raise UserError(f"{path} is not valid JSON ({error}): delete it and make it again") from error
+
+
+def read_json_if_sound(path: Path) -> Any | None:
+    """What `path` holds; None where it is missing or damaged, for files that are not worth stopping for."""
+    try:
+        return read_json(path)
+    except UserError:
+        return None
 
 
 def _plain(obj: Any) -> Any:

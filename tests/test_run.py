@@ -254,3 +254,26 @@ def test_a_refusal_before_any_work_binds_nobody(tmp_path):
             run.run_stages(replace(SMALL, seed=seed), ("posenet",), tmp_path, tmp_path / "nowhere", "none")
         left = sorted(path.name for path in (tmp_path / SMALL.name).iterdir())
         assert left == ["experiment.json", "run.lock"]
+
+
+def test_data_that_another_process_makes_bind_nobody(tmp_path, monkeypatch):
+    def refuse(*_):
+        configs.unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path).mkdir(parents=True, exist_ok=True)
+        raise UserError("another process is making the set")
+
+    monkeypatch.setattr(making, "make_sets", refuse)
+    for seed in (0, 7):
+        with pytest.raises(UserError, match="another process"):
+            run.run_stages(replace(SMALL, seed=seed), ("data",), tmp_path, tmp_path, "none")
+
+
+@pytest.mark.parametrize(("poses", "kept"), [(SMALL.paired.poses, True), (SMALL.paired.poses + 1, False)])
+def test_the_time_of_making_other_data_is_forgotten(tmp_path, poses, kept):
+    other = replace(SMALL, paired=replace(SMALL.paired, poses=poses))
+    times = tmp_path / SMALL.name / "times.json"
+    for asked in (SMALL, other):
+        with pytest.raises(UserError, match="no data set"):
+            run.run_stages(asked, ("posenet",), tmp_path, tmp_path / "nowhere", "none")
+        if asked is SMALL:
+            write_json(times, {"data": 1.0})
+    assert times.exists() == kept

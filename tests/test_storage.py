@@ -57,3 +57,33 @@ def test_corrupt_json_names_file_and_remedy(tmp_path, content):
 def test_missing_json_names_file(tmp_path):
     with pytest.raises(UserError, match=r"none\.json: No such file"):
         storage.read_json(tmp_path / "none.json")
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (MemoryError(), r"cannot read runs: there is not enough memory"),
+        (PermissionError(errno.EACCES, "Permission denied"), r"cannot read runs: Permission denied"),
+        (OSError(errno.EMFILE, "Too many open files"), r"cannot read runs: Too many open files"),
+    ],
+)
+def test_what_the_machine_lacks_is_no_damage_of_the_file(error, line):
+    wrapped = ValueError("a library's own")
+    wrapped.__cause__ = error
+    for each in (error, wrapped):
+        with pytest.raises(UserError, match=line):
+            storage.blame_the_machine(Path("runs"), each)
+
+
+@pytest.mark.parametrize("error", [ValueError("bad header"), FileNotFoundError(errno.ENOENT, "No such file")])
+def test_what_may_be_damage_is_left_to_be_called_so(error):
+    storage.blame_the_machine(Path("runs"), error)
+
+
+def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
+    path = tmp_path / "times.json"
+    assert storage.read_json_if_sound(path) is None
+    path.write_text("{")
+    assert storage.read_json_if_sound(path) is None
+    storage.write_json(path, {"data": 1.0})
+    assert storage.read_json_if_sound(path) == {"data": 1.0}

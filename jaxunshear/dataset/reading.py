@@ -11,6 +11,7 @@ paper's. A split with more than `MEMORY_BYTES` of images has them in an unlinked
 import functools
 import io
 import itertools
+import os
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,7 +27,7 @@ from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import SPLITS
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
-from jaxunshear.storage import read_json
+from jaxunshear.storage import blame_the_machine, read_json
 
 MEMORY_BYTES = 1 << 30
 IMAGES = ("image", "canonical", "sheared")
@@ -100,12 +101,13 @@ class SetReader:
 
     def _load(self, split: str) -> Batch:
         count = self.length(split)
-        _check_shards(self.folder, split)
         try:
+            _check_shards(self.folder, split)
             return _read_rows(self.folder, split, count)
         except UserError:
             raise
         except Exception as error:  # whatever a damaged file makes of itself
+            blame_the_machine(self.folder, error)
             raise UserError(
                 f"the data set in {self.folder} is damaged ({first_line(error)}): {_remedy(self.folder)}"
             ) from error
@@ -149,6 +151,7 @@ def _check_shards(folder: Path, split: str) -> None:
     try:
         sums = read_json(folder / MANIFEST)
     except UserError as error:
+        blame_the_machine(folder / MANIFEST, error)
         raise UserError(f"the data set in {folder} is damaged ({MANIFEST}): {remedy}") from error
     for name in sorted(name for name in sums if f"-{split}." in name):
         path = folder / name
@@ -188,4 +191,5 @@ def _room(folder: Path, shape: tuple[int, int], images: int) -> np.ndarray:
     """Bytes in memory, or in an unlinked file if all of a split's `images` fields together are too large."""
     if images * shape[0] * shape[1] <= MEMORY_BYTES:
         return np.zeros(shape, np.uint8)
-    return np.memmap(tempfile.TemporaryFile(dir=folder.parent), np.uint8, "w+", shape=shape)
+    beside = folder.parent if os.access(folder.parent, os.W_OK) else None  # data that are shared may be read-only
+    return np.memmap(tempfile.TemporaryFile(dir=beside), np.uint8, "w+", shape=shape)

@@ -28,7 +28,7 @@ from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_
 from jaxunshear.experiment import Experiment, further_tests
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit, true_quantities
 from jaxunshear.metrics.machine import machine, versions
-from jaxunshear.storage import read_json, write_bytes, write_json
+from jaxunshear.storage import read_json_if_sound, write_bytes, write_json
 from jaxunshear.training.origin import check_origin
 
 BATCH = 32
@@ -73,10 +73,9 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     results = results_of(experiment, gathered, further)
     results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
     results["counts"] |= {name: pairs.metadata["counts"][name] for name in ("contacts", "retried", "dropped")}
-    times = run_dir / "times.json"
     results |= {
         "ms_per_image": ms_per_image(run_dir, experiment.networks, precision),
-        "time_s": (read_json(times) if times.exists() else {}) | {"evaluate": time.perf_counter() - started},
+        "time_s": (read_json_if_sound(run_dir / "times.json") or {}) | {"evaluate": time.perf_counter() - started},
         "machine": machine(),
         "versions": versions(),
         "command": command,

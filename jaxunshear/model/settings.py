@@ -1,6 +1,6 @@
 """Shapes of the networks. Imports no JAX."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -18,6 +18,11 @@ class UnshearNet:
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
     disentangled: bool = True
+
+
+def without_codes(net: UnshearNet) -> UnshearNet:
+    """`net` with the channels of its codes, which an entangled network does not have, at their defaults."""
+    return replace(net, pose_channels=UnshearNet.pose_channels, shear_channels=UnshearNet.shear_channels)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.experiment import TRAINABLE
 from jaxunshear.report import applications, making, montage, page, scores
 from jaxunshear.report.history import read_history
-from jaxunshear.storage import read_json, write_bytes, write_text
+from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write_text
 
 
 def write_report(run_dir: Path) -> Path:
@@ -21,8 +21,7 @@ def write_report(run_dir: Path) -> Path:
     """
     run_dir = Path(run_dir)
     results = read_json(run_dir / "results.json")
-    times = run_dir / "times.json"
-    grown = read_json(times) if times.exists() else {}  # since the evaluation
+    grown = read_json_if_sound(run_dir / "times.json") or {}  # since the evaluation
     logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}

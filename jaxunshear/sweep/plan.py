@@ -78,12 +78,14 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
     shared: dict[str, Task] = {}
     tasks = []
     for row in rows:
-        sources, needs = {}, []
+        sources: dict[str, str] = {}
+        awaited: dict[str, Path] = {}
         for network in trained(row.experiment):
             part = parts.get((row.digest, network))
             if part is None:
                 continue
-            own = Task(folder / "shared" / part.name, "training")
+            first = needed(part, network)[:-1]  # its teacher, if it has one
+            own = Task(folder / "shared" / part.name, "training", tuple(awaited[n] for n in first if n in awaited))
             if part.name in finished:
                 sources[network] = str(finished[part.name])
             elif users[part.name] > 1:
@@ -91,11 +93,13 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
                 outcome = read_outcome(own.folder, own.kind)
                 if outcome is None or outcome["status"] == "done":  # done, but its folder was deleted since
                     outcome_file(own.folder, own.kind).unlink(missing_ok=True)
-                    needs.append(own.folder)
+                    awaited[network] = own.folder
                     if part.name not in shared:
                         shared[part.name] = own
-                        write_json(own.folder / TASK, _described(part, own, needed(part, network)) | common)
-        task = Task(folder / "rows" / row.experiment.name, "row", tuple(needs))
+                        places = {n: finished.get(training_part(row.experiment, n).name, sources.get(n)) for n in first}
+                        copied = {"sources": {n: str(place) for n, place in places.items() if place}}
+                        write_json(own.folder / TASK, _described(part, own, (*first, network)) | copied | common)
+        task = Task(folder / "rows" / row.experiment.name, "row", tuple(awaited.values()))
         more = {"ablation": ablation, "sources": sources, "label": row.label, "seed": row.experiment.seed}
         write_json(task.folder / TASK, _described(row.experiment, task, trained(row.experiment)) | more | common)
         tasks.append(task)

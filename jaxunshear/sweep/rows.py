@@ -18,6 +18,7 @@ from jaxunshear.config import replaced, show, to_json, validate
 from jaxunshear.dataset.configs import VERSION, floats
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
+from jaxunshear.model.settings import without_codes
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
@@ -27,6 +28,7 @@ UNUSED = {
     TEACHER: ("paired", "unshear", "train"),
     "posenet_sheared": ("pose", "unshear", "train"),
 }
+WITHOUT_CODES = ("entangled", "unet")
 UNUSED_BY_UNSHEARERS = ("pose", "posenet", "train_posenet")
 
 
@@ -98,6 +100,8 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     taught = len(needed(experiment, network)) > 1
     unused = ("name", "claim", *TESTS, *(() if taught else UNUSED.get(network, UNUSED_BY_UNSHEARERS)))
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
+    if network in WITHOUT_CODES:
+        part = dataclasses.replace(part, unshear=without_codes(part.unshear))
     own = _digest({"experiment": to_json(part), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
 

@@ -2,7 +2,7 @@
 the rows' own processes need the device."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -47,10 +47,16 @@ def run_sweep(
             plan.forget_failures(folder, rows.values())
         _run_rows(sweep, folder, list(rows.values()), Path(data).absolute(), command, engine, worker)
         measured = {key: _measured(plan.row_folder(folder, row)) for key, row in rows.items()}
+        for cell in cells:
+            _check_contacts(
+                {plan.row_folder(folder, rows[cell.label, s]): measured[cell.label, s] for s in sweep.seeds}
+            )
         summary = summarise(sweep, cells, measured, reference) | _made_with(measured, command)
         picture = sweep_figure(summary) or (None if sweep.grid else frontier_figure(summary))
         if picture:
             write_bytes(folder / "sweep.png", picture)
+        else:
+            (folder / "sweep.png").unlink(missing_ok=True)  # an earlier one tells of other rows
         write_json(folder / "sweep.json", summary)
     return summary
 
@@ -81,6 +87,18 @@ def _measured(folder: Path) -> Measured:
         return Measured(outcome, {})
     paths = [folder / SCORES, *sorted(folder.glob("scores-*.npz"))]
     return Measured(outcome, {path.stem.removeprefix("scores").removeprefix("-"): _read_scores(path) for path in paths})
+
+
+def _check_contacts(rows: Mapping[Path, Measured]) -> None:
+    """Refuses seeds of a cell that were tested on different contacts: their scores cannot be put side by side."""
+    done = [(folder, row) for folder, row in rows.items() if row.tests]
+    for (first, one), (folder, other) in itertools.pairwise(done):
+        labels = [(test, name) for test in one.tests.keys() & other.tests.keys() for name in ("stimulus", "pose_id")]
+        if not all(np.array_equal(one.tests[test][name], other.tests[test][name]) for test, name in labels):
+            raise UserError(
+                f"{first} and {folder} were tested on different contacts (the data were made anew in between): "
+                "delete both and run the same command"
+            )
 
 
 def _read_scores(path: Path) -> dict[str, np.ndarray]:

@@ -146,9 +146,10 @@ def _rules(sweep: Sweep) -> Iterator[tuple[bool, str, str]]:
     varied = [field for fields, _ in sweep.grid for field in names_of(fields)]
     twice = next((field for field in varied if varied.count(field) > 1), None)
     yield twice is None, "grid", f"varies {twice} on two axes"
-    for field in (*varied, *(field for row in sweep.rows for fields, _ in row for field in names_of(fields))):
-        yield field not in ("name", "claim"), "grid", f"varies {field}, which decides nothing"
-        yield field != "seed", "grid", "varies seed: list the seeds in sweep.seeds, or with --seeds"
+    changed = [field for row in sweep.rows for fields, _ in row for field in names_of(fields)]
+    for place, field in (*(("grid", field) for field in varied), *(("rows", field) for field in changed)):
+        yield field not in ("name", "claim"), place, f"varies {field}, which decides nothing"
+        yield field != "seed", place, "varies seed: list the seeds in sweep.seeds, or with --seeds"
     seeds = sweep.seeds
     yield (
         isinstance(seeds, tuple)

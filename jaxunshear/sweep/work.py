@@ -17,6 +17,7 @@ from typing import Any
 
 from jaxunshear.config import from_json
 from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
 from jaxunshear.locks import locked
 from jaxunshear.memory import keep_freed_memory, restart_with_large_pages
 from jaxunshear.run import run_stages
@@ -68,9 +69,10 @@ def attempt(task: dict[str, Any], folder: Path) -> dict[str, Any]:
         traceback.print_exc()
         outcome = failure(task, f"{type(error).__name__}: {error}"[:500], folder)
     kilobyte = 1 if sys.platform == "darwin" else 1024
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * kilobyte
     return outcome | {
         "wall_seconds": time.perf_counter() - began,
-        "peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * kilobyte,
+        "peak_memory_bytes": max(peak, outcome.get("peak_memory_bytes", 0)),
         "host": platform.node(),
     }
 
@@ -90,15 +92,13 @@ def _data(task: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _training(task: dict[str, Any], folder: Path) -> dict[str, Any]:
-    experiment = from_json(task["experiment"], str(folder / TASK))
+    experiment = _begun(task, folder)
     run_stages(experiment, tuple(task["networks"]), folder.parent, Path(task["data"]), task["command"])
-    return _speeds(task, folder)
+    return _trained(task, folder)
 
 
 def _row(task: dict[str, Any], folder: Path) -> dict[str, Any]:
-    experiment = from_json(task["experiment"], str(folder / TASK))
-    for network, source in task["sources"].items():
-        _reuse(Path(source), folder / network)
+    experiment = _begun(task, folder)
     stages, data = (*task["networks"], "evaluate"), Path(task["data"])
     results = run_stages(experiment, stages, folder.parent, data, task["command"])
     spoilt = None
@@ -108,7 +108,14 @@ def _row(task: dict[str, Any], folder: Path) -> dict[str, Any]:
         spoilt = ablate(experiment, folder, data, task["command"])["rows"]
     device = results["machine"]["device"]
     made = {"results": results, "ablation": spoilt, "device": device, "ms_per_image": results["ms_per_image"]}
-    return made | _speeds(task, folder)
+    return made | _trained(task, folder)
+
+
+def _begun(task: dict[str, Any], folder: Path) -> Experiment:
+    """The task's experiment, and in `folder` copies of the trainings that others have finished for it."""
+    for network, source in task["sources"].items():
+        _reuse(Path(source), folder / network)
+    return from_json(task["experiment"], str(folder / TASK))
 
 
 def _reuse(source: Path, target: Path) -> None:
@@ -118,6 +125,7 @@ def _reuse(source: Path, target: Path) -> None:
     if not (source / "summary.json").exists():
         outcome = read_outcome(source.parent, "training") or {"reason": "it was not finished"}
         raise UserError(f"its {target.name}, which other rows share, failed: {outcome['reason']}")
+    _check_checkpoints(source)
     part = target.with_name(target.name + ".part")
     for old in (part, target):
         shutil.rmtree(old, ignore_errors=True)
@@ -125,10 +133,23 @@ def _reuse(source: Path, target: Path) -> None:
     part.rename(target)
 
 
-def _speeds(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _check_checkpoints(source: Path) -> None:
+    """Refuses to copy a training that is lost or damaged: its own folder is the one to delete, not that of the copy."""
+    from jaxunshear.training.checkpoint import holds_model, load_best
+
+    if not holds_model(source):
+        raise UserError(f"{source} has lost its checkpoints: delete that folder, then run the same command")
+    load_best(source)
+
+
+def _trained(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Time and memory of the trainings, those of other tasks with them."""
     summaries = {network: read_json(folder / network / "summary.json") for network in task["networks"]}
     names = ("train_seconds", "images_per_second")
-    return {name: {network: summary[name] for network, summary in summaries.items()} for name in names}
+    speeds = {name: {network: summary[name] for network, summary in summaries.items()} for name in names}
+    others = {Path(source).parent for source in task["sources"].values()}
+    outcomes = [read_outcome(other, kind) for other in sorted(others) for kind in ("training", "row")]
+    return speeds | {"peak_memory_bytes": max((one.get("peak_memory_bytes", 0) for one in outcomes if one), default=0)}
 
 
 if __name__ == "__main__":

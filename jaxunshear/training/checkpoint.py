@@ -144,6 +144,7 @@ def _read_weights(path: Path) -> dict[str, np.ndarray]:
             arrays = dict(file)
         intact = str(arrays.pop(DIGEST)) == _digest(arrays)
     except storage.BROKEN_NPZ as error:
+        storage.blame_the_machine(path, error)
         raise UserError(f"{path} is damaged ({first_line(error)}): install or copy these weights again") from error
     if not intact:
         raise UserError(f"{path} is damaged (its digest differs): install or copy these weights again")
@@ -196,6 +197,7 @@ def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any
             arrays = reader.restore((path / "state").absolute())
         intact = _digest(arrays) == record["digest"]
     except Exception as error:  # whatever a damaged file makes of itself
+        storage.blame_the_machine(path, error)
         raise UserError(f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}") from error
     if not intact:
         raise UserError(f"checkpoint {path} is damaged (its digest differs): {_remedy(folder, path)}")
@@ -210,6 +212,7 @@ def _record(folder: Path, step: int) -> dict[str, Any]:
             raise UserError("its record is incomplete")
         return record
     except (UserError, AttributeError) as error:
+        storage.blame_the_machine(path, error)
         raise UserError(f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}") from error
 
 

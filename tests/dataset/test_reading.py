@@ -195,3 +195,13 @@ def test_a_missing_set_and_a_missing_split_are_told(made, paired, pose, sensor, 
     with pytest.raises(UserError, match="does not fit"):
         open_set("tactip_paired", pose, tmp_path, sensor)
     assert set_folder(paired, sensor, tmp_path) == made.folder
+
+
+def test_nobody_is_told_to_delete_a_set_that_the_machine_could_not_read(made, monkeypatch):
+    def refuse(*_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(reading, "_read_rows", refuse)
+    with pytest.raises(UserError, match=r"cannot read .*Permission denied") as refusal:
+        next(made.split("test", 4))
+    assert "again" not in str(refusal.value)

@@ -74,6 +74,11 @@ def train(experiment, network, folder, data):
     write_json(place / "summary.json", state | {"train_seconds": time.process_time(), "images_per_second": 100.0})
 
 
+def check_checkpoints(source):
+    if not (source / "checkpoint.json").exists():
+        raise UserError(f"{source} has lost its checkpoints: delete that folder, then run the same command")
+
+
 def fail(learning_rate, place):
     if learning_rate == 1 / 2:
         raise UserError(f"training {place} stopped: supervised not finite at step 5")
@@ -128,6 +133,7 @@ def main():
     sys.modules["jaxunshear.evaluation.ablation"] = type(sys)("ablation")
     sys.modules["jaxunshear.evaluation.ablation"].ablate = ablate
     work.run_stages = run_stages
+    work._check_checkpoints = check_checkpoints
     work._data = lambda task, folder: {}
     return work.main(Path(sys.argv[1]), int(sys.argv[2]))
 

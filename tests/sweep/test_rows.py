@@ -195,3 +195,11 @@ def test_a_taught_network_depends_on_its_teacher():
     assert needed(taught, "disentangled") == (TEACHER, "disentangled")
     assert needed(plain, "disentangled") == ("disentangled",)
     assert needed(taught, "posenet") == ("posenet",)
+
+
+@pytest.mark.parametrize("network", ["entangled", "unet"])
+def test_networks_without_codes_are_shared_by_rows_of_other_codes(asked, network):
+    other = replace(BASE, unshear=replace(BASE.unshear, pose_channels=8, shear_channels=120))
+    assert training_part(BASE, network) == training_part(other, network)
+    assert asked(BASE, network) == asked(other, network)
+    assert training_part(BASE, "disentangled") != training_part(other, "disentangled")

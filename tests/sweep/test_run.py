@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -93,6 +94,69 @@ def test_a_training_whose_model_is_damaged_is_not_used_again(stand_in, swept, st
     assert sum(name.startswith("posenet") for name in again) == 10
 
 
+def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(stand_in, swept, steps, tmp_path):
+    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
+    more = replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),))
+    swept(sweep)
+    (lost,) = (tmp_path / "small" / "rows").glob("*/posenet/checkpoint.json")
+    lost.unlink()
+    (failed,) = (cell["failures"][0]["reason"] for cell in swept(more)["cells"] if cell["failures"])
+    assert (
+        f"{lost.parent} has lost its checkpoints: delete that folder, then run the same command with --retry" in failed
+    )
+    shutil.rmtree(lost.parent)
+    assert not any(cell["failures"] for cell in swept(more, retry_failed=True)["cells"])
+
+
+def test_a_teacher_that_rows_share_is_trained_once(stand_in, swept, steps):
+    taught = replace(stand_in.BASE, train=replace(stand_in.BASE.train, pose_weight=0.1))
+    swept(
+        replace(
+            stand_in.SWEEP,
+            base=taught,
+            grid=(("networks", (("disentangled", "posenet"), ("disentangled",))),),
+            seeds=(0,),
+        )
+    )
+    assert set(steps().values()) == {1}
+    assert sorted(name.partition("_seed")[0] for name, step in steps() if step == "0") == [
+        "disentangled",
+        "posenet",
+        "posenet_teacher",
+    ]
+
+
+def test_memory_is_that_of_the_trainings_too(stand_in, swept, tmp_path):
+    sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 0.1)),), seeds=(0,))
+    swept(sweep)
+    (path,) = (tmp_path / "small" / "shared").glob("posenet*/training.json")
+    write_json(path, read_json(path) | {"peak_memory_bytes": 10**15})
+    for row in (tmp_path / "small" / "rows").glob("*"):
+        shutil.rmtree(row)
+    assert {cell["costs"]["0"]["peak_memory_bytes"] for cell in swept(sweep)["cells"]} == {10**15}
+
+
+def test_a_picture_of_other_rows_does_not_stay(stand_in, swept, tmp_path):
+    sweep = replace(stand_in.SWEEP, seeds=(0,))
+    swept(sweep)
+    assert (tmp_path / "small" / "sweep.png").exists()
+    swept(replace(sweep, grid=(*sweep.grid, ("train.batch", (16,)))))
+    assert not (tmp_path / "small" / "sweep.png").exists()
+
+
+@pytest.mark.parametrize("contacts", [24, 22])
+def test_seeds_that_were_tested_on_different_contacts_are_refused(stand_in, swept, tmp_path, contacts):
+    sweep = replace(stand_in.SWEEP, grid=())
+    swept(sweep)
+    path = next((tmp_path / "small" / "rows").glob("*seed-1*/scores.npz"))
+    with np.load(path) as file:
+        scores = {name: values[:contacts].copy() for name, values in file.items()}
+    scores["pose_id"][0] += 1
+    np.savez(path, **scores)
+    with pytest.raises(UserError, match=r"tested on different contacts .*delete both"):
+        swept(sweep)
+
+
 def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
     sweep = replace(stand_in.SWEEP, grid=(("train.pose_weight", (0.1, 1.0)),), seeds=(0,), networks=("disentangled",))
     task = plan.data_task(tmp_path, list(rows_of(sweep, cells_of(sweep)).values()), tmp_path)
@@ -157,8 +221,6 @@ def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, s
 
 
 def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
-    import shutil
-
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 1.0)),), seeds=(0,))
     first = swept(sweep)
     for path in [*(tmp_path / "small" / "rows").iterdir(), *(tmp_path / "small" / "shared").glob("*/posenet")]:

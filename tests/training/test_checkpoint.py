@@ -130,3 +130,16 @@ def test_broken_settings_are_refused(tmp_path, text):
 def test_json_record_is_readable(folder):
     record = json.loads((folder / "checkpoints" / "00000005" / "record.json").read_text())
     assert record["step"] == 5
+
+
+@pytest.mark.parametrize(
+    ("error", "line"), [(MemoryError(), "not enough memory"), (PermissionError(13, "Permission denied"), "Permission")]
+)
+def test_nobody_is_told_to_delete_what_the_machine_could_not_read(folder, monkeypatch, error, line):
+    def refuse(*_):
+        raise error
+
+    monkeypatch.setattr(checkpoint.ocp.Checkpointer, "restore", refuse)
+    with pytest.raises(UserError, match=line) as refusal:
+        checkpoint.load_best(folder)
+    assert "to train from the start" not in str(refusal.value)
