@@ -278,11 +278,15 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     from jaxunshear.storage import write_bytes
 
     folder, experiment = model
-    names = [name for name in _stimuli(arguments.stimulus) if (out / f"{name}.npz").is_file()]
+    asked = _stimuli(arguments.stimulus)
+    names = [name for name in asked if (out / f"{name}.npz").is_file()]
     if not names:
         raise UserError(
             f"--out {out} holds no walks: run `jaxunshear servo --model {arguments.model} --out {out}` first"
         )
+    if arguments.stimulus != "all" and len(names) < len(asked):
+        lacking = ", ".join(name for name in asked if name not in names)
+        raise UserError(f"--stimulus {lacking}: {out} holds no walk of it; run `jaxunshear servo` for it first")
     networks = perception.unshearers(folder, perception.unshearing_of(folder))
     rows: list[dict[str, Any]] = []
     occupancies: dict[float, Any] = {}  # by depth
@@ -311,7 +315,9 @@ def _check_walks(file: Path, walks: "Walks", made: str) -> None:
     if (walks.end == WALKING).any():
         raise UserError(f"{file} holds walks that are not finished: run the same `jaxunshear servo` command again")
     if str(walks.made) != made:
-        raise UserError(f"{file} holds walks of another model or sensor: name theirs with --model, or walk again")
+        raise UserError(
+            f"{file} holds walks of another model or sensor, or of an earlier simulator: name theirs with --model, or walk again"
+        )
 
 
 def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
@@ -327,7 +333,7 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
     check_new_file(arguments.lines, "--lines")
     folder, experiment = model
     step = step_of(folder, experiment, arguments.precision)
-    frames, live = frames_of(arguments.source, arguments.fps)
+    frames, live = frames_of(arguments.source, experiment.paired.preprocess, arguments.fps)
     with contextlib.ExitStack() as stack:
         lines = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout
         summary = stream(frames, live, experiment, step, lines, arguments.images, not arguments.no_images)

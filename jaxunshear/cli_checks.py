@@ -2,7 +2,7 @@
 
 import argparse
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -87,13 +87,14 @@ def joined(argv: list[str]) -> list[str]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of `add_parsers`' commands. Returns 0, or 1 where a check does not hold."""
-    return _COMMANDS[arguments.command](arguments, _writer(arguments.json, command))
+    return _COMMANDS[arguments.command](arguments, _writer(arguments.json, command, RIVALS.get(arguments.command, ())))
 
 
+RIVALS = {"bench": ("torch",)}  # packages that are timed beside ours
 Keep = Callable[[list[dict[str, Any]]], None]
 
 
-def _writer(file: Path | None, command: str) -> Keep:
+def _writer(file: Path | None, command: str, rivals: Sequence[str]) -> Keep:
     """Keeps rows in `file`, if there is one; called again it replaces what it wrote."""
 
     def keep(rows: list[dict[str, Any]]) -> None:
@@ -102,7 +103,7 @@ def _writer(file: Path | None, command: str) -> Keep:
         from jaxunshear.metrics.machine import machine, versions
         from jaxunshear.storage import write_json
 
-        write_json(file, {"command": command, "machine": machine(), "versions": versions(), "rows": rows})
+        write_json(file, {"command": command, "machine": machine(), "versions": versions(*rivals), "rows": rows})
 
     return keep
 

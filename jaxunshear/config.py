@@ -238,10 +238,10 @@ def _check(value: Any, kind: Any, name: str) -> None:
             raise UserError(f"{name or 'experiment'} is of type {type(value).__name__}, not {kind.__name__}")  # type: ignore[union-attr]
         for field, hint in _hints(typing.cast(type, kind)).items():
             _check(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
-    elif not _fits(value, kind):
-        raise UserError(f"--{name} takes {_describe(kind)}, not {value!r}")
     elif isinstance(value, float) and not math.isfinite(value):
         raise UserError(f"--{name} must be a finite number, not {value}")
+    elif not _fits(value, kind):
+        raise UserError(f"--{name} takes {_describe(kind)}, not {value!r}")
 
 
 def _fits(value: Any, kind: Any) -> bool:
@@ -254,7 +254,7 @@ def _fits(value: Any, kind: Any) -> bool:
         kinds = (first,) * len(value) if more[-1:] == [...] else (first, *more)
         return len(value) == len(kinds) and all(_fits(v, k) for v, k in zip(value, kinds, strict=True))
     if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool)
+        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
 
 

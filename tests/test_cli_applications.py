@@ -121,6 +121,8 @@ def test_servo_then_reconstruct(command, tmp_path, monkeypatch, model):
     found = json.loads((out / "reconstruct.json").read_text())
     assert len(found["rows"]) == 3 and all(0 <= row["iou"] < 0.3 for row in found["rows"])
     assert (out / "disk-object.png").is_file()
+    answer = command("reconstruct", *words[:-1], "disk,leaf")
+    assert answer.code == 2 and "--stimulus leaf" in answer.err
     course, walks = servo.stored_walks(out / "disk.npz")
     walks.end[0] = servo.WALKING
     servo._store(out / "disk.npz", course, walks)

@@ -6,7 +6,16 @@ import math
 
 import pytest
 
-from jaxunshear.config import field_types, from_json, load_experiment, override, to_json, validate
+from jaxunshear.config import (
+    check_types,
+    field_types,
+    from_json,
+    load_experiment,
+    override,
+    replaced,
+    to_json,
+    validate,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.limits import STIMULUS_NAMES, limits
@@ -172,3 +181,9 @@ def test_a_binary_file_a_folder_and_a_missing_file(tmp_path):
     ):
         with pytest.raises(UserError, match=line):
             load_experiment(path)
+
+
+def test_infinity_within_a_tuple_is_refused():
+    endless = replaced(Experiment(name="x", claim="y"), "train.drops", ((float("inf"), 0.5),))
+    with pytest.raises(UserError, match=r"--train\.drops takes"):
+        check_types(endless)

@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.dataset.recordings import Box, Recordings, read_image, read_recordings
+from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import Layout, fit_lattice
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import Found, look
+from jaxunshear.image.preprocess import View
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.track import Track
 from jaxunshear.image.tracking import follow_all
@@ -49,13 +50,13 @@ def pins_of_recordings(
     motions are then from their mean place. Raises `UserError` where nothing can be read or pins are not this layout's.
     """
     recordings = read_recordings(path, preprocess)
-    box = recordings.common_box()  # a crop that trembled would look like motion
-    found, names, drawn, spent = _found(recordings, box)
+    view = recordings.common_view()
+    found, names, drawn, spent = _found(recordings, view)
     began = time.perf_counter()
     origin = "the untouched pins"
     if isinstance(lattice, Layout):
         origin = origin if rest is not None else "the pins' mean place in these images"
-        some = found if rest is None else _found(read_recordings(rest, preprocess), box)[0]
+        some = found if rest is None else _found(read_recordings(rest, preprocess), view)[0]
         lattice = fit_lattice([each.pins for each in some], lattice)
     fitted = time.perf_counter()
     tracks = follow_all(lattice, found)
@@ -85,7 +86,7 @@ def pins_of_recordings(
     return measured, lattice, [(names[i], image, tracks[i]) for i, image in drawn.items()]
 
 
-def _found(recordings: Recordings, box: Box | None) -> tuple[list[Found], list[str], dict[int, np.ndarray], float]:
+def _found(recordings: Recordings, view: View) -> tuple[list[Found], list[str], dict[int, np.ndarray], float]:
     """Pins and names of all images that can be read, some of the images, and the seconds that finding took."""
     found: list[Found] = []
     names: list[str] = []
@@ -93,7 +94,7 @@ def _found(recordings: Recordings, box: Box | None) -> tuple[list[Found], list[s
     drawn: dict[int, np.ndarray] = {}
     spent, seen = 0.0, 0
     with Progress(f"pins {recordings.path.name}", len(recordings)) as progress:
-        for row, name, image in recordings.frames(box):
+        for row, name, image in recordings.frames(view):
             began = time.perf_counter()
             found.append(look(image))
             spent += time.perf_counter() - began

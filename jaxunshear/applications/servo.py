@@ -26,6 +26,7 @@ from jaxunshear.applications.perception import Perceive
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Skins
 from jaxunshear.dataset.chunks import look, pack
+from jaxunshear.dataset.configs import VERSION
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
@@ -113,9 +114,10 @@ def follow_contour(
 
 
 def made_with(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) -> str:
-    """A digest of all but the course that decides walks: the sensor, how images are made of it, and the networks of each way."""
+    """A digest of all but the course that decides walks: simulator, sensor, how images are made of it, the networks of each way."""
     seen = {name: dataclasses.asdict(getattr(settings, name)) for name in ("camera", "nuisance", "preprocess")}
-    whole = {"sensor": dataclasses.asdict(sensor), **seen, "friction": settings.friction, "networks": dict(digests)}
+    contact = {"version": VERSION, "sensor": dataclasses.asdict(sensor), "friction": settings.friction}
+    whole = {**contact, **seen, "seed": settings.seed, "networks": dict(digests)}
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -276,5 +278,7 @@ def _stored(file: Path, course: Course, ways: tuple[str, ...], made: str) -> Wal
     if before != course or tuple(dict.fromkeys(walks.way.tolist())) != ways:
         raise UserError(f"{file} holds walks with other settings: give another --out, or delete it")
     if str(walks.made) != made:
-        raise UserError(f"{file} holds walks of another model or sensor: give another --out, or delete it")
+        raise UserError(
+            f"{file} holds walks of another model or sensor, or of an earlier simulator: give another --out, or delete it"
+        )
     return walks

@@ -1,9 +1,10 @@
 """Where a stream's frames come from: a folder, a video file, a camera. Frames that come while the robot thinks are dropped, not queued.
 
->>> frames, live = frames_of("camera:0", fps=None)
+>>> frames, live = frames_of("camera:0", Preprocess(), fps=None)
 >>> next(frames).pixels                                        # (480, 640, 3) uint8
 """
 
+import functools
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,6 +15,7 @@ import numpy as np
 
 from jaxunshear.dataset.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.image.preprocess import View
 from jaxunshear.image.settings import Preprocess
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
@@ -26,9 +28,10 @@ class Frame(NamedTuple):
     name: str
     pixels: np.ndarray | None  # None for one that cannot be read,
     problem: str  # for this reason
+    view: View | None = None  # where it is known before: of the folder that it lies in
 
 
-def frames_of(source: str, fps: float | None) -> tuple[Iterator[Frame], bool]:
+def frames_of(source: str, preprocess: Preprocess, fps: float | None) -> tuple[Iterator[Frame], bool]:
     """Frames of a folder, an image, a video file or "camera:N", and whether they come at their own pace. Raises `UserError`.
 
     With `fps` a folder or video plays at that rate, as if it were a camera.
@@ -38,21 +41,22 @@ def frames_of(source: str, fps: float | None) -> tuple[Iterator[Frame], bool]:
     path = Path(source)
     if not path.exists():
         raise UserError(f"{source} does not exist: name a folder, an image, a video file, or camera:0")
-    frames = _video(path) if path.is_file() and path.suffix.lower() in VIDEOS else _folder(path)
+    frames = _video(path) if path.is_file() and path.suffix.lower() in VIDEOS else _folder(path, preprocess)
     return (_latest(_at_pace(frames, fps)), True) if fps else (frames, False)
 
 
-def _folder(path: Path) -> Iterator[Frame]:
-    recordings = read_recordings(path, Preprocess())
+def _folder(path: Path, preprocess: Preprocess) -> Iterator[Frame]:
+    recordings = read_recordings(path, preprocess)
+    view = functools.cache(recordings.common_view)
     return (
-        _read(number, file, name)
+        _read(number, file, name, view(file.parent))
         for number, (file, name) in enumerate(zip(recordings.files, recordings.names, strict=True))
     )
 
 
-def _read(number: int, file: Path, name: str) -> Frame:
+def _read(number: int, file: Path, name: str, view: View) -> Frame:
     try:
-        return Frame(number, name, read_image(file), "")
+        return Frame(number, name, read_image(file), "", view)
     except UserError as error:
         return Frame(number, name, None, str(error))
 

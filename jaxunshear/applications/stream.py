@@ -18,10 +18,12 @@ from jax import Array
 
 from jaxunshear.applications.perception import Look, read_look
 from jaxunshear.applications.sources import Frame
+from jaxunshear.dataset.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.png import eight_bit, png
-from jaxunshear.image.preprocess import prepare_frame
+from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
+from jaxunshear.image.settings import Preprocess
 from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model.ready import ready
 from jaxunshear.storage import write_bytes
@@ -76,6 +78,8 @@ def stream(
     `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. A live source also ends by Ctrl-C, or
     when its camera is lost.
     """
+    preprocess = experiment.paired.preprocess
+    seen = steady_view(preprocess)
     whole, networks, confident, skipped, last, missed = [], [], [], 0, -1, 0
     problems: dict[str, int] = {}
     began = time.perf_counter()
@@ -88,7 +92,7 @@ def stream(
             try:
                 if frame.pixels is None:
                     raise UserError(frame.problem)
-                image = prepare_frame(experiment.paired.preprocess, frame.pixels)
+                image = prepare_frame(preprocess, frame.pixels, frame.view or seen(frame.pixels))
                 if not image.any():
                     raise UserError("nothing white is left of this frame: no pins to see")
                 asked = time.perf_counter()
@@ -124,6 +128,22 @@ def stream(
         "latency_ms": _spread(whole),
         "networks_ms": _spread(networks),
     }
+
+
+def steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:
+    """A function of a camera's frames, one by one -> the view that the first PROBES usable ones of their size have had in common so
+    far."""
+    views: dict[tuple[int, ...], list[View]] = {}
+    common: dict[tuple[int, ...], View] = {}
+
+    def seen(raw: np.ndarray) -> View:
+        known = views.setdefault(raw.shape, [])
+        if len(known) < PROBES:
+            known.append(own_view(preprocess, raw))
+            common[raw.shape] = common_view(known)
+        return common[raw.shape]
+
+    return seen
 
 
 def _until_lost(frames: Iterator[Frame], live: bool, problems: dict[str, int]) -> Iterator[Frame]:

@@ -33,12 +33,19 @@ def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str
     folders = sorted({file.parent for file in recordings.files})
     generator = np.random.default_rng(seed)
     parts, notes = [], list(probe.notes)
+    problem: UserError | None = None
     for folder in folders:
         rows = np.array([i for i, file in enumerate(recordings.files) if file.parent == folder])
         chosen = _choose(recordings.moves, rows, max(1, images // len(folders)), generator)
         sample = _take(recordings, chosen)
-        frames = list(sample.frames())
+        frames: list[tuple[int, str, np.ndarray]] = []
+        try:
+            frames += sample.frames()
+        except UserError as error:  # not one of them can be read
+            problem = error
         notes += sample.notes
+        if not frames:
+            continue
         kept = np.array([row for row, _, _ in frames])
         parts.append(
             Recorded(
@@ -48,6 +55,8 @@ def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str
                 None if sample.moves is None else sample.moves[kept],
             )
         )
+    if problem is not None and not parts:
+        raise problem
     return parts, notes
 
 

@@ -184,7 +184,7 @@ def training_step(twin: Twin, training: Training, compiled: bool = False) -> Cal
     kept = [*twin.parameters(), *(b for b in twin.buffers() if b.is_floating_point())]
     average = [tensor.detach().clone() for tensor in kept]
     adam = torch.optim.Adam(twin.parameters(), training.learning_rate, (training.beta1, training.beta2), fused=True)
-    loss_of = torch.compile(losses) if compiled else losses
+    loss_of = torch.compile(losses, dynamic=False) if compiled else losses
 
     def step(canonical: Tensor, sheared: Tensor) -> Tensor:
         canonical, sheared = (_unit(images) for images in (canonical, sheared))

@@ -9,6 +9,8 @@ not needed is noted, not fatal.
         pose = recordings.poses[index]               # x y z mm, Rx Ry Rz deg; NaN where unknown
 """
 
+from __future__ import annotations
+
 import contextlib
 import csv
 import json
@@ -18,6 +20,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image
@@ -25,14 +28,16 @@ from PIL import Image
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Preprocess
 
+if TYPE_CHECKING:
+    from jaxunshear.image.preprocess import View
+
 SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 # Folders that hold a recording's images, the most processed first: only the first that has any is read.
 IMAGE_FOLDERS = ("processed_images", "frames_bw", "images", "frames", "sensor_images")
 IMAGE_COLUMNS = ("sensor_image", "image_name")
 POSE_COLUMNS = tuple(f"pose_{i}" for i in range(1, 7)), tuple(f"pose_{i}" for i in ("x", "y", "z", "Rx", "Ry", "Rz"))
 MOVE_COLUMNS = tuple(f"move_{i}" for i in range(1, 7)), tuple(f"shear_{i}" for i in ("x", "y", "z", "Rx", "Ry", "Rz"))
-Box = tuple[int, int, int, int]
-BOXES = 20  # frames that a common crop is found from
+PROBES = 20  # frames that a common crop is found from
 DEPTH = 4  # folders below the given one that are searched
 UNREADABLE = (OSError, SyntaxError, ValueError, EOFError, struct.error, Image.DecompressionBombError)
 
@@ -63,20 +68,20 @@ class Recordings:
         names = (os.fsencode(file.relative_to(root).as_posix()) for file in self.files)
         return tuple(name.decode("utf-8", "backslashreplace") for name in names)
 
-    def frames(self, box: Box | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
-        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), cropped to `box`, or each folder's to the crop that they have in common.
+    def frames(self, view: View | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
+        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), seen as `view`, or each folder's as they have in common.
 
         Raises UserError if not one image can be read.
         """
         from jaxunshear.image.preprocess import prepare_frame
 
         read, problem = 0, ""
-        boxes: dict[Path, Box | None] = {}
+        views: dict[Path, View] = {}
         for index, (file, name) in enumerate(zip(self.files, self.names, strict=True)):
-            if box is None and file.parent not in boxes:
-                boxes[file.parent] = self.common_box(file.parent)
+            if view is None and file.parent not in views:
+                views[file.parent] = self.common_view(file.parent)
             try:
-                image = prepare_frame(self.preprocess, read_image(file), box or boxes[file.parent])
+                image = prepare_frame(self.preprocess, read_image(file), view or views[file.parent])
             except UserError as error:
                 problem = f"{name}: {error}"
                 self.notes.append(f"left out {problem}")
@@ -86,17 +91,20 @@ class Recordings:
         if not read:
             raise UserError(f"none of {len(self)} images in {self.path} can be read; the last: {problem}")
 
-    def common_box(self, folder: Path | None = None) -> Box | None:
-        """The crop (left, top, right, bottom) that suits up to BOXES frames, of all or of one folder, evenly spaced: one that trembled
-        would look like motion. None where they differ in size."""
-        from jaxunshear.image.preprocess import common_box
+    def common_view(self, folder: Path | None = None) -> View:
+        """The crop and the white that suit up to PROBES frames, of all or of one folder, evenly spaced: a crop that trembled would look
+        like motion. No crop where they differ in size."""
+        from jaxunshear.image.preprocess import View, common_view, own_view
 
         files = [file for file in self.files if folder in (None, file.parent)]
-        raws = []
-        for file in files[:: -(-len(files) // BOXES)]:
+        views, sizes = [], set[tuple[int, ...]]()
+        for file in files[:: -(-len(files) // PROBES)]:
             with contextlib.suppress(UserError):  # `frames` will tell
-                raws.append(read_image(file))
-        return common_box(self.preprocess, raws)
+                raw = read_image(file)
+                sizes.add(raw.shape[:2])
+                views.append(own_view(self.preprocess, raw))
+        common = common_view(views)
+        return common if len(sizes) == 1 else View(None, common.white)
 
 
 def read_image(file: Path) -> np.ndarray:
@@ -130,6 +138,8 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
             pose, move = _labels(folder, images, notes)
             poses.append(pose)
             moves.append(move)
+            if images[0].parent == folder and (hidden := _below(folder)) is not None:
+                notes.append(f"{folder} has images of its own, so those below it, such as in {hidden}, are not read")
     except OSError as error:
         raise UserError(f"{path} cannot be searched: {_one_line(error)}") from None
     if not files:
@@ -145,8 +155,18 @@ def _recording_folders(folder: Path, depth: int) -> Iterator[tuple[Path, list[Pa
             yield folder, images
             return
     if depth:
-        for below in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
+        for below in _folders(folder):
             yield from _recording_folders(below, depth - 1)
+
+
+def _below(folder: Path) -> Path | None:
+    """A folder in `folder` where images would be found if it had none of its own."""
+    found = (place for sub in _folders(folder) for place, _ in _recording_folders(sub, DEPTH - 1))
+    return next(found, None)
+
+
+def _folders(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith("."))
 
 
 def _images(folder: Path) -> list[Path]:

@@ -14,6 +14,7 @@ from jaxunshear.scene.sensor import Sensor, pin_lattice
 
 BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
 TURN_DEG = 1.5
+ALIKE = 1.1  # how much worse a turn may match and still be the same lattice turned by its own symmetry
 WHOLE = 0.7  # of a layout's pins: images that show fewer tell nothing of it
 MOST = 60  # images, evenly spaced: more do not change the mean
 
@@ -35,7 +36,7 @@ def layout_of(sensor: Sensor) -> Layout:
 def read_layout(file: Path) -> Layout:
     """A user's layout: two numbers a line, x and y of a pin in any unit, a heading allowed. Raises `UserError` by file and line."""
     try:
-        lines = file.read_text().splitlines()
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"--layout {file} cannot be read: {error}") from error
     rows = []
@@ -44,7 +45,8 @@ def read_layout(file: Path) -> Layout:
             x, y = (float(word) for word in line.replace(",", " ").split())
             rows.append((x, y))
         except ValueError:
-            if line.strip() and number > 1:
+            heading = number == 1 and not any(_is_number(word) for word in line.replace(",", " ").split())
+            if line.strip() and not heading:
                 raise UserError(
                     f"--layout {file}, line {number}: '{line.strip()}' is not two numbers, x and y"
                 ) from None
@@ -57,6 +59,14 @@ def read_layout(file: Path) -> Layout:
         raise UserError(f"--layout {file}: two pins stand at the same place")
     flat = flat - (flat.max(axis=0) + flat.min(axis=0)) / 2
     return Layout(f"layout {file.name}", flat, shells_of(flat), 360.0)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
 
 
 def fit_lattice(frames: list[np.ndarray], layout: Layout) -> Lattice:
@@ -88,7 +98,10 @@ def fit_lattice(frames: list[np.ndarray], layout: Layout) -> Lattice:
 
 
 def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
-    """Places (P, 2) px: the flat lattice, bent in radius, on the rim of the pins of all frames, turned to match their outer shells."""
+    """Places (P, 2) px: the flat lattice, bent in radius, on the rim of the pins of all frames, turned to match their outer shells.
+
+    By the least turn of those that match about equally well: in a lattice of some symmetry noise must not choose which pin is which.
+    """
     flat = layout.flat / np.linalg.norm(layout.flat, axis=-1).max()
     outline = np.concatenate([_hull(found) for found in frames])
     centre = (np.percentile(outline, 2, axis=0) + np.percentile(outline, 98, axis=0)) / 2
@@ -96,15 +109,21 @@ def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
     outer = layout.shell >= layout.shell.max() - 2
     trees = [cKDTree(found) for found in frames[:: max(1, len(frames) // 10)][:10]]
     radius = np.linalg.norm(flat, axis=-1, keepdims=True)
-    best, place = np.inf, flat
-    for bend in BENDS:
-        for turn in np.radians(np.arange(0, layout.symmetry_deg, TURN_DEG)):
-            cos, sin = np.cos(turn), np.sin(turn)
-            guess = centre + rim * (1 + bend * (1 - radius**2)) * flat @ np.array([[cos, sin], [-sin, cos]])
-            off = np.mean([np.median(tree.query(guess[outer])[0]) for tree in trees])
-            if off < best:
-                best, place = float(off), guess
-    return place
+
+    def guess(turn: float, bend: float) -> np.ndarray:
+        cos, sin = np.cos(turn), np.sin(turn)
+        return centre + rim * (1 + bend * (1 - radius**2)) * flat @ np.array([[cos, sin], [-sin, cos]])
+
+    turns = np.radians(np.arange(-layout.symmetry_deg / 2, layout.symmetry_deg / 2, TURN_DEG))
+    off = np.array(
+        [
+            [np.mean([np.median(tree.query(guess(turn, bend)[outer])[0]) for tree in trees]) for bend in BENDS]
+            for turn in turns
+        ]
+    )
+    alike = np.flatnonzero(off.min(axis=1) <= ALIKE * off.min())
+    chosen = alike[np.argmin(np.abs(turns[alike]))]
+    return guess(turns[chosen], BENDS[np.argmin(off[chosen])])
 
 
 def _hull(found: np.ndarray) -> np.ndarray:

@@ -81,38 +81,44 @@ def _mask(preprocess: Preprocess) -> np.ndarray:
     return np.hypot(across[:, None], across) <= preprocess.mask_radius * preprocess.size
 
 
-def prepare_frame(preprocess: Preprocess, raw: np.ndarray, bbox: tuple[int, int, int, int] | None = None) -> np.ndarray:
+class View(NamedTuple):
+    """What the frames of one camera have in common."""
+
+    box: tuple[int, int, int, int] | None = None  # left, top, right, bottom, px; None: each frame's own
+    white: float = 0.0  # the number that stands for white, unless a frame is brighter
+
+
+def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) -> np.ndarray:
     """Any recorded frame (H, W) or (H, W, 1 to 4 channels), of any number type -> binary image (S, S) uint8 of {0, 255}.
 
-    `bbox` = (left, top, right, bottom) in px; without one the dome is found and cropped. A frame that is binary already is
+    Without a box in `view` the dome is found and cropped. A frame that is binary already is
     not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.
     """
-    grey = to_grey(raw)
+    grey = to_grey(raw, view.white)
     _check_seen(grey)
-    square = crop(grey, bbox or _box(preprocess, grey))
+    square = crop(grey, view.box or _box(preprocess, grey))
     if is_binary(grey):
         small = _both_sides(np.matmul, _area_matrix(square.shape[0], preprocess.size), square)
         return ((small >= 0.5) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
     return _binarise(np, np.matmul, preprocess, square)
 
 
-def common_box(preprocess: Preprocess, raws: list[np.ndarray]) -> tuple[int, int, int, int] | None:
-    """The crop that suits some frames of one camera best, the median of their own: a crop that trembled would look like motion.
+def own_view(preprocess: Preprocess, raw: np.ndarray) -> View:
+    """What one frame tells. Raises UserError for one that is not usable."""
+    return View(_box(preprocess, to_grey(raw)), white_of(raw))
 
-    None where they differ in size, or none of them is usable: then each frame has its own.
-    """
-    boxes = []
-    for raw in raws:
-        try:
-            boxes.append(_box(preprocess, to_grey(raw)))
-        except UserError:
-            continue
-    if not boxes or len({raw.shape[:2] for raw in raws}) > 1:
-        return None
+
+def common_view(views: list[View]) -> View:
+    """Of some frames' own views: the median crop, since one that trembled would look like motion, and the brightest white, since a
+    contrast that changed would too."""
+    boxes = [view.box for view in views if view.box]
+    white = max((view.white for view in views), default=0.0)
+    if not boxes:
+        return View(None, white)
     left, top, right, bottom = np.median(boxes, axis=0)
     side = round(max(right - left, bottom - top))
     left, top = round((left + right - side) / 2), round((top + bottom - side) / 2)
-    return left, top, left + side, top + side
+    return View((left, top, left + side, top + side), white)
 
 
 def _box(preprocess: Preprocess, grey: np.ndarray) -> tuple[int, int, int, int]:
@@ -130,8 +136,23 @@ def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
     return _square(pins.row, pins.column, pins.radius / outer_pins)
 
 
-def to_grey(raw: np.ndarray) -> np.ndarray:
-    """Any image array -> (H, W) float32 in [0, 1]. Raises UserError for a wrong shape, no pixels, or values that are no numbers."""
+def white_of(raw: np.ndarray) -> float:
+    """The number that stands for white in a frame: 1 of masks and floats, 255, or what 10, 12, 14 or 16 bits can hold, which cameras
+    keep in wider words. One pixel in a thousand may be brighter: some pixels of a camera are."""
+    colours = raw[..., : 1 if raw.shape[-1] < 3 else 3] if raw.ndim == 3 else raw
+    most = float(colours.max())
+    if most > 255:
+        most = max(255.0, float(np.quantile(colours, 0.999)))
+    if most <= (1.5 if np.issubdtype(raw.dtype, np.floating) else 1):  # a float image may overshoot a little
+        return 1.0
+    return next((float(white) for white in (255, 1023, 4095, 16383, 65535) if most <= white), most)
+
+
+def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
+    """Any image array -> (H, W) float32 in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger.
+
+    Raises UserError for a wrong shape, no pixels, or values that are no numbers.
+    """
     raw = np.asarray(raw)
     if raw.ndim == 3 and raw.shape[-1] in (1, 2):
         raw = raw[..., 0]
@@ -141,17 +162,12 @@ def to_grey(raw: np.ndarray) -> np.ndarray:
         )
     if min(raw.shape[:2]) < 16:
         raise UserError(f"this image has {raw.shape[1]} x {raw.shape[0]} pixels: too small to show pins")
-    if raw.dtype == bool or np.issubdtype(raw.dtype, np.integer):
-        most = int(raw.max())
-        # Cameras keep 10, 12 or 14 bits in wider words, and masks are kept as 0 and 1.
-        full = next((full for full in (1, 255, 1023, 4095, 16383, 65535) if most <= full), most)
-        grey = raw.astype(np.float32) / full
-    elif np.issubdtype(raw.dtype, np.floating):
+    if np.issubdtype(raw.dtype, np.floating):
         if not np.isfinite(raw).all():
             raise UserError("this image holds values that are not finite (NaN or infinity)")
-        grey = raw.astype(np.float32) / (255 if raw.max() > 1.5 else 1)
-    else:
+    elif raw.dtype != bool and not np.issubdtype(raw.dtype, np.integer):
         raise UserError(f"this is no image: an array of type {raw.dtype}")
+    grey = raw.astype(np.float32) / max(white_of(raw), white)
     return np.clip(grey if grey.ndim == 2 else grey[..., :3] @ LUMA, 0.0, 1.0)
 
 

@@ -25,10 +25,10 @@ def machine() -> dict[str, str | int]:
     }
 
 
-def versions() -> dict[str, str]:
-    """Versions of Python and of each package that shapes the numbers; packages not installed are left out."""
+def versions(*more: str) -> dict[str, str]:
+    """Versions of Python, of each package that shapes the numbers, and of `more`; packages not installed are left out."""
     found = {"python": platform.python_version()}
-    for package in PACKAGES:
+    for package in (*PACKAGES, *more):
         try:
             found[package] = metadata.version(package)
         except metadata.PackageNotFoundError:

@@ -3,8 +3,8 @@
 Batch normalisation is written out, with its own gradient: the variance as the mean squared deviation (never negative), in
 float32 or wider, and scale, shift, ReLU and mask in one pass.
 
-The precision is that of the images given: kernels are rounded to it, so bfloat16 images give bfloat16 products; parameters,
-statistics and gradients stay in float32.
+The precision is that of the images given: kernels are rounded to it, so bfloat16 images give bfloat16 products, logits and
+gradients of kernels, which are kept in float32 from there on, as are parameters and statistics.
 """
 
 from functools import partial

@@ -3,7 +3,8 @@
 Adam scales every weight alone; Muon turns the whole update of a kernel towards an orthogonal matrix, so that what has a
 weak gradient is learnt as fast as what has a strong one.
 
-`optax.contrib.muon` gives the same to rounding. Its iteration multiplies the tall matrix of a convolution ten times a
+The momentum is Jordan's; `optax.contrib.muon` corrects it for its start, which turns the second update by 8 %, the thirtieth by less
+than half a per cent, and gives the same to rounding else. Its iteration multiplies the tall matrix of a convolution ten times a
 step, which takes longer than the step itself; here all but two products are between square matrices of the shorter side.
 """
 

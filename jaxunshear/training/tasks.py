@@ -73,11 +73,12 @@ def unshear_task(
 
     def validate(variables, batch):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
+        images = in_precision(sheared, training.precision)  # as it will be put to use
         named = {}
         if isinstance(net, settings.UNet):
-            image = unet.unshear(net, variables, sheared)
+            image = unet.unshear(net, variables, images)
         else:
-            z_p, z_s = unshearnet.encode(net, variables, sheared)
+            z_p, z_s = unshearnet.encode(net, variables, images)
             image = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
             if z_s is not None:
                 again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))

@@ -102,6 +102,7 @@ def test_a_user_s_layout(command, tmp_path):
     [
         ("x,y\n1,2\nthree,4\n", "line 3"),
         ("1,2\n3,4\n", "2 pins"),
+        ("1,2,3\n3,4\n", "line 1"),
         ("\n".join(f"{i % 10},0" for i in range(40)), "same place"),
         ("\n".join(f"{i},nan" for i in range(40)), "finite"),
     ],
@@ -111,3 +112,11 @@ def test_layouts_that_are_none(tmp_path, text, said):
     file.write_text(text)
     with pytest.raises(UserError, match=said):
         read_layout(file)
+
+
+@pytest.mark.parametrize("heading", ["", "x,y\n"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_a_layout_without_a_heading_keeps_its_first_pin(tmp_path, heading, encoding):
+    file = tmp_path / "layout.csv"
+    file.write_text(heading + "\n".join(f"{i % 5},{i // 5}" for i in range(25)), encoding=encoding)
+    assert len(read_layout(file).flat) == 25

@@ -11,9 +11,11 @@ from PIL import Image
 
 from jaxunshear.applications import sources
 from jaxunshear.applications.sources import Frame, frames_of
-from jaxunshear.applications.stream import confidence, stream
+from jaxunshear.applications.stream import confidence, steady_view, stream
 from jaxunshear.config import load_experiment
+from jaxunshear.dataset.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.image.settings import Preprocess
 
 EXPERIMENT = load_experiment("experiments/tiny.py")
 
@@ -101,7 +103,7 @@ def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
     for number in (1, 2, 10):
         Image.fromarray(dots(number)).save(tmp_path / f"image_{number}.png")
     (tmp_path / "image_3.png").write_bytes(b"\x89PNG torn")
-    frames, live = frames_of(str(tmp_path), None)
+    frames, live = frames_of(str(tmp_path), Preprocess(), None)
     listed = list(frames)
     assert not live and [frame.name for frame in listed] == [f"image_{n}.png" for n in (1, 2, 3, 10)]
     assert listed[2].pixels is None and listed[2].problem
@@ -110,7 +112,7 @@ def test_folders_are_read_in_order_with_torn_files_among_them(tmp_path):
 @pytest.mark.parametrize("source", ["nowhere", "camera:x"])
 def test_sources_that_are_none(source, monkeypatch):
     with pytest.raises(UserError):
-        frames_of(source, None)
+        frames_of(source, Preprocess(), None)
 
 
 def test_confidence_of_crisp_grey_and_black():
@@ -130,3 +132,30 @@ def test_a_camera_ends_by_a_key_or_a_pulled_plug_with_its_summary(end):
     assert list(summary["problems"]) == [str(end)] * isinstance(end, UserError)
     with pytest.raises(type(end)):
         run(camera(), live=False)
+
+
+def disc(middle, size=240):
+    """A dark dome in a light surround, with something in it."""
+    row, column = np.mgrid[:size, :size]
+    inside = np.hypot(row - size / 2, column - middle) < 80
+    return np.where(inside, 40 + (row + column) % 9 * 4, 230).astype(np.uint8)
+
+
+def test_the_crop_of_a_camera_comes_to_rest():
+    """The median of the first frames' own: what comes later is not followed."""
+    seen = steady_view(Preprocess(size=128))
+    own = [seen(disc(120 + 4 * (number % 3 - 1))).box for number in range(PROBES)]
+    assert len(set(own)) > 1
+    later = {seen(disc(middle)).box for middle in (100, 120, 140)}
+    assert later == {own[-1]} and abs((own[-1][0] + own[-1][2]) / 2 - 120) < 3
+    assert seen(disc(120, 250)).box != own[-1]  # another size: another camera
+    assert seen(disc(140)).box == own[-1]
+    with pytest.raises(UserError, match="flat grey"):
+        steady_view(Preprocess())(np.zeros((64, 64), np.uint8))
+
+
+def test_frames_of_a_folder_are_cropped_as_elsewhere(tmp_path):
+    for number, middle in enumerate((110, 120, 130)):
+        Image.fromarray(disc(middle)).save(tmp_path / f"{number}.png")
+    frames, _ = frames_of(str(tmp_path), Preprocess(size=128), None)
+    assert {frame.view for frame in frames} == {read_recordings(tmp_path, Preprocess(size=128)).common_view()}

@@ -39,3 +39,12 @@ def test_nothing_readable_is_refused(tmp_path):
     (tmp_path / "one" / "image_0.png").write_bytes(b"")
     with pytest.raises(UserError, match="no readable image"):
         sample(tmp_path / "one", 9, 0)
+
+
+def test_a_folder_that_cannot_be_read_costs_itself_alone(tmp_path):
+    _images(tmp_path / "all" / "a")
+    _images(tmp_path / "all" / "b", 2)
+    for torn in (tmp_path / "all" / "b").iterdir():
+        torn.write_bytes(b"\x89PNG")
+    parts, notes = sample(tmp_path / "all", 9, 0)
+    assert [part.name for part in parts] == ["all/a"] and sum("left out b/" in note for note in notes) == 2

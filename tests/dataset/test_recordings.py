@@ -192,3 +192,14 @@ def test_images_of_a_folder_are_cropped_alike(tmp_path):
     middles = [np.argwhere(image).mean(axis=0)[1] for _, _, image in frames]
     scale = 0.375 * 128 / 90  # px of an image a px of a frame
     np.testing.assert_allclose(middles, 63.5 + scale * np.array([-6, 0, 6, -6, 0, 6]), atol=0.5)
+
+
+def test_what_an_image_hides_is_told(tmp_path):
+    for folder in ("a/images", "b"):
+        (tmp_path / folder).mkdir(parents=True)
+        Image.fromarray(np.eye(64, dtype=np.uint8) * 255).save(tmp_path / folder / "1.png")
+    assert read_recordings(tmp_path, PREPROCESS).notes == []
+    Image.fromarray(np.eye(64, dtype=np.uint8) * 255).save(tmp_path / "overview.png")
+    recordings = read_recordings(tmp_path, PREPROCESS)
+    (note,) = recordings.notes
+    assert len(recordings) == 1 and "images of its own" in note and str(tmp_path / "a") in note

@@ -10,7 +10,7 @@ from skimage.transform import resize_local_mean
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import frame, outer_fraction, project, to_image_px
 from jaxunshear.image.pins import find_pins
-from jaxunshear.image.preprocess import _reframed, binarise, crop, find_dome, prepare_frame, to_grey
+from jaxunshear.image.preprocess import View, _reframed, binarise, crop, find_dome, prepare_frame, to_grey, white_of
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.metrics.pins import pin_error
 from jaxunshear.scene.sensor import TACTIP_331, pin_tips
@@ -143,15 +143,17 @@ def test_a_square_frame_that_is_dark_all_round_is_framed_by_its_pins(scale):
 
 def test_a_bbox_is_obeyed(frames):
     photo = photograph(frames[0], side=400, top=30, left=150)
-    image = prepare_frame(Preprocess(size=256), photo, bbox=(150, 30, 550, 430))
+    image = prepare_frame(Preprocess(size=256), photo, View((150, 30, 550, 430)))
     same = np.asarray(binarise(Preprocess(size=256), frames[0]))
     assert np.mean(image == same) > 0.97
     assert crop(np.zeros((20, 30)), (5, 2, 15, 8)).shape == (10, 10)
     with pytest.raises(UserError, match="bbox"):
-        prepare_frame(Preprocess(), photo, bbox=(700, 0, 800, 100))
+        prepare_frame(Preprocess(), photo, View((700, 0, 800, 100)))
 
 
-@pytest.mark.parametrize("kind", ["uint16", "twelve_bits", "float", "rgba", "one_channel", "grey_alpha"])
+@pytest.mark.parametrize(
+    "kind", ["uint16", "twelve_bits", "float", "float_of_16_bits", "rgba", "one_channel", "grey_alpha"]
+)
 def test_number_types_and_channels_do_not_matter(frames, kind):
     photo = photograph(frames[0])
     grey = np.round(255 * to_grey(photo)).astype(np.uint8)
@@ -159,11 +161,45 @@ def test_number_types_and_channels_do_not_matter(frames, kind):
         "uint16": grey.astype(np.uint16) * 257,
         "twelve_bits": np.round(grey * (4095 / 255)).astype(np.uint16),
         "float": grey / 255,
+        "float_of_16_bits": grey * 257.0,
         "rgba": np.concatenate([np.repeat(grey[..., None], 3, -1), np.full_like(grey, 255)[..., None]], -1),
         "one_channel": grey[..., None],
         "grey_alpha": np.stack([grey, np.full_like(grey, 255)], -1),
     }[kind]
     assert np.mean(prepare_frame(Preprocess(), other) == prepare_frame(Preprocess(), grey)) > 0.999
+
+
+@pytest.mark.parametrize(
+    ("frame", "white"),
+    [
+        (np.eye(40, dtype=bool), 1),
+        (np.eye(40, dtype=np.uint16), 1),
+        (np.full((40, 40), 200, np.uint8), 255),
+        (np.full((40, 40), 1000, np.uint16), 1023),
+        (np.full((40, 40), 1030, np.uint16), 4095),
+        (np.full((40, 40), 70_000, np.int32), 70_000),
+        (np.full((40, 40), 1.2), 1),
+        (np.full((40, 40), 200.0), 255),
+        (np.dstack([np.full((40, 40, 3), 4000, np.uint16), np.full((40, 40), 65535, np.uint16)]), 4095),
+    ],
+)
+def test_white_is_the_range_that_a_camera_fills(frame, white):
+    assert white_of(frame) == white
+
+
+def test_a_hot_pixel_changes_nothing_but_itself(frames):
+    photo = np.round(1000 * to_grey(photograph(frames[0]))).astype(np.uint16)
+    hot = photo.copy()
+    hot[0, 0] = 4000
+    np.testing.assert_array_equal(prepare_frame(Preprocess(), hot), prepare_frame(Preprocess(), photo))
+
+
+def test_a_darker_frame_of_the_same_camera_has_the_same_white(frames):
+    grey = to_grey(photograph(frames[0]))
+    bright, dark = (np.round(most / np.quantile(grey, 0.999) * grey).astype(np.uint16) for most in (1100, 1000))
+    shared, alone = (prepare_frame(Preprocess(), dark, view) for view in (View(None, white_of(bright)), View()))
+    other, off = (np.mean(prepare_frame(Preprocess(), bright) != image) for image in (shared, alone))
+    assert other < 0.5 * off, (other, off)
 
 
 @pytest.mark.parametrize("kind", ["uint8", "bool", "zero_one", "jpeg"])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.image.fitting import fit_lattice, layout_of
-from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.image.fitting import Layout, fit_lattice, layout_of
+from jaxunshear.image.lattice import make_lattice, shells, shells_of
 from jaxunshear.image.pins import Found
 from jaxunshear.image.track import judged
 from jaxunshear.image.tracking import follow_pins
@@ -88,3 +88,20 @@ def test_a_pin_without_company_counts_as_not_seen():
     motion[rim] = (0.9 * lattice.spacing, 0)  # the neighbour's place: nobody is left who could tell
     track = judged(lattice, motion, np.arange(len(place)), len(place))
     assert not track.seen[rim] and track.missed == 8
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("lattice", ["square", "hexagons"])
+@pytest.mark.parametrize("turn_deg", [-2.0, 0.0, 3.0])
+def test_noise_does_not_choose_which_pin_is_which(lattice, seed, turn_deg):
+    """Of a user's layout nobody knows the symmetry; pins are named for the least turn."""
+    flat = pin_lattice(TACTIP_127)
+    if lattice == "square":
+        flat = np.stack(np.meshgrid(*[np.arange(11.0) - 5] * 2), axis=-1).reshape(-1, 2)
+    flat = flat / np.linalg.norm(flat, axis=-1).max()
+    cos, sin = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
+    place = 46 * flat @ np.array([[cos, sin], [-sin, cos]]) + 64
+    rng = np.random.default_rng(seed)
+    frames = [place[rng.permutation(len(place))] + rng.normal(0, 0.15, place.shape) for _ in range(4)]
+    found = fit_lattice(frames, Layout("layout", flat, shells_of(flat), 360.0))
+    np.testing.assert_allclose(found.place, place, atol=0.5)
