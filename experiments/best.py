@@ -26,5 +26,5 @@ experiment = replace(
     paired=PAIRED["best"],
     pose=POSE["best"],
     train=replace(STANDARD.train, epochs=16, pose_weight=0.1),
-    train_posenet=replace(STANDARD.train_posenet, epochs=8),
+    train_posenet=replace(STANDARD.train_posenet, epochs=4),
 )

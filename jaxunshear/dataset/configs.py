@@ -42,7 +42,7 @@ POSE = {
     "demo": PoseData(camera=FLUSH_CAMERA),
     "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "standard": PoseData(config="standard", poses=3000, camera=FLUSH_CAMERA),
-    "best": PoseData(config="best", poses=6000, camera=FLUSH_CAMERA),
+    "best": PoseData(config="best", poses=18000, camera=FLUSH_CAMERA),
     "paper_short": PoseData(
         config="paper_short", poses=3000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
     ),
