@@ -15,6 +15,8 @@ from jaxunshear.experiment import Experiment
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training.settings import Training
 
+POSENET = Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375)
+
 experiment = Experiment(
     name="demo",
     claim="Minutes of training on simulated pairs take most of the slide out of a tactile image.",
@@ -31,5 +33,6 @@ experiment = Experiment(
         reconstruction_weight=0.3,
         validate_every=270,
     ),
-    train_posenet=Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375),
+    train_posenet=POSENET,
+    train_teacher=POSENET,
 )

@@ -20,6 +20,21 @@ from jaxunshear.training.settings import Training
 
 SIZE = 256
 
+POSENET = Training(
+    epochs=250,
+    batch=256,
+    learning_rate=1e-4,
+    beta1=0.5,
+    beta2=0.999,
+    schedule="steps",
+    drops=((100, 1 / 2), (200, 1 / 10)),
+    l1=1e-3,
+    l2=1e-3,
+    averaging=0.0,
+    shift=0.02,
+    validate_every=70,  # an epoch: 18,000 taps
+)
+
 experiment = Experiment(
     name="paper",
     claim="The paper's set-up, in simulation.",
@@ -46,18 +61,6 @@ experiment = Experiment(
         shift=0.02,
         validate_every=1687,  # an epoch: 54,000 sheared images
     ),
-    train_posenet=Training(
-        epochs=250,
-        batch=256,
-        learning_rate=1e-4,
-        beta1=0.5,
-        beta2=0.999,
-        schedule="steps",
-        drops=((100, 1 / 2), (200, 1 / 10)),
-        l1=1e-3,
-        l2=1e-3,
-        averaging=0.0,
-        shift=0.02,
-        validate_every=70,  # an epoch: 18,000 taps
-    ),
+    train_posenet=POSENET,
+    train_teacher=POSENET,
 )

@@ -15,6 +15,8 @@ from jaxunshear.training.settings import Training
 
 SIZE = 256
 
+POSENET = Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675)
+
 experiment = Experiment(
     name="paper_short",
     claim="Two hours on two cores, at the paper's resolution.",
@@ -36,5 +38,6 @@ experiment = Experiment(
         crop_px=40,
         validate_every=540,
     ),
-    train_posenet=Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675),
+    train_posenet=POSENET,
+    train_teacher=POSENET,
 )

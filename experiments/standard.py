@@ -13,6 +13,8 @@ from jaxunshear.experiment import ALL_NETWORKS, Experiment
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training.settings import Training
 
+POSENET = Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675)
+
 experiment = Experiment(
     name="standard",
     claim="Half an hour of training: the paper's tables, with rivals and shapes that no network has seen.",
@@ -34,5 +36,6 @@ experiment = Experiment(
         reconstruction_weight=0.3,
         validate_every=540,
     ),
-    train_posenet=Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675),
+    train_posenet=POSENET,
+    train_teacher=POSENET,
 )

@@ -10,6 +10,8 @@ from jaxunshear.experiment import Experiment
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.training.settings import Training
 
+POSENET = Training(epochs=2, batch=6, validate_every=4)
+
 experiment = Experiment(
     name="tiny",
     claim="Every stage runs and hands its work to the next.",
@@ -18,5 +20,6 @@ experiment = Experiment(
     unshear=UnshearNet(widths=(8, 8, 8, 8), pose_channels=8, shear_channels=8),
     posenet=PoseNet(widths=(8, 8, 8, 8, 8), hidden=16),
     train=Training(epochs=2, batch=6, validate_every=4),
-    train_posenet=Training(epochs=2, batch=6, validate_every=4),
+    train_posenet=POSENET,
+    train_teacher=POSENET,
 )

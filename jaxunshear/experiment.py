@@ -32,7 +32,8 @@ class Experiment:
     unshear: UnshearNet = field(default_factory=UnshearNet)
     posenet: PoseNet = field(default_factory=PoseNet)
     train: Training = field(default_factory=Training)  # UnshearNets, and the U-Net of the same widths
-    train_posenet: Training = field(default_factory=Training)  # both PoseNets
+    train_posenet: Training = field(default_factory=Training)  # both PoseNets that are evaluated
+    train_teacher: Training = field(default_factory=Training)  # the PoseNet of `train.pose_weight`
 
 
 def trained(experiment: Experiment) -> tuple[str, ...]:
@@ -44,6 +45,13 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
 def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData:
     """The data set that `network` learns from."""
     return experiment.pose if network in ("posenet", TEACHER) else experiment.paired
+
+
+def training_of(experiment: Experiment, network: str) -> Training:
+    """How `network` is trained."""
+    if network == TEACHER:
+        return experiment.train_teacher
+    return experiment.train_posenet if network in POSENETS else experiment.train
 
 
 def further_tests(experiment: Experiment) -> dict[str, PairedData]:

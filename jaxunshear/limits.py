@@ -43,10 +43,13 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
     yield from _training(experiment.train, "train", pairs)
     yield from _pair_losses(experiment.train, experiment.unshear.size)
     taps = _train_poses(pose) * len(pose.stimuli)
-    yield from _training(experiment.train_posenet, "train_posenet", taps)
-    for field in PAIR_LOSSES:
-        value, unused = getattr(experiment.train_posenet, field), getattr(Training(), field)
-        yield value == unused, f"train_posenet.{field}", f"is for networks that unshear: leave it at {unused:g}"
+    posenets = ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
+    for name in posenets:
+        training = getattr(experiment, name)
+        yield from _training(training, name, taps)
+        for field in PAIR_LOSSES:
+            value, unused = getattr(training, field), getattr(Training(), field)
+            yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {unused:g}"
 
 
 def _tests(experiment: Experiment) -> Iterator[Rule]:

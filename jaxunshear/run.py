@@ -14,7 +14,7 @@ from typing import Any
 from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment, learnt_from
+from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment, learnt_from, training_of
 from jaxunshear.locks import locked
 from jaxunshear.model.settings import UNet, UnshearNet, without_codes
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
@@ -128,7 +128,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
 
     pose = network in POSENETS
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
-    training = experiment.train_posenet if pose else experiment.train
+    training = training_of(experiment, network)
     examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
     fields = FIELDS.get(network, ("canonical", "sheared"))
     batches = examples.train_batches(training.batch, seed, training.shift, fields)

@@ -20,7 +20,7 @@ DEMO = ROOT / "experiments" / "demo.py"
 # (what follows `run experiments/demo.py`, what the line must hold)
 BAD_FIELDS = [
     ("--train.epoch 5", "did you mean --train.epochs?"),
-    ("--epochs 5", "--train.epochs or --train_posenet.epochs"),
+    ("--epochs 5", "--train.epochs or --train_posenet.epochs or --train_teacher.epochs"),
     ("--paired 5", "it is a group"),
     ("--train.epochs", "needs a value"),
     ("--train.epochs five", "takes a number, not 'five'"),

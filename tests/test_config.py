@@ -73,7 +73,7 @@ def test_every_field_can_be_overridden_by_what_it_is_shown_as():
     ("argv", "line"),
     [
         (["--train.epoch", "5"], "there is no field --train.epoch: did you mean --train.epochs?"),
-        (["--epochs", "5"], "there is no field --epochs: did you mean --train.epochs or --train_posenet.epochs?"),
+        (["--epochs", "5"], "there is no field --epochs: did you mean --train.epochs or --train_posenet.epochs or --train_teacher.epochs?"),
         (["--train", "5"], "--train: it is a group"),
         (["--train.epochs"], "--train.epochs needs a value: a number"),
         (["--train.epochs", "--seed"], "--train.epochs needs a value"),

@@ -32,6 +32,13 @@ def test_posenets_training_has_no_losses_of_pairs(field, value, default):
     validate(override(PLAIN, [f"--train.{field}", value]))
 
 
+def test_a_teachers_training_is_judged_where_there_is_one():
+    words = ["--train_teacher.batch", "100000"]
+    validate(override(PLAIN, words))
+    assert refusal(" ".join([*words, "--train.pose_weight 0.1"])).startswith("--train_teacher.batch 100000: ")
+    assert "leave it at 100" in refusal("--train.pose_weight 0.1 --train_teacher.crops 5")
+
+
 def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
     groups = ("paired.preprocess", "pose.preprocess", "unshear", "posenet")
     words = [f"--{group}.size=16" for group in groups]

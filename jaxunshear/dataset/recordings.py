@@ -92,7 +92,7 @@ class Recordings:
             raise UserError(f"none of {len(self)} images in {self.path} can be read; the last: {problem}")
 
     def common_view(self, folder: Path | None = None) -> View:
-        """The crop and the white that suit up to PROBES frames, of all or of one folder, evenly spaced: a crop that trembled would look
+        """The crop and the whites that suit up to PROBES frames, of all or of one folder, evenly spaced: a crop that trembled would look
         like motion. No crop where they differ in size."""
         from jaxunshear.image.preprocess import View, common_view, own_view
 
@@ -104,7 +104,7 @@ class Recordings:
                 sizes.add(raw.shape[:2])
                 views.append(own_view(self.preprocess, raw))
         common = common_view(views)
-        return common if len(sizes) == 1 else View(None, common.white)
+        return common if len(sizes) == 1 else View(None, common.whites)
 
 
 def read_image(file: Path) -> np.ndarray:

@@ -85,7 +85,9 @@ class View(NamedTuple):
     """What the frames of one camera have in common."""
 
     box: tuple[int, int, int, int] | None = None  # left, top, right, bottom, px; None: each frame's own
-    white: float = 0.0  # the number that stands for white, unless a frame is brighter
+    whites: tuple[
+        tuple[str, float], ...
+    ] = ()  # (type of number, the one that stands for white), unless a frame is brighter
 
 
 def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) -> np.ndarray:
@@ -94,7 +96,8 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) 
     Without a box in `view` the dome is found and cropped. A frame that is binary already is
     not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.
     """
-    grey = to_grey(raw, view.white)
+    raw = np.asarray(raw)
+    grey = to_grey(raw, dict(view.whites).get(raw.dtype.name, 0.0))
     _check_seen(grey)
     square = crop(grey, view.box or _box(preprocess, grey))
     if is_binary(grey):
@@ -105,20 +108,21 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) 
 
 def own_view(preprocess: Preprocess, raw: np.ndarray) -> View:
     """What one frame tells. Raises UserError for one that is not usable."""
-    return View(_box(preprocess, to_grey(raw)), white_of(raw))
+    return View(_box(preprocess, to_grey(raw)), ((raw.dtype.name, white_of(raw)),))
 
 
 def common_view(views: list[View]) -> View:
-    """Of some frames' own views: the median crop, since one that trembled would look like motion, and the brightest white, since a
-    contrast that changed would too."""
+    """Of some frames' own views: the median crop, since one that trembled would look like motion, and the brightest white of each
+    type of number, since a contrast that changed would too."""
     boxes = [view.box for view in views if view.box]
-    white = max((view.white for view in views), default=0.0)
+    pairs = [pair for view in views for pair in view.whites]
+    whites = tuple(sorted({kind: max(white for other, white in pairs if other == kind) for kind, _ in pairs}.items()))
     if not boxes:
-        return View(None, white)
+        return View(None, whites)
     left, top, right, bottom = np.median(boxes, axis=0)
     side = round(max(right - left, bottom - top))
     left, top = round((left + right - side) / 2), round((top + bottom - side) / 2)
-    return View((left, top, left + side, top + side), white)
+    return View((left, top, left + side, top + side), whites)
 
 
 def _box(preprocess: Preprocess, grey: np.ndarray) -> tuple[int, int, int, int]:
@@ -149,7 +153,8 @@ def white_of(raw: np.ndarray) -> float:
 
 
 def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
-    """Any image array -> (H, W) float32 in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger.
+    """Any image array -> (H, W) float32 in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger, or
+    1 itself.
 
     Raises UserError for a wrong shape, no pixels, or values that are no numbers.
     """
@@ -167,7 +172,8 @@ def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
             raise UserError("this image holds values that are not finite (NaN or infinity)")
     elif raw.dtype != bool and not np.issubdtype(raw.dtype, np.integer):
         raise UserError(f"this is no image: an array of type {raw.dtype}")
-    grey = raw.astype(np.float32) / max(white_of(raw), white)
+    own = white_of(raw)
+    grey = raw.astype(np.float32) / (own if own == 1 else max(own, white))
     return np.clip(grey if grey.ndim == 2 else grey[..., :3] @ LUMA, 0.0, 1.0)
 
 

@@ -19,7 +19,7 @@ from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
 from jaxunshear.training.origin import check_origin
 
 FINISHED = "summary.json"  # of a training
-NOT_FOR_DATA = ("name", "claim", "seed", "unshear", "posenet", "train", "train_posenet")
+NOT_FOR_DATA = ("name", "claim", "seed", "unshear", "posenet", "train", "train_posenet", "train_teacher")
 
 
 def row_folder(folder: Path, row: Row) -> Path:

@@ -24,12 +24,13 @@ from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, name
 LONGEST_NAME = 90  # of a folder, before its digest
 TESTS = ("networks", "unseen", "other_jitters_mm")  # what is trained and tested beside a training is not for it
 UNUSED = {
-    "posenet": ("paired", "unshear", "train"),
-    TEACHER: ("paired", "unshear", "train"),
-    "posenet_sheared": ("pose", "unshear", "train"),
+    "posenet": ("paired", "unshear", "train", "train_teacher"),
+    TEACHER: ("paired", "unshear", "train", "train_posenet"),
+    "posenet_sheared": ("pose", "unshear", "train", "train_teacher"),
 }
 WITHOUT_CODES = ("entangled", "unet")
-UNUSED_BY_UNSHEARERS = ("pose", "posenet", "train_posenet")
+UNUSED_BY_TAUGHT = ("train_posenet",)
+UNUSED_BY_UNSHEARERS = ("pose", "posenet", "train_posenet", "train_teacher")
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,7 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     """
     plain = Experiment(name="", claim="")
     taught = len(needed(experiment, network)) > 1
-    unused = ("name", "claim", *TESTS, *(() if taught else UNUSED.get(network, UNUSED_BY_UNSHEARERS)))
+    unused = ("name", "claim", *TESTS, *(UNUSED_BY_TAUGHT if taught else UNUSED.get(network, UNUSED_BY_UNSHEARERS)))
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     if network in WITHOUT_CODES:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))

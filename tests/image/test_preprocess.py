@@ -10,7 +10,18 @@ from skimage.transform import resize_local_mean
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import frame, outer_fraction, project, to_image_px
 from jaxunshear.image.pins import find_pins
-from jaxunshear.image.preprocess import View, _reframed, binarise, crop, find_dome, prepare_frame, to_grey, white_of
+from jaxunshear.image.preprocess import (
+    View,
+    _reframed,
+    binarise,
+    common_view,
+    crop,
+    find_dome,
+    own_view,
+    prepare_frame,
+    to_grey,
+    white_of,
+)
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.metrics.pins import pin_error
 from jaxunshear.scene.sensor import TACTIP_331, pin_tips
@@ -197,9 +208,23 @@ def test_a_hot_pixel_changes_nothing_but_itself(frames):
 def test_a_darker_frame_of_the_same_camera_has_the_same_white(frames):
     grey = to_grey(photograph(frames[0]))
     bright, dark = (np.round(most / np.quantile(grey, 0.999) * grey).astype(np.uint16) for most in (1100, 1000))
-    shared, alone = (prepare_frame(Preprocess(), dark, view) for view in (View(None, white_of(bright)), View()))
+    shared, alone = (
+        prepare_frame(Preprocess(), dark, view) for view in (View(None, (("uint16", white_of(bright)),)), View())
+    )
     other, off = (np.mean(prepare_frame(Preprocess(), bright) != image) for image in (shared, alone))
     assert other < 0.5 * off, (other, off)
+
+
+def test_frames_of_other_types_in_a_folder_keep_their_white(frames):
+    """A folder may hold photographs and masks: none is black beside a wider type's white."""
+    photo = photograph(frames[0])
+    raws = [photo, photo.astype(np.uint16) * 257, (photo[..., 0] > 150).astype(np.uint8)]
+    view = common_view([own_view(Preprocess(), raw) for raw in raws])
+    assert dict(view.whites) == {"uint8": 255, "uint16": 65535}
+    for raw in raws:
+        np.testing.assert_array_equal(
+            prepare_frame(Preprocess(), raw, view), prepare_frame(Preprocess(), raw, View(view.box))
+        )
 
 
 @pytest.mark.parametrize("kind", ["uint8", "bool", "zero_one", "jpeg"])

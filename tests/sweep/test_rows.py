@@ -166,11 +166,13 @@ def test_equal_parts_are_equal_trainings(asked, network):
         posenet=replace(BASE.posenet, hidden=7),
         train=replace(BASE.train, epochs=7.0),
         train_posenet=replace(BASE.train_posenet, epochs=9.0),
+        train_teacher=replace(BASE.train_teacher, epochs=11.0),
     )
     part = training_part(whole, network)
     assert asked(part, network) == asked(whole, network)
     changed = {field.name: getattr(whole, field.name) != getattr(part, field.name) for field in fields(Experiment)}
-    assert changed["unseen"] and changed["networks"] and (changed["train"] != changed["train_posenet"])
+    assert changed["unseen"] and changed["networks"]
+    assert sum(not changed[name] for name in ("train", "train_posenet", "train_teacher")) == 1
     assert training_part(replace(whole, seed=6), network).name != part.name
 
 
@@ -193,6 +195,20 @@ def test_a_taught_network_depends_on_its_teacher():
     assert len(set(names(taught, "disentangled"))) == 2
     assert names(plain, TEACHER) == names(taught, TEACHER)
     assert needed(taught, "disentangled") == (TEACHER, "disentangled")
+
+
+def test_a_teacher_has_a_training_of_its_own():
+    plain = replace(BASE, networks=("disentangled", "posenet"))
+    taught = replace(plain, train=replace(plain.train, pose_weight=1.0))
+
+    def those_that_change(experiment, field):
+        other = replace(experiment, **{field: replace(getattr(experiment, field), epochs=9.0)})
+        names = ("disentangled", "posenet", TEACHER)
+        return {name for name in names if training_part(experiment, name) != training_part(other, name)}
+
+    assert those_that_change(taught, "train_teacher") == {"disentangled", TEACHER}
+    assert those_that_change(taught, "train_posenet") == {"posenet"}
+    assert those_that_change(plain, "train_posenet") == {"posenet"}
     assert needed(plain, "disentangled") == ("disentangled",)
     assert needed(taught, "posenet") == ("posenet",)
 
