@@ -2,12 +2,13 @@
 
     jaxunshear run experiments/best.py
 
-Expected on two cores: an hour and a half on a fast machine, with light work beside (docs/results/best.json: 69 minutes for
-the disentangled network; the data were made apart, in nine more), reckoned three hours on that of the other results; MS-SSIM
-0.982, edge distance to 0.25 mm where taps give 0.22. The networks of `standard.py`, but that the disentangled one sees
-seven and a half times as many poses, 15 times as many images, and is told how far apart the poses lie that a PoseNet of
-its own (`posenet_teacher`) reads off its image and off the tap. Both PoseNets see twice as many taps. The released
-weights `best` are of this run.
+Expected on two cores: an hour and three quarters on a fast machine, with light work beside (docs/results/best.json: 71
+minutes for the disentangled network, 12 for the data, 12 for the PoseNets, 9 to evaluate), reckoned three hours and a half
+on that of the other results; MS-SSIM 0.982, edge distance to 0.22 mm where taps give 0.18. The networks of `standard.py`,
+but that the disentangled one sees seven and a half times as many poses, 15 times as many images, and is told how far
+apart the poses lie that a PoseNet of its own (`posenet_teacher`) reads off its image and off the tap. Both PoseNets see
+six times as many poses; the one that is evaluated five times as many images, for poses and for walks (docs/applications.md).
+The released weights `best` are of this run.
 """
 
 from dataclasses import replace
@@ -26,5 +27,6 @@ experiment = replace(
     paired=PAIRED["best"],
     pose=POSE["best"],
     train=replace(STANDARD.train, epochs=16, pose_weight=0.1),
-    train_posenet=replace(STANDARD.train_posenet, epochs=4),
+    train_posenet=replace(STANDARD.train_posenet, epochs=10),
+    train_teacher=replace(STANDARD.train_teacher, epochs=4),
 )
