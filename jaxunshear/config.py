@@ -9,6 +9,7 @@ import difflib
 import functools
 import math
 import runpy
+import sys
 import traceback
 import types
 import typing
@@ -254,7 +255,7 @@ def _fits(value: Any, kind: Any) -> bool:
         kinds = (first,) * len(value) if more[-1:] == [...] else (first, *more)
         return len(value) == len(kinds) and all(_fits(v, k) for v, k in zip(value, kinds, strict=True))
     if kind is float:
-        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
 
 

@@ -73,7 +73,10 @@ def test_every_field_can_be_overridden_by_what_it_is_shown_as():
     ("argv", "line"),
     [
         (["--train.epoch", "5"], "there is no field --train.epoch: did you mean --train.epochs?"),
-        (["--epochs", "5"], "there is no field --epochs: did you mean --train.epochs or --train_posenet.epochs or --train_teacher.epochs?"),
+        (
+            ["--epochs", "5"],
+            "there is no field --epochs: did you mean --train.epochs or --train_posenet.epochs or --train_teacher.epochs?",
+        ),
         (["--train", "5"], "--train: it is a group"),
         (["--train.epochs"], "--train.epochs needs a value: a number"),
         (["--train.epochs", "--seed"], "--train.epochs needs a value"),
@@ -183,7 +186,8 @@ def test_a_binary_file_a_folder_and_a_missing_file(tmp_path):
             load_experiment(path)
 
 
-def test_infinity_within_a_tuple_is_refused():
-    endless = replaced(Experiment(name="x", claim="y"), "train.drops", ((float("inf"), 0.5),))
+@pytest.mark.parametrize("epochs", [float("inf"), 10**400])
+def test_infinity_within_a_tuple_is_refused(epochs):
+    endless = replaced(Experiment(name="x", claim="y"), "train.drops", ((epochs, 0.5),))
     with pytest.raises(UserError, match=r"--train\.drops takes"):
         check_types(endless)

@@ -69,19 +69,20 @@ class Recordings:
         return tuple(name.decode("utf-8", "backslashreplace") for name in names)
 
     def frames(self, view: View | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
-        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), seen as `view`, or each folder's as they have in common.
+        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), seen as `view`; what it does not tell, as each folder's have in common.
 
         Raises UserError if not one image can be read.
         """
-        from jaxunshear.image.preprocess import prepare_frame
+        from jaxunshear.image.preprocess import View, prepare_frame
 
         read, problem = 0, ""
         views: dict[Path, View] = {}
         for index, (file, name) in enumerate(zip(self.files, self.names, strict=True)):
-            if view is None and file.parent not in views:
-                views[file.parent] = self.common_view(file.parent)
+            if file.parent not in views:
+                own = self.common_view(file.parent) if view is None or view.box is None else view
+                views[file.parent] = View(own.box, own.whites if view is None else view.whites)
             try:
-                image = prepare_frame(self.preprocess, read_image(file), view or views[file.parent])
+                image = prepare_frame(self.preprocess, read_image(file), views[file.parent])
             except UserError as error:
                 problem = f"{name}: {error}"
                 self.notes.append(f"left out {problem}")
@@ -162,7 +163,9 @@ def _recording_folders(folder: Path, depth: int) -> Iterator[tuple[Path, list[Pa
 def _below(folder: Path) -> Path | None:
     """A folder in `folder` where images would be found if it had none of its own."""
     found = (place for sub in _folders(folder) for place, _ in _recording_folders(sub, DEPTH - 1))
-    return next(found, None)
+    with contextlib.suppress(OSError):  # nobody asked for what lies there
+        return next(found, None)
+    return None
 
 
 def _folders(folder: Path) -> list[Path]:

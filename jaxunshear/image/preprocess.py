@@ -102,7 +102,7 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) 
     square = crop(grey, view.box or _box(preprocess, grey))
     if is_binary(grey):
         small = _both_sides(np.matmul, _area_matrix(square.shape[0], preprocess.size), square)
-        return ((small >= 0.5) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
+        return ((small >= _middle_level(grey)) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
     return _binarise(np, np.matmul, preprocess, square)
 
 
@@ -134,7 +134,7 @@ def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
 
     Resampling costs a binary image its edges, so a framing that is near enough stays.
     """
-    pins = _pin_circle(grey > 0.5)
+    pins = _pin_circle(grey > _middle_level(grey))
     if pins is None or abs(pins.radius / outer_pins / min(grey.shape) - 1) < 0.12:
         return _middle(grey.shape)
     return _square(pins.row, pins.column, pins.radius / outer_pins)
@@ -142,12 +142,13 @@ def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
 
 def white_of(raw: np.ndarray) -> float:
     """The number that stands for white in a frame: 1 of masks and floats, 255, or what 10, 12, 14 or 16 bits can hold, which cameras
-    keep in wider words. One pixel in a thousand may be brighter: some pixels of a camera are."""
+    keep in wider words. One pixel in a thousand may be brighter than 255, or than 1 in floats: some pixels of a camera are."""
     colours = raw[..., : 1 if raw.shape[-1] < 3 else 3] if raw.ndim == 3 else raw
     most = float(colours.max())
-    if most > 255:
-        most = max(255.0, float(np.quantile(colours, 0.999)))
-    if most <= (1.5 if np.issubdtype(raw.dtype, np.floating) else 1):  # a float image may overshoot a little
+    unit, usual = (1.5, 1.5) if np.issubdtype(raw.dtype, np.floating) else (1.0, 255.0)  # floats may overshoot a little
+    if most > usual:
+        most = max(usual, float(np.quantile(colours, 0.999)))
+    if most <= unit:
         return 1.0
     return next((float(white) for white in (255, 1023, 4095, 16383, 65535) if most <= white), most)
 
@@ -183,6 +184,10 @@ def is_binary(grey: np.ndarray) -> bool:
     if high - low < 0.25:
         return False
     return float(np.mean((grey - low < 0.1 * (high - low)) | (high - grey < 0.1 * (high - low)))) > 0.97
+
+
+def _middle_level(grey: np.ndarray) -> float:
+    return float(np.min(grey) + np.max(grey)) / 2
 
 
 def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:

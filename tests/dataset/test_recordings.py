@@ -177,21 +177,27 @@ def test_names_that_no_encoding_or_number_suits(tmp_path):
     assert len("".join(recordings.names).encode()) and len(list(recordings.frames())) == 3
 
 
-def test_images_of_a_folder_are_cropped_alike(tmp_path):
+@pytest.mark.parametrize("narrower", [0, 4])
+def test_images_of_a_folder_are_cropped_alike(tmp_path, narrower):
     """Pins that move as one stay moved: a crop of each image's own would follow them."""
     column, row = np.meshgrid(np.arange(320), np.arange(240))
     pins = np.concatenate([9 * k * np.exp(2j * np.pi * np.arange(6 * k) / (6 * k)) for k in range(1, 11)])
     for folder, off in (("a", 0), ("b", 20)):
         (tmp_path / folder).mkdir()
+        wide = narrower if folder == "b" else 0
         for i, shift in enumerate((-6, 0, 6)):
             grey = (20 + row // 4).astype(np.uint8)  # not of two levels
             for pin in pins + 150 + 120j + off + shift:
                 grey[np.hypot(column - pin.real, row - pin.imag) < 2.5] = 200
-            Image.fromarray(grey).save(tmp_path / folder / f"{i}.png")
-    frames = read_recordings(tmp_path, Preprocess(size=128)).frames()
-    middles = [np.argwhere(image).mean(axis=0)[1] for _, _, image in frames]
-    scale = 0.375 * 128 / 90  # px of an image a px of a frame
-    np.testing.assert_allclose(middles, 63.5 + scale * np.array([-6, 0, 6, -6, 0, 6]), atol=0.5)
+            Image.fromarray(grey[: 240 - wide, : 320 - wide]).save(tmp_path / folder / f"{i}.png")
+    recordings = read_recordings(tmp_path, Preprocess(size=128))
+    for view in (
+        None,
+        recordings.common_view() if narrower else None,
+    ):  # one without a crop: the folders differ in size
+        middles = [np.argwhere(image).mean(axis=0)[1] for _, _, image in recordings.frames(view)]
+        scale = 0.375 * 128 / 90  # px of an image a px of a frame
+        np.testing.assert_allclose(middles, 63.5 + scale * np.array([-6, 0, 6, -6, 0, 6]), atol=0.5)
 
 
 def test_what_an_image_hides_is_told(tmp_path):

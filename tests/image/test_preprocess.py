@@ -191,6 +191,7 @@ def test_number_types_and_channels_do_not_matter(frames, kind):
         (np.full((40, 40), 70_000, np.int32), 70_000),
         (np.full((40, 40), 1.2), 1),
         (np.full((40, 40), 200.0), 255),
+        (np.where(np.arange(1600).reshape(40, 40) == 7, 2.0, 0.5), 1),
         (np.dstack([np.full((40, 40, 3), 4000, np.uint16), np.full((40, 40), 65535, np.uint16)]), 4095),
     ],
 )
@@ -203,6 +204,11 @@ def test_a_hot_pixel_changes_nothing_but_itself(frames):
     hot = photo.copy()
     hot[0, 0] = 4000
     np.testing.assert_array_equal(prepare_frame(Preprocess(), hot), prepare_frame(Preprocess(), photo))
+
+
+def test_a_grey_mask_is_a_mask(frames):
+    mask = np.where(photograph(frames[0])[..., 0] > 150, 255, 0).astype(np.uint8)
+    np.testing.assert_array_equal(prepare_frame(Preprocess(), np.minimum(mask, 100)), prepare_frame(Preprocess(), mask))
 
 
 def test_a_darker_frame_of_the_same_camera_has_the_same_white(frames):
