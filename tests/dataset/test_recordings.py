@@ -191,10 +191,8 @@ def test_images_of_a_folder_are_cropped_alike(tmp_path, narrower):
                 grey[np.hypot(column - pin.real, row - pin.imag) < 2.5] = 200
             Image.fromarray(grey[: 240 - wide, : 320 - wide]).save(tmp_path / folder / f"{i}.png")
     recordings = read_recordings(tmp_path, Preprocess(size=128))
-    for view in (
-        None,
-        recordings.common_view() if narrower else None,
-    ):  # one without a crop: the folders differ in size
+    other = recordings.common_view() if narrower else None  # one without a crop: the folders differ in size
+    for view in (None, other):
         middles = [np.argwhere(image).mean(axis=0)[1] for _, _, image in recordings.frames(view)]
         scale = 0.375 * 128 / 90  # px of an image a px of a frame
         np.testing.assert_allclose(middles, 63.5 + scale * np.array([-6, 0, 6, -6, 0, 6]), atol=0.5)
