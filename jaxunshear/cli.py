@@ -3,6 +3,7 @@
 import argparse
 import shlex
 import sys
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -31,6 +32,7 @@ fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover
 def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can mend (one line); 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
+    warnings.formatwarning = _noted
     try:
         return _run(argv)
     except UserError as error:
@@ -49,6 +51,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
             return _complain("out of memory; use a smaller --train.batch or smaller images")
         raise
+
+
+def _noted(message: Warning | str, *_: object, **__: object) -> str:
+    return f"jaxunshear: note: {' '.join(str(message).split())}\n"
 
 
 def _complain(text: str) -> int:

@@ -18,6 +18,12 @@ from typing import Any
 from jaxunshear.errors import UserError
 
 
+def cache_folder() -> Path:
+    """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder."""
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(os.environ.get("JAXUNSHEAR_CACHE") or Path(home) / "jaxunshear")
+
+
 def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
     """The line for people that an `OSError` at `path` deserves."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):

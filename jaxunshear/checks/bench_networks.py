@@ -4,6 +4,7 @@
 
 Both sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
 the convolutions' multiplications over the product's. Compile time stands apart. Without the extra `torch` only our rows come.
+`native` tells whether kernels' gradients were compiled for the processor (`model/native.py`).
 """
 
 import statistics
@@ -20,7 +21,7 @@ from jaxunshear.checks.clock import SIZE, matrix_product, seconds
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model import native, posenet, unshearnet
 from jaxunshear.model.ready import ready
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
@@ -42,9 +43,10 @@ def bench_train(size: int | None = None, batch: int | None = None, rounds: int =
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
     plain = size is None and batch is None
     cases = list(TRAINED) if plain else [(128 if size is None else size, 32 if batch is None else batch)]
-    return _measured(
+    rows = _measured(
         "bench train", cases, _training_sides, lambda px: 6 * multiplications(UnshearNet(size=px), True), rounds
     )
+    return [row | ({"native": native.available()} if row["name"] == "jaxunshear" else {}) for row in rows]
 
 
 def bench_infer(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:

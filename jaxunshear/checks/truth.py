@@ -11,7 +11,6 @@ from importlib.resources import files
 
 import numpy as np
 
-from jaxunshear.contact.dome import cache_folder
 from jaxunshear.contact.plan import Level
 from jaxunshear.contact.simulate import simulate
 from jaxunshear.errors import UserError
@@ -19,7 +18,7 @@ from jaxunshear.metrics.machine import versions
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.sensor import Sensor
-from jaxunshear.storage import BROKEN_NPZ, write_bytes
+from jaxunshear.storage import BROKEN_NPZ, cache_folder, write_bytes
 
 
 def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> np.ndarray:

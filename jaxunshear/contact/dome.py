@@ -24,16 +24,11 @@ from jaxunshear.contact.rings import RING_MM, ring_arcs, ring_spacing
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.sensor import Sensor, check_sensor, pin_levers, pin_tips
+from jaxunshear.storage import cache_folder
 
 VERSION = 5  # of what a cache file means: to be raised with every change of the model
 MESH_MM = 1.0  # of elements, where rings are RING_MM apart
 _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
-
-
-def cache_folder() -> Path:
-    """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(os.environ.get("JAXUNSHEAR_CACHE") or Path(home) / "jaxunshear")
 
 
 def dome(sensor: Sensor) -> Compliance:

@@ -3,8 +3,8 @@
 XLA's CPU backend runs forward convolutions at the machine's peak, but the gradients that `jax.grad` derives from them
 at a few per cent of it (strided and transposed ones above all). Two rewritings cure that, on every backend exactly:
 
-1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel (on CPU)
-   plain matrix products over a few images at a time.
+1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel (on CPU) is
+   compiled for the processor (native.py), or matrix products over a few images at a time where there is no compiler.
 2. A 4x4 convolution of stride 2 is a 2x2 convolution between *blocks*: `to_blocks` moves each 2x2 block of pixels into
    the channels. The transposed convolution writes blocks instead of reading them. Next to the image, whose one channel
    would leave most of a vector unused, it is a product of 6x6 *windows* with blocks.
@@ -22,6 +22,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+
+from jaxunshear.model import native
 
 SLICE = 1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
 _NHWC = ("NHWC", "HWIO", "NHWC")
@@ -64,19 +66,35 @@ def _forward(x: Array, w: Array, border: int) -> tuple[Array, tuple[Array, Array
 
 def _backward(border: int, saved: tuple[Array, Array], dy: Array) -> tuple[Array, Array]:
     x, w = saved
-    k = w.shape[0]
-    turned = jnp.flip(w, (0, 1)).swapaxes(2, 3)
-    return pad(conv_valid(pad(dy, k - 1 - border), turned), border), _kernel_gradient(x, dy, k, border)
+    return _input_gradient(dy, w, border), _kernel_gradient(x, dy, w.shape[0], border)
 
 
 conv_valid.defvjp(_forward, _backward)
 
 
+def _input_gradient(dy: Array, w: Array, border: int) -> Array:
+    turned = jnp.flip(w, (0, 1)).swapaxes(2, 3)
+    return pad(conv_valid(pad(dy, w.shape[0] - 1 - border), turned), border)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(2, 3))
 def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place]: (k, k, C, N)."""
-    return lax.platform_dependent(
-        x, dy, cpu=partial(_gradient_in_slices, k=k, border=border), default=_gradient_as_convolution
-    )
+    here = native.kernel_gradient if native.suits(x, dy) else _gradient_in_slices
+    return lax.platform_dependent(x, dy, cpu=partial(here, k=k, border=border), default=_gradient_as_convolution)
+
+
+def _kernel_gradient_forward(x: Array, dy: Array, k: int, border: int) -> tuple[Array, tuple[Array, Array]]:
+    return _kernel_gradient(x, dy, k, border), (x, dy)
+
+
+def _kernel_gradient_backward(k: int, border: int, saved: tuple[Array, Array], change: Array) -> tuple[Array, Array]:
+    """Both are convolutions again: the sum of change * dw is that of conv_valid(x, change) * dy."""
+    x, dy = saved
+    return _input_gradient(dy, change, border), conv_valid(x, change, border)
+
+
+_kernel_gradient.defvjp(_kernel_gradient_forward, _kernel_gradient_backward)
 
 
 def _gradient_as_convolution(x: Array, dy: Array) -> Array:

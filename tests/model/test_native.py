@@ -1,0 +1,151 @@
+"""The compiled form of a kernel's gradient: against the plain one in double precision, and without a compiler."""
+
+import os
+import shutil
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.model import conv, native
+
+COMPILER = shutil.which(os.environ.get("CXX", "c++"))
+compiled = pytest.mark.skipif(COMPILER is None, reason="there is no C++ compiler")
+# k, border, C, N, images, H, W: tails of rows and of vectors, either array the wider, borders of every kind, several slabs
+CASES = [
+    (1, 0, 3, 16, 3, 9, 7),
+    (1, 0, 128, 36, 8, 33, 33),
+    (2, 0, 17, 5, 3, 9, 7),
+    (2, 0, 64, 128, 8, 17, 16),
+    (2, 1, 33, 40, 7, 9, 8),
+    (3, 1, 70, 100, 2, 6, 6),
+    (3, 2, 16, 16, 3, 7, 9),
+    (4, 2, 6, 130, 3, 9, 7),
+    (5, 0, 20, 7, 2, 5, 5),
+]
+
+
+def arrays(k, border, c, n, images, h, w):
+    rng = np.random.default_rng(k + c + n)
+    x = np.pad(
+        rng.normal(size=(images, h, w, c)).astype(np.float32), ((0, 0), (border, border), (border, border), (0, 0))
+    )
+    dy = rng.normal(size=(images, x.shape[1] - k + 1, x.shape[2] - k + 1, n)).astype(np.float32)
+    return x, dy
+
+
+def by_definition(x, dy, k):
+    x, dy = np.float64(x), np.float64(dy)
+    h, w = dy.shape[1:3]
+    places = [[x[:, i : i + h, j : j + w] for j in range(k)] for i in range(k)]
+    return np.stack([[np.tensordot(place, dy, ((0, 1, 2), (0, 1, 2))) for place in row] for row in places])
+
+
+@compiled
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_it_is_the_sum_it_says(case):
+    k, border = case[:2]
+    x, dy = arrays(*case)
+    expected = by_definition(x, dy, k)
+    for run in (native.kernel_gradient, jax.jit(native.kernel_gradient, static_argnums=(2, 3))):
+        assert native.available()
+        np.testing.assert_allclose(run(x, dy, k, border), expected, atol=2e-6 * np.abs(expected).max(), rtol=0)
+
+
+@compiled
+def test_the_network_takes_it_and_twice_gives_the_same_bits():
+    x, dy = arrays(2, 1, 24, 64, 5, 17, 16)
+    w = jnp.ones((2, 2, 24, 64), jnp.float32)
+    grad = jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0])
+    assert native.NAME in grad.lower(w).as_text()
+    first = grad(w)
+    for _ in range(10):
+        np.testing.assert_array_equal(grad(w), first)
+    with native.left_out():
+        assert (
+            native.NAME
+            not in jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0]).lower(w).as_text()
+        )
+
+
+@compiled
+def test_mapped_over_it_is_as_one_by_one():
+    x, dy = (array.reshape(3, 2, *array.shape[1:]) for array in arrays(2, 0, 5, 16, 6, 6, 5))
+    run = lambda x, dy: native.kernel_gradient(x, dy, 2, 0)  # noqa: E731
+    assert native.available()
+    np.testing.assert_array_equal(jax.vmap(run)(x, dy), np.stack([run(a, b) for a, b in zip(x, dy, strict=True)]))
+
+
+@compiled
+def test_what_is_not_finite_is_passed_on():
+    x, dy = arrays(2, 0, 8, 16, 2, 6, 5)
+    x[0, 3, 2, 1] = np.nan
+    assert native.available()
+    found = np.isnan(native.kernel_gradient(x, dy, 2, 0))
+    assert found[:, :, 1].all() and found.sum() == 4 * 16
+
+
+@pytest.mark.parametrize("kind", [jnp.float64, jnp.bfloat16])
+def test_other_numbers_and_few_channels_are_left_to_xla(kind):
+    with jax.enable_x64(True):
+        assert not native.suits(jnp.zeros((1, 3, 3, 16), kind), jnp.zeros((1, 2, 2, 16), kind))
+    assert not native.suits(jnp.zeros((1, 3, 3, 15)), jnp.zeros((1, 2, 2, 3)))
+
+
+def told(environment) -> tuple[str, str]:
+    """What a process of its own says: whether there is a compiled form, and its warnings."""
+    code = "from jaxunshear.model import native; print(native.available(), native.available())"
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **environment}
+    )
+    assert process.returncode == 0, process.stderr
+    return process.stdout.split()[0], process.stderr
+
+
+@compiled
+def test_it_is_compiled_once_and_kept(tmp_path):
+    cache = {"JAXUNSHEAR_CACHE": str(tmp_path)}
+    assert told(cache) == ("True", "")
+    (kept,) = tmp_path.iterdir()
+    before = kept.stat().st_mtime_ns
+    assert told(cache) == ("True", "")
+    assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_mtime_ns == before
+
+
+def test_without_a_compiler_nothing_is_said(tmp_path):
+    assert told({"JAXUNSHEAR_CACHE": str(tmp_path), "CXX": "none-such"}) == ("False", "")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("hindrance", ["compiler", "folder"])
+def test_what_hinders_it_is_told_once(tmp_path, hindrance):
+    (tmp_path / "file").touch()
+    environment = {"JAXUNSHEAR_CACHE": str(tmp_path / "cache"), "CXX": "false"}
+    if hindrance == "folder":
+        if COMPILER is None:
+            pytest.skip("there is no C++ compiler")
+        environment = {"JAXUNSHEAR_CACHE": str(tmp_path / "file"), "CXX": COMPILER}
+    answer, said = told(environment)
+    assert answer == "False" and said.count("slower form") == 1
+    assert [path.name for path in tmp_path.rglob("*")] == ["file"]
+
+
+def test_second_derivatives_are_those_of_the_plain_convolution():
+    x, dy = arrays(2, 1, 16, 18, 2, 5, 6)
+    w = jnp.asarray(np.random.default_rng(0).normal(size=(2, 2, 16, 18)), jnp.float32)
+
+    def slope(convolution):
+        inner = jax.grad(lambda w, x: jnp.sum(jnp.sin(convolution(x, w)) * dy))
+        return jax.grad(lambda x, w: jnp.sum(inner(w, x) ** 2), (0, 1))(x[:, 1:-1, 1:-1], w)
+
+    ours = slope(lambda x, w: conv.conv_valid(conv.pad(x, 1), w, 1))
+    plain = slope(
+        lambda x, w: jax.lax.conv_general_dilated(
+            x, w, (1, 1), 2 * [(1, 1)], dimension_numbers=("NHWC", "HWIO", "NHWC")
+        )
+    )
+    for got, expected in zip(ours, plain, strict=True):
+        np.testing.assert_allclose(got, expected, atol=1e-5 * float(jnp.abs(expected).max()), rtol=0)
