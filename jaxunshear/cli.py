@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxunshear import __version__, cli_applications, cli_checks, cli_sweep
-from jaxunshear.errors import UserError
+from jaxunshear.errors import Note, UserError
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
 if TYPE_CHECKING:
     from jaxunshear.experiment import Experiment
 
+_usual = warnings.formatwarning
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
     "data": ("data",),
@@ -53,8 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         raise
 
 
-def _noted(message: Warning | str, *_: object, **__: object) -> str:
-    return f"jaxunshear: note: {' '.join(str(message).split())}\n"
+def _noted(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None) -> str:
+    if issubclass(category, Note):
+        return f"jaxunshear: note: {' '.join(str(message).split())}\n"
+    return _usual(message, category, filename, lineno, line)
 
 
 def _complain(text: str) -> int:

@@ -1,8 +1,12 @@
-"""The one error meant for people: caught at the edge, printed as one line, exit code 2."""
+"""What is meant for people: an error, caught at the edge, printed as one line, exit code 2; and a note, which hinders nothing."""
 
 
 class UserError(Exception):
     """What went wrong, where (file or field), and the remedy, in one line."""
+
+
+class Note(UserWarning):
+    """What works, but not as well as it could, in one line."""
 
 
 def first_line(error: BaseException) -> str:

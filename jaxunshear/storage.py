@@ -20,8 +20,9 @@ from jaxunshear.errors import UserError
 
 def cache_folder() -> Path:
     """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder."""
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(os.environ.get("JAXUNSHEAR_CACHE") or Path(home) / "jaxunshear")
+    if os.environ.get("JAXUNSHEAR_CACHE"):
+        return Path(os.environ["JAXUNSHEAR_CACHE"])
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxunshear"
 
 
 def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:

@@ -7,7 +7,6 @@ the convolutions' multiplications over the product's. Compile time stands apart.
 Where kernels' gradients are compiled for the processor (`model/native.py`), training without that has a row of its own.
 """
 
-import contextlib
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +22,7 @@ from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import native, posenet, unshearnet
+from jaxunshear.model.conv import kernel_gradients
 from jaxunshear.model.ready import ready
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
@@ -105,16 +105,15 @@ def _training_sides(size: int, batch: int) -> Sides:
     net, training = _network(size, batch), Training(batch=batch)
     canonical, sheared = _images(size, batch)
 
-    def ours(left_out: bool) -> Work:
+    def ours(form: str) -> Work:
         task, optimiser = unshear_task(net, training), optimiser_of(training, 1000, 100)
-        leave = native.left_out if left_out else contextlib.nullcontext
         first = jax.jit(lambda key: fresh(task.init(key), optimiser), compiler_options=run_once())
         state = [first(jax.random.key(0))]
         given = jax.device_put({"canonical": canonical, "sheared": sheared})
         step = jax.jit(make_step(task, training, optimiser, jax.random.key(1)), donate_argnums=0)
 
         def work() -> None:
-            with leave():
+            with kernel_gradients(form):
                 state[0], metrics = step(state[0], given)
             jax.block_until_ready(metrics)
 
@@ -128,9 +127,9 @@ def _training_sides(size: int, batch: int) -> Sides:
         given = [torch.from_numpy(images.transpose(0, 3, 1, 2).copy()) for images in (canonical, sheared)]
         return lambda: float(step(*given)) and None
 
-    yield "jaxunshear", lambda: ours(False)
+    yield "jaxunshear", lambda: ours("native")
     if native.available():
-        yield "jaxunshear, XLA alone", lambda: ours(True)
+        yield "jaxunshear, XLA alone", lambda: ours("slices")
     yield "pytorch", lambda: theirs(False)
     yield "pytorch, compiled", lambda: theirs(True)
 

@@ -16,6 +16,9 @@ at a few per cent of it (strided and transposed ones above all). Two rewritings 
 lies outside the image and must be zero (`layers.inside`).
 """
 
+import contextlib
+import contextvars
+from collections.abc import Iterator
 from functools import partial
 
 import jax
@@ -27,6 +30,7 @@ from jaxunshear.model import native
 
 SLICE = 1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
 _NHWC = ("NHWC", "HWIO", "NHWC")
+_form = contextvars.ContextVar("form", default="native")
 
 
 def pad(x: Array, pixels: int) -> Array:
@@ -80,8 +84,22 @@ def _input_gradient(dy: Array, w: Array, border: int) -> Array:
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3))
 def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place]: (k, k, C, N)."""
-    here = native.kernel_gradient if native.suits(x, dy) else _gradient_in_slices
+    form = _form.get()
+    if form == "convolution":
+        return _gradient_as_convolution(x, dy)
+    here = native.kernel_gradient if form == "native" and native.suits(x, dy) else _gradient_in_slices
     return lax.platform_dependent(x, dy, cpu=partial(here, k=k, border=border), default=_gradient_as_convolution)
+
+
+@contextlib.contextmanager
+def kernel_gradients(form: str) -> Iterator[None]:
+    """What is traced herein takes this form: "slices" is that of machines without a compiler; of "convolution", which is slow on a
+    CPU, XLA counts the operations."""
+    token = _form.set(form)
+    try:
+        yield
+    finally:
+        _form.reset(token)
 
 
 def _kernel_gradient_forward(x: Array, dy: Array, k: int, border: int) -> tuple[Array, tuple[Array, Array]]:

@@ -1,6 +1,8 @@
 """The compiled form of a kernel's gradient: against the plain one in double precision, and without a compiler."""
 
 import os
+import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -12,7 +14,7 @@ import pytest
 
 from jaxunshear.model import conv, native
 
-COMPILER = shutil.which(os.environ.get("CXX", "c++"))
+COMPILER = shutil.which((shlex.split(os.environ.get("CXX", "")) or ["c++"])[0])
 compiled = pytest.mark.skipif(COMPILER is None, reason="there is no C++ compiler")
 # k, border, C, N, images, H, W: tails of rows and of vectors, either array the wider, borders of every kind, several slabs
 CASES = [
@@ -64,11 +66,11 @@ def test_the_network_takes_it_and_twice_gives_the_same_bits():
     first = grad(w)
     for _ in range(10):
         np.testing.assert_array_equal(grad(w), first)
-    with native.left_out():
-        assert (
-            native.NAME
-            not in jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0]).lower(w).as_text()
-        )
+    for form in ("slices", "convolution"):
+        with conv.kernel_gradients(form):
+            other = jax.jit(lambda w: jax.vjp(lambda w: conv.conv_valid(x, w, 1), w)[1](dy)[0])
+            assert native.NAME not in other.lower(w).as_text()
+            np.testing.assert_allclose(other(w), first, atol=1e-5 * np.abs(first).max(), rtol=0)
 
 
 @compiled
@@ -92,27 +94,44 @@ def test_what_is_not_finite_is_passed_on():
 def test_other_numbers_and_few_channels_are_left_to_xla(kind):
     with jax.enable_x64(True):
         assert not native.suits(jnp.zeros((1, 3, 3, 16), kind), jnp.zeros((1, 2, 2, 16), kind))
-    assert not native.suits(jnp.zeros((1, 3, 3, 15)), jnp.zeros((1, 2, 2, 3)))
+    few = jnp.zeros((1, 3, 3, 15)), jnp.zeros((1, 2, 2, 3))
+    assert not native.suits(*few)
+    with pytest.raises(ValueError, match="15 and 3 channels"):
+        native.kernel_gradient(*few, 2, 0)
 
 
-def told(environment) -> tuple[str, str]:
-    """What a process of its own says: whether there is a compiled form, and its warnings."""
-    code = "from jaxunshear.model import native; print(native.available(), native.available())"
-    process = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env={**os.environ, **environment}
-    )
+def told(environment, code="print(native.available(), native.available())") -> tuple[str, str]:
+    """What a process of its own says: whether there is a compiled form, and its notes."""
+    environment = {**os.environ, "PYTHONWARNINGS": "always", **environment}
+    command = [sys.executable, "-c", f"from jaxunshear.model import native; {code}"]
+    process = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert process.returncode == 0, process.stderr
     return process.stdout.split()[0], process.stderr
 
 
 @compiled
-def test_it_is_compiled_once_and_kept(tmp_path):
+def test_it_is_compiled_once_and_kept_until_it_is_damaged(tmp_path):
     cache = {"JAXUNSHEAR_CACHE": str(tmp_path)}
     assert told(cache) == ("True", "")
     (kept,) = tmp_path.iterdir()
-    before = kept.stat().st_mtime_ns
+    size, before = kept.stat().st_size, kept.stat().st_mtime_ns
     assert told(cache) == ("True", "")
     assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_mtime_ns == before
+    kept.write_bytes(b"")
+    assert told(cache) == ("True", "")
+    assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_size == size
+
+
+@compiled
+def test_any_number_of_threads_gives_the_same_bits(tmp_path):
+    code = (
+        "import hashlib, numpy as np; native.available(); rng = np.random.default_rng(0); "
+        "x, dy = (rng.normal(size=(3, 20, side, c)).astype(np.float32) for side, c in ((19, 40), (18, 24))); "
+        "print(hashlib.sha256(np.asarray(native.kernel_gradient(x, dy[:, 1:], 2, 0))).hexdigest())"
+    )
+    cache = {"JAXUNSHEAR_CACHE": str(tmp_path)}
+    sums = {told({**cache, "NPROC": threads}, code)[0] for threads in ("1", "2", "5", "60")}
+    assert len(sums) == 1
 
 
 def test_without_a_compiler_nothing_is_said(tmp_path):
@@ -120,17 +139,24 @@ def test_without_a_compiler_nothing_is_said(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("hindrance", ["compiler", "folder"])
-def test_what_hinders_it_is_told_once(tmp_path, hindrance):
+@pytest.mark.parametrize(
+    ("cxx", "cache", "reason"),
+    [
+        ("false", "cache", "non-zero exit status"),
+        ("'c++", "cache", "No closing quotation"),
+        ("{folder}/broken", "cache", "no member named x: an error"),
+        ("{folder}/probe", "file", "Not a directory|File exists"),
+    ],
+)
+def test_what_hinders_it_is_told_once(tmp_path, cxx, cache, reason):
     (tmp_path / "file").touch()
-    environment = {"JAXUNSHEAR_CACHE": str(tmp_path / "cache"), "CXX": "false"}
-    if hindrance == "folder":
-        if COMPILER is None:
-            pytest.skip("there is no C++ compiler")
-        environment = {"JAXUNSHEAR_CACHE": str(tmp_path / "file"), "CXX": COMPILER}
+    for name, rest in (("probe", "exit 0"), ("broken", "echo no member named x: an error >&2; exit 1")):
+        (tmp_path / name).write_text(f'#!/bin/sh\ncase "$*" in *-dM*) echo a macro; exit 0;; esac\n{rest}\n')
+        (tmp_path / name).chmod(0o755)
+    environment = {"JAXUNSHEAR_CACHE": str(tmp_path / cache), "CXX": cxx.format(folder=tmp_path)}
     answer, said = told(environment)
-    assert answer == "False" and said.count("slower form") == 1
-    assert [path.name for path in tmp_path.rglob("*")] == ["file"]
+    assert answer == "False" and said.count("slower form") == 1 and re.search(reason, said)
+    assert not list(tmp_path.rglob("*.so"))
 
 
 def test_second_derivatives_are_those_of_the_plain_convolution():
