@@ -2,7 +2,7 @@
 
     jaxunshear sweep experiments/frontier.py
 
-Expected on two cores: an hour and three quarters, 48 minutes a seed and 10 for the data sets of four of the settings.
+Expected on two cores: 41 minutes, data sets of four of the settings among them; an hour and three quarters on slower ones.
 Each row is the demo's disentangled network but for what its label says; `runs/sweeps/frontier/sweep.png` draws errors
 against seconds of training and against milliseconds an image, and names the settings that no other one beats.
 Settings of equal cost in contacts: many poses with a slide each, few poses with many.
