@@ -20,8 +20,7 @@ from jaxunshear.checks.clock import seconds
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.evaluation.networks import run_of
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.conv import kernel_gradients
+from jaxunshear.model import native, posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
 from jaxunshear.training.loop import run_once
@@ -47,7 +46,7 @@ class Way:
         return lowered.compile(), time.perf_counter() - begun
 
     def _operations(self) -> float:
-        with kernel_gradients("convolution"):
+        with native.taking("counted"):
             counted = jax.jit(lambda *arguments: self.call(*arguments)).lower(*self.arguments).compile()
         return float((counted.cost_analysis() or {})["flops"])
 

@@ -4,7 +4,7 @@
 
 Both sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
 the convolutions' multiplications over the product's. Compile time stands apart. Without the extra `torch` only our rows come.
-Where kernels' gradients are compiled for the processor (`model/native.py`), training without that has a row of its own.
+Where parts of the training are compiled for the processor (`model/native.py`), training without them has a row of its own.
 """
 
 import statistics
@@ -22,7 +22,6 @@ from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import native, posenet, unshearnet
-from jaxunshear.model.conv import kernel_gradients
 from jaxunshear.model.ready import ready
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
@@ -113,7 +112,7 @@ def _training_sides(size: int, batch: int) -> Sides:
         step = jax.jit(make_step(task, training, optimiser, jax.random.key(1)), donate_argnums=0)
 
         def work() -> None:
-            with kernel_gradients(form):
+            with native.taking(form):
                 state[0], metrics = step(state[0], given)
             jax.block_until_ready(metrics)
 
@@ -127,9 +126,9 @@ def _training_sides(size: int, batch: int) -> Sides:
         given = [torch.from_numpy(images.transpose(0, 3, 1, 2).copy()) for images in (canonical, sheared)]
         return lambda: float(step(*given)) and None
 
-    yield "jaxunshear", lambda: ours("native")
+    yield "jaxunshear", lambda: ours("compiled")
     if native.available():
-        yield "jaxunshear, XLA alone", lambda: ours("slices")
+        yield "jaxunshear, XLA alone", lambda: ours("xla")
     yield "pytorch", lambda: theirs(False)
     yield "pytorch, compiled", lambda: theirs(True)
 

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from jaxunshear.model.layers import EPSILON, MOMENTUM
+from jaxunshear.model.layers import MOMENTUM
+from jaxunshear.model.norm import EPSILON
 from jaxunshear.model.posenet import OUTPUTS
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.training.settings import Training

@@ -6,31 +6,26 @@ at a few per cent of it (strided and transposed ones above all). Two rewritings 
 1. `conv_valid` has its own gradients: the one of its input is again a forward convolution, the one of its kernel (on CPU) is
    compiled for the processor (native.py), or matrix products over a few images at a time where there is no compiler.
 2. A 4x4 convolution of stride 2 is a 2x2 convolution between *blocks*: `to_blocks` moves each 2x2 block of pixels into
-   the channels. The transposed convolution writes blocks instead of reading them. Next to the image, whose one channel
-   would leave most of a vector unused, it is a product of 6x6 *windows* with blocks.
+   the channels. The transposed convolution writes blocks instead of reading them. Those next to the image have a module of
+   their own (outermost.py).
 
 >>> y = conv_valid(to_blocks(pad(x, 1), 2), down_kernel(w))    # (B, H, W, C) -> (B, H/2, W/2, N), w (4, 4, C, N)
 >>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks
 
 *Bordered blocks* are the blocks of an image that was padded by one pixel: the outermost half of the outermost blocks
-lies outside the image and must be zero (`layers.inside`).
+lies outside the image and must be zero (`norm.inside`).
 """
 
-import contextlib
-import contextvars
-from collections.abc import Iterator
 from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
 from jaxunshear.model import native
 
 SLICE = 1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
 _NHWC = ("NHWC", "HWIO", "NHWC")
-_form = contextvars.ContextVar("form", default="native")
 
 
 def pad(x: Array, pixels: int) -> Array:
@@ -84,22 +79,10 @@ def _input_gradient(dy: Array, w: Array, border: int) -> Array:
 @partial(jax.custom_vjp, nondiff_argnums=(2, 3))
 def _kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     """dw[i, j] = sum over images and places of x[place + (i, j)] dy[place]: (k, k, C, N)."""
-    form = _form.get()
-    if form == "convolution":
+    if native.form() == "counted":
         return _gradient_as_convolution(x, dy)
-    here = native.kernel_gradient if form == "native" and native.suits(x, dy) else _gradient_in_slices
+    here = native.kernel_gradient if native.suits(x, dy) else _gradient_in_slices
     return lax.platform_dependent(x, dy, cpu=partial(here, k=k, border=border), default=_gradient_as_convolution)
-
-
-@contextlib.contextmanager
-def kernel_gradients(form: str) -> Iterator[None]:
-    """What is traced herein takes this form: "slices" is that of machines without a compiler; of "convolution", which is slow on a
-    CPU, XLA counts the operations."""
-    token = _form.set(form)
-    try:
-        yield
-    finally:
-        _form.reset(token)
 
 
 def _kernel_gradient_forward(x: Array, dy: Array, k: int, border: int) -> tuple[Array, tuple[Array, Array]]:
@@ -166,44 +149,3 @@ def up_kernel(w: Array) -> Array:
     c, n = w.shape[2:]
     w = w.reshape(2, 2, 2, 2, c, n)[:, ::-1, :, ::-1]
     return w.transpose(0, 2, 4, 1, 3, 5).reshape(2, 2, c, 4 * n)
-
-
-def windows(x: Array) -> Array:
-    """The 6x6 pixels of the image that the bordered blocks of half its size are read from: (B, 4H, 4W, C) -> (B, H+1, W+1,
-    36 C), channels ordered (row, column, channel), with zeros outside."""
-    b, h, w, c = x.shape
-    x = jnp.pad(x, ((0, 0), (3, 5), (3, 5), (0, 0))).reshape(b, h // 4 + 2, 4, w // 4 + 2, 4, c)
-    x = jnp.concatenate([x[:, :-1], x[:, 1:, :2]], 2)
-    x = jnp.concatenate([x[:, :, :, :-1], x[:, :, :, 1:, :2]], 4)
-    return x.transpose(0, 1, 3, 2, 4, 5).reshape(b, h // 4 + 1, w // 4 + 1, 36 * c)
-
-
-def from_windows(x: Array) -> Array:
-    """The transpose of `windows`: (B, H+1, W+1, 36 C) -> (B, 4H, 4W, C), sums where windows overlap."""
-    b, h, w, c = x.shape
-    image = jax.ShapeDtypeStruct((b, 4 * (h - 1), 4 * (w - 1), c // 36), x.dtype)
-    return jax.linear_transpose(windows, image)(x)[0]
-
-
-def first_kernel(w: Array) -> Array:
-    """(4, 4, C, N) of a stride-2 convolution -> (1, 1, 36 C, 4N) from `windows` of the image to the bordered blocks of the
-    output: what the next `down_kernel` reads, so the widest array of the network is never rearranged."""
-    # of the window's rows t, the output's row a of a block reads 2a + k
-    place = _placement(lambda t, a: t - 2 * a, w.dtype)
-    big = jnp.einsum("tak,sbl,klcn->tscabn", place, place, w, precision="highest")
-    return big.reshape(1, 1, 36 * w.shape[2], 4 * w.shape[3])
-
-
-def last_kernel(w: Array) -> Array:
-    """(4, 4, C, N) of a stride-2 transposed convolution -> (1, 1, 4C, 36N) from the bordered blocks of its input to
-    `windows` of its output."""
-    # the input's row a of a block reaches the window's rows t through k = 3 - (t - 2a): Flax's kernels are turned
-    place = _placement(lambda t, a: 3 - t + 2 * a, w.dtype)
-    big = jnp.einsum("tak,sbl,klcn->abctsn", place, place, w, precision="highest")
-    return big.reshape(1, 1, 4 * w.shape[2], 36 * w.shape[3])
-
-
-def _placement(tap, dtype) -> Array:
-    """1 where tap `tap(row of the window, row of the block)` of a kernel is k, else 0: (6, 2, 4)."""
-    row, column = np.indices((6, 2))
-    return jnp.asarray(tap(row, column)[..., None] == np.arange(4), dtype)

@@ -1,10 +1,13 @@
-"""The kernel's gradient on a CPU, compiled for the processor at hand (`kernel_gradient.cc`).
+"""What a training on a CPU takes in a form that is compiled for the processor at hand (`compiled/`): gradients of kernels, the layers
+next to the image, and the normalisation.
 
-The first training on a machine compiles it, in about 3 s, with the C++ compiler ($CXX, or c++) and the headers that JAX brings, and
-keeps it in the cache folder. Without a compiler, or with CXX=none, `conv.py` takes XLA's products, which are as exact, and slower.
+The first training on a machine compiles them, in about 5 s, with the C++ compiler ($CXX, or c++) and the headers that JAX brings, and
+keeps them in the cache folder. Without a compiler, or with CXX=none, `conv.py`, `outermost.py` and `norm.py` take XLA's forms, which are as
+exact, and slower.
 """
 
 import contextlib
+import contextvars
 import ctypes
 import functools
 import hashlib
@@ -15,6 +18,7 @@ import subprocess
 import threading
 import uuid
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax
@@ -26,12 +30,33 @@ from jax import Array
 from jaxunshear.errors import Note, first_line
 from jaxunshear.storage import cache_folder
 
-SOURCE = Path(__file__).with_name("kernel_gradient.cc")
-NAME = "jaxunshear_kernel_gradient"
+SOURCES = sorted(Path(__file__).with_name("compiled").iterdir())
+SYMBOLS = ("KernelGradient", "Gather", "Scatter", "Outer", "Moments", "AffineRelu", "Slopes", "Gradient")
+NAMES = {symbol: f"jaxunshear_{symbol}" for symbol in SYMBOLS}
+LAYOUTS = ("plain", "padded", "blocks")  # in the order of norm_relu.cc
+GROUPS, SPREAD = 8, 8  # of images at most; floats read, at least, for one of the sums that they hold apart
+BAND = 16384  # floats at most, of which moments and slopes are summed at once
 WIDEST = 16  # floats of a vector, at most
 FLAGS = ("-std=c++17", "-O3", "-march=native", "-fPIC", "-shared", "-w")
 SECONDS = 300  # that compiling may take
 _once = threading.Lock()
+_form = contextvars.ContextVar("form", default="compiled")
+
+
+@contextlib.contextmanager
+def taking(form: str) -> Iterator[None]:
+    """What is traced herein takes this form: "compiled", the default; "xla", that of machines without a compiler; "counted", of which XLA
+    counts the operations, slow on a CPU."""
+    token = _form.set(form)
+    try:
+        yield
+    finally:
+        _form.reset(token)
+
+
+def form() -> str:
+    """The form to trace."""
+    return _form.get()
 
 
 def suits(x: Array, dy: Array) -> bool:
@@ -45,14 +70,93 @@ def kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
     c, n = x.shape[-1], dy.shape[-1]
     if max(c, n) < WIDEST:
         raise ValueError(f"{c} and {n} channels: the larger must be at least {WIDEST}")
-    shape = jax.ShapeDtypeStruct((k * k, min(c, n), max(c, n)), jnp.float32)
-    call = jax.ffi.ffi_call(NAME, shape, vmap_method="sequential")
-    sums = call(x, dy, k=np.int64(k), border=np.int64(border))
+    size, groups = k * k * c * n, 1  # of images
+    while 2 * groups <= min(len(x), GROUPS) and SPREAD * 2 * groups * size <= x.size + dy.size:
+        groups *= 2
+    parts = _call("KernelGradient", (groups, k * k, min(c, n), max(c, n)), x, dy, k=k, border=border)
+    sums = parts.sum(0) if groups > 1 else parts[0]
     return (sums if c <= n else sums.swapaxes(1, 2)).reshape(k, k, c, n)
+
+
+def suits_image(image: Array | jax.ShapeDtypeStruct, w: Array) -> bool:
+    """Whether `gather`, `scatter` and `outer` take an image and a kernel (4, 4, ...), here: of float32, one channel and whole vectors."""
+    square, one = image.shape[1] == image.shape[2] and image.shape[1] % 4 == 0, image.shape[3] == 1
+    floats = image.dtype == w.dtype == jnp.float32
+    return square and one and floats and w.shape[2] * w.shape[3] % WIDEST == 0 and available()
+
+
+def gather(image: Array, kernel: Array) -> Array:
+    b, side = image.shape[:2]
+    return _call("Gather", (b, side // 4 + 1, side // 4 + 1, 4 * kernel.shape[1]), image, kernel)
+
+
+def scatter(blocks: Array, kernel: Array) -> Array:
+    b, rows = blocks.shape[:2]
+    return _call("Scatter", (b, 4 * rows - 4, 4 * rows - 4, 1), blocks, kernel.T)
+
+
+def outer(image: Array, blocks: Array) -> Array:
+    return _call("Outer", (len(image), 16, blocks.shape[-1] // 4), image, blocks).sum(0)
+
+
+def takes(x: Array, *more: Array, source: str) -> bool:
+    """Whether the four passes of `norm.py` take these arrays, here: float32, whole vectors of channels, on a CPU with a compiler."""
+    floats = all(array.dtype == jnp.float32 for array in (x, *more))
+    return floats and x.shape[-1] // (4 if source == "blocks" else 1) % WIDEST == 0 and available()
+
+
+def moments(x: Array, *, source: str) -> tuple[Array, Array]:
+    """Of bands of rows, then of the whole: a band stays in the cache for the deviations from its own mean."""
+    parts = _call("Moments", _bands(x, source), x, source=source)
+    mean = jnp.mean(parts[:, 0], 0)
+    return mean, jnp.mean(parts[:, 1] + (parts[:, 0] - mean) ** 2, 0)
+
+
+def affine_relu(x: Array, factor: Array, shift: Array, *, source: str, target: str) -> Array:
+    return _call("AffineRelu", _shape(x.shape, source, target), x, factor, shift, source=source, target=target)
+
+
+def slopes(
+    x: Array, dy: Array, factor: Array, shift: Array, mean: Array, *, source: str, target: str
+) -> tuple[Array, Array]:
+    given = (x, dy, factor, shift, mean)
+    sums = jnp.sum(_call("Slopes", _bands(x, source), *given, source=source, target=target), 0)
+    return sums[0], sums[1]
+
+
+def gradient(x: Array, *more: Array, source: str, target: str) -> Array:
+    return _call("Gradient", x.shape, x, *more, source=source, target=target)
+
+
+def _shape(shape: tuple[int, ...], source: str, target: str) -> tuple[int, ...]:
+    """Of an image in another layout."""
+    b, h, w, c = shape
+    rows, columns, channels = (2 * h - 2, 2 * w - 2, c // 4) if source == "blocks" else (h, w, c)
+    blocks = (b, rows // 2 + 1, columns // 2 + 1, 4 * channels)
+    return {"plain": (b, rows, columns, channels), "padded": (b, rows + 2, columns + 2, channels), "blocks": blocks}[
+        target
+    ]
+
+
+def _bands(x: Array, source: str) -> tuple[int, int, int]:
+    """Shape of what is summed over bands of rows, of BAND floats at most where rows can be halved."""
+    b, rows, columns, channels = _shape(x.shape, source, "plain")
+    bands = 1
+    while rows % (2 * bands) == 0 and rows // bands * columns * channels > BAND:
+        bands *= 2
+    return b * bands, 2, channels
+
+
+def _call(name: str, shape: tuple[int, ...], *arrays: Array, **attributes: int | str) -> Array:
+    numbers = {key: np.int64(LAYOUTS.index(v) if isinstance(v, str) else v) for key, v in attributes.items()}
+    call = jax.ffi.ffi_call(NAMES[name], jax.ShapeDtypeStruct(shape, jnp.float32), vmap_method="sequential")
+    return call(*arrays, **numbers)
 
 
 def available() -> bool:
     """Whether JAX is on a CPU and the compiled form is there; the first call of a process looks for it, or makes it."""
+    if form() != "compiled":
+        return False
     with _once:
         return jax.default_backend() == "cpu" and _load()
 
@@ -64,7 +168,8 @@ def _load() -> bool:
         if not shutil.which(compiler[0]):
             return False
         library = _library(compiler)
-        jax.ffi.register_ffi_target(NAME, jax.ffi.pycapsule(library.KernelGradient), platform="cpu")
+        for symbol, name in NAMES.items():
+            jax.ffi.register_ffi_target(name, jax.ffi.pycapsule(getattr(library, symbol)), platform="cpu")
     except (subprocess.SubprocessError, OSError, ValueError, RuntimeError) as error:
         said = (getattr(error, "stderr", None) or b"").decode(errors="replace").splitlines()
         reason = next((line for line in said if "error" in line), first_line(error))
@@ -77,14 +182,15 @@ def _library(compiler: list[str]) -> ctypes.CDLL:
     """For this source, compiler, processor, user and JAX, from the cache folder where it is there and whole."""
     macros = _run([*compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull])  # tell compiler and processor
     told = "\n".join([*compiler, *FLAGS, jaxlib.__version__, str(getattr(os, "getuid", str)())]).encode()
-    key = hashlib.sha256(SOURCE.read_bytes() + told + macros).hexdigest()[:16]
-    path = cache_folder().absolute() / f"kernel_gradient-{key}.so"
+    key = hashlib.sha256(b"".join(source.read_bytes() for source in SOURCES) + told + macros).hexdigest()[:16]
+    path = cache_folder().absolute() / f"compiled-{key}.so"
     with contextlib.suppress(OSError):  # not there, or empty
         return ctypes.CDLL(str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{uuid.uuid4().hex}.so")
     try:
-        _run([*compiler, *FLAGS, f"-I{jax.ffi.include_dir()}", str(SOURCE), "-o", str(part)])
+        sources = [str(source) for source in SOURCES if source.suffix == ".cc"]
+        _run([*compiler, *FLAGS, f"-I{jax.ffi.include_dir()}", *sources, "-o", str(part)])
         with part.open("rb+") as file:
             os.fsync(file.fileno())
         os.replace(part, path)

@@ -38,7 +38,7 @@ class Network(nn.Module):
     @nn.compact
     def __call__(self, images: Array, train: bool) -> Array:
         first, second, *rest = self.net.widths
-        x = Down(second, from_blocks=True)(First(first)(images, train), train)
+        x = Down(second, "plain")(First(first)(images, train), train)
         x = _halve(x)
         x = Same(rest[1])(Same(rest[0])(x, train), train)
         x = _halve(x)

@@ -29,14 +29,13 @@ class Network(nn.Module):
     def __call__(self, images: Array, train: bool) -> Array:
         first, *widths = self.net.widths
         arrays = [First(first)(images, train)]
-        for layer, width in enumerate(widths):
-            arrays.append(Down(width, from_blocks=layer == 0)(arrays[-1], train))
-        x = conv.pad(arrays.pop(), 1)
-        for width in reversed((first, *widths[:-1])):
-            x, skipped = Up(width)(x, train), arrays.pop()
-            if arrays:
-                x = jnp.concatenate([conv.from_blocks(x, 2), conv.pad(skipped, 1)], -1)
-        return Last()(_joined_blocks(x, skipped))
+        for width in widths[:-1]:
+            arrays.append(Down(width)(arrays[-1], train))
+        x = conv.pad(Down(widths[-1], "plain")(arrays[-1], train), 1)
+        for width in reversed(widths[:-1]):
+            x = jnp.concatenate([Up(width)(x, train), conv.from_blocks(arrays.pop(), 2)], -1)
+        x, skipped = Up(first, "blocks")(x, train), arrays.pop()
+        return Last()(_joined_blocks(x, skipped), train)
 
 
 def _joined_blocks(a: Array, b: Array) -> Array:

@@ -33,9 +33,9 @@ class Encoder(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         x = First(self.widths[0])(x, train)
-        for layer, width in enumerate(self.widths[1:]):
-            x = Down(width, from_blocks=layer == 0)(x, train)
-        return x
+        for width in self.widths[1:-1]:
+            x = Down(width)(x, train)
+        return Down(self.widths[-1], "plain")(x, train)
 
 
 class Decoder(nn.Module):
@@ -46,9 +46,9 @@ class Decoder(nn.Module):
     @nn.compact
     def __call__(self, z: Array, train: bool) -> Array:
         x = conv.pad(z, 1)
-        for layer, width in enumerate(reversed(self.widths[:-1])):
-            x = Up(width)(x if layer == 0 else conv.from_blocks(x, 2), train)
-        return Last()(x)
+        for width in reversed(self.widths[1:-1]):
+            x = Up(width)(x, train)
+        return Last()(Up(self.widths[0], "blocks")(x, train), train)
 
 
 class Network(nn.Module):

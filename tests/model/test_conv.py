@@ -88,20 +88,6 @@ def test_down_is_a_convolution_of_stride_two(dtype):
     )
 
 
-def test_first_is_a_convolution_of_stride_two_in_bordered_blocks(dtype):
-    def ours(x, w):
-        blocks = conv.conv_valid(conv.windows(x), conv.first_kernel(w))
-        return conv.from_blocks(blocks, 2)[:, 1:-1, 1:-1]
-
-    same_function(
-        ours,
-        lambda x, w: plain(x, w, 2, ((1, 1), (1, 1))),
-        normal(2, 12, 8, 2, dtype=dtype),
-        normal(4, 4, 2, 3, dtype=dtype),
-        dtype,
-    )
-
-
 def transposed(x, w):
     return jax.lax.conv_transpose(x, w, (2, 2), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC"))
 
@@ -111,14 +97,6 @@ def test_up_is_a_transposed_convolution_in_bordered_blocks(dtype):
         return conv.from_blocks(conv.conv_valid(conv.pad(x, 1), conv.up_kernel(w), 1), 2)[:, 1:-1, 1:-1]
 
     same_function(ours, transposed, normal(2, 6, 5, 3, dtype=dtype), normal(4, 4, 3, 4, dtype=dtype), dtype)
-
-
-def test_last_is_a_transposed_convolution_in_windows(dtype):
-    def ours(x, w):
-        blocks = conv.to_blocks(conv.pad(x, 1), 2)
-        return conv.from_windows(conv.conv_valid(blocks, conv.last_kernel(w)))
-
-    same_function(ours, transposed, normal(2, 6, 8, 3, dtype=dtype), normal(4, 4, 3, 1, dtype=dtype), dtype)
 
 
 def test_up_equals_flax_conv_transpose():

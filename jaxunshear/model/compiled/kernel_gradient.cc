@@ -7,29 +7,19 @@
 // No array is rearranged and no shift copied, which is what XLA's own products of shifts spend half their time on.
 
 #include <algorithm>
-#include <atomic>
-#include <cstdint>
 #include <cstring>
-#include <memory>
 
-#include "xla/ffi/api/ffi.h"
+#include "parallel.h"
 
-namespace ffi = xla::ffi;
-using Index = int64_t;
-using Array = ffi::Buffer<ffi::F32, 4>;
+namespace {
 
-#if defined(__AVX512F__)  // 32 registers of 16 floats
-constexpr Index kLanes = 16, kVectors = 4;
-#elif defined(__AVX__)  // 16 of 8
-constexpr Index kLanes = 8, kVectors = 2;
-#elif defined(__aarch64__)  // 32 of 4
-constexpr Index kLanes = 4, kVectors = 4;
-#else  // 16 of 4
-constexpr Index kLanes = 4, kVectors = 2;
+#if defined(__AVX512F__) || defined(__aarch64__)  // 32 registers
+constexpr Index kVectors = 4;
+#else  // 16
+constexpr Index kVectors = 2;
 #endif
 constexpr Index kRows = 6;
-constexpr Index kPlaces = 512;  // of a slab
-typedef float Vector __attribute__((vector_size(4 * kLanes), aligned(4), may_alias));
+constexpr Index kPlaces = 192;  // of a slab
 
 // A pixel array in memory, in floats.
 struct Pixels {
@@ -58,11 +48,18 @@ struct Slab {
 template <Index M, Index V>
 void tile(const Pixels& numbers, const Pixels& vectors, Index c, Index n, const Slab& slab, float* out, Index pitch, Index skip) {
   Vector sum[M][V] = {};
+  const Index image = slab.first / slab.height, row = slab.first % slab.height;
+  const float* left_row = numbers.at + c + image * numbers.image + row * numbers.row;
+  const float* right_row = vectors.at + n + image * vectors.image + row * vectors.row;
+  const Index left_jump = numbers.image - slab.height * numbers.row, right_jump = vectors.image - slab.height * vectors.row;
+  Index until = slab.height - row;  // the next image
   for (Index r = slab.first; r < slab.last; ++r) {
-    const float* left = numbers.at + c + r / slab.height * numbers.image + r % slab.height * numbers.row;
-    const float* right = vectors.at + n + r / slab.height * vectors.image + r % slab.height * vectors.row;
+    const float *left = left_row, *right = right_row;
     for (Index w = 0; w < slab.width; ++w, left += numbers.pixel, right += vectors.pixel) {
       Vector loaded[V];
+#pragma GCC unroll 8
+      for (Index v = 0; v < V; ++v) __builtin_prefetch(right + 8 * vectors.pixel + v * kLanes);
+      __builtin_prefetch(left + 8 * numbers.pixel);
 #pragma GCC unroll 8
       for (Index v = 0; v < V; ++v) loaded[v] = *reinterpret_cast<const Vector*>(right + v * kLanes);
 #pragma GCC unroll 8
@@ -70,6 +67,8 @@ void tile(const Pixels& numbers, const Pixels& vectors, Index c, Index n, const 
 #pragma GCC unroll 8
         for (Index v = 0; v < V; ++v) sum[m][v] += left[m] * loaded[v];
     }
+    left_row += numbers.row, right_row += vectors.row;
+    if (--until == 0) left_row += left_jump, right_row += right_jump, until = slab.height;
   }
   for (Index m = 0; m < M; ++m)
     for (Index v = 0; v < V; ++v) {
@@ -105,47 +104,43 @@ void add(const Pixels& numbers, const Pixels& vectors, Index first, Index last, 
   }
 }
 
-// x (B, H, W, C), dy (B, H - k + 1, W - k + 1, N) -> (k * k, C, N), or (k * k, N, C) if C > N; the larger of both >= kLanes.
-// The outermost `border` pixels of x are zeros. Every number of the result is summed by one thread in one order, however many there are.
-ffi::Future kernel_gradient(ffi::ThreadPool pool, Array x, Array dy, Index k, Index border, ffi::ResultBuffer<ffi::F32> out) {
-  const Index images = x.dimensions()[0], height = x.dimensions()[1], width = x.dimensions()[2];
+// x (B, H, W, C), dy (B, H - k + 1, W - k + 1, N) -> (P, k * k, C, N), or (P, k * k, N, C) if C > N; the larger of both >= kLanes.
+// The outermost `border` pixels of x are zeros. The sums of P groups of images stand apart, so that threads read different ones.
+// Every number of the result is summed by one thread in one order, however many there are.
+ffi::Future kernel_gradient(ffi::ThreadPool pool, Array x, Array dy, Index k, Index border, Result out) {
+  const Index images = x.dimensions()[0], height = x.dimensions()[1], width = x.dimensions()[2], groups = out->dimensions()[0];
   const bool x_first = x.dimensions()[3] <= dy.dimensions()[3];
   const Pixels x_pixels(x), dy_pixels(dy);
   const Index channels = std::min(x_pixels.pixel, dy_pixels.pixel), size = x_pixels.pixel * dy_pixels.pixel, shifts = k * k;
-  const Index threads = std::max<Index>(1, pool.num_threads());
-  const Index parts = std::min(threads, (channels + kRows - 1) / kRows), per = (channels + parts - 1) / parts;
-  const Index groups = std::min(shifts, (threads + parts - 1) / parts);
+  const Index wanted = (pool.num_threads() + groups - 1) / groups;  // threads for a group
+  const Index parts = std::clamp<Index>(wanted, 1, (channels + kRows - 1) / kRows), per = (channels + parts - 1) / parts;
+  const Index turns = std::clamp<Index>((wanted + parts - 1) / parts, 1, shifts);
   float* const result = out->typed_data();
-  auto next = std::make_shared<std::atomic<Index>>(0);
-
-  auto work = [=] {
-    for (Index unit; (unit = (*next)++) < parts * groups;) {
-      const Index first = unit % parts * per, last = std::min(channels, first + per), group = unit / parts;
-      if (first >= last) continue;
-      for (Index shift = group; shift < shifts; shift += groups)
-        std::memset(result + shift * size + first * (size / channels), 0, sizeof(float) * (last - first) * (size / channels));
-      const Index rows = images * std::min(height - 2 * border, height - k + 1);
-      const Index step = std::max<Index>(1, kPlaces / std::max<Index>(1, width));
-      for (Index row = 0; row < rows; row += step)
-        for (Index shift = group; shift < shifts; shift += groups) {
-          const Index i = shift / k, j = shift % k;  // of x, the pixels that are no border and that dy has
-          const Index top = std::max(border, i), bottom = std::min(height - border, height - k + 1 + i);
-          const Index left = std::max(border, j), right = std::min(width - border, width - k + 1 + j);
-          const Pixels from = x_pixels.moved(top, left), by = dy_pixels.moved(top - i, left - j);
-          const Slab slab{row, std::min(images * (bottom - top), row + step), bottom - top, right - left};
-          add(x_first ? from : by, x_first ? by : from, first, last, slab, result + shift * size);
-        }
-    }
-  };
-  ffi::CountDownPromise done(threads);
-  ffi::Future future(done);
-  for (Index thread = 0; thread < threads; ++thread)
-    pool.Schedule([=]() mutable {
-      work();
-      done.CountDown();
-    });
-  return future;
+  return parallel(pool, groups * parts * turns, [=](Index unit) {
+    const Index group = unit / (parts * turns), first = unit % parts * per, last = std::min(channels, first + per);
+    if (first >= last) return;
+    float* const sums = result + group * shifts * size;
+    const Index begin = group * images / groups, end = (group + 1) * images / groups;
+    const Index rows = (end - begin) * std::min(height - 2 * border, height - k + 1);
+    const Index step = std::max<Index>(1, kPlaces / std::max<Index>(1, width));
+    const Index turn = unit / parts % turns;
+    for (Index shift = turn; shift < shifts; shift += turns)
+      std::memset(sums + shift * size + first * (size / channels), 0, sizeof(float) * (last - first) * (size / channels));
+    for (Index row = 0; row < rows; row += step)
+      for (Index shift = turn; shift < shifts; shift += turns) {
+        const Index i = shift / k, j = shift % k;  // of x, the pixels that are no border and that dy has
+        const Index top = std::max(border, i), bottom = std::min(height - border, height - k + 1 + i);
+        const Index left = std::max(border, j), right = std::min(width - border, width - k + 1 + j);
+        if (top >= bottom || left >= right) continue;
+        const Pixels from = x_pixels.moved(top, left), by = dy_pixels.moved(top - i, left - j);
+        const Index before = begin * (bottom - top), after = end * (bottom - top);
+        const Slab slab{before + row, std::min(after, before + row + step), bottom - top, right - left};
+        add(x_first ? from : by, x_first ? by : from, first, last, slab, sums + shift * size);
+      }
+  });
 }
+
+}  // namespace
 
 XLA_FFI_DEFINE_HANDLER_SYMBOL(
     KernelGradient, kernel_gradient,

@@ -1,0 +1,133 @@
+"""The first and the last layer's convolution, in both forms, against the plain ones they replace."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.model import native, norm, outermost
+
+LAYOUT = ("NHWC", "HWIO", "NHWC")
+compiled = pytest.mark.skipif(not native.available(), reason="there is no C++ compiler")
+SHAPES = [
+    (3, 8, 16),
+    (1, 16, 32),
+    (2, 32, 48),
+    (2, 72, 16),
+    (5, 4, 16),
+]  # images, side, channels: tiles that fit and reach back
+
+
+def normal(*shape, dtype=jnp.float32):
+    return jnp.asarray(np.random.default_rng(sum(shape)).normal(size=shape), dtype)
+
+
+def plain_first(x, w):
+    return jax.lax.conv_general_dilated(x, w, (2, 2), 2 * [(1, 1)], dimension_numbers=LAYOUT)
+
+
+def plain_last(x, w):
+    return jax.lax.conv_transpose(x, w, (2, 2), "SAME", dimension_numbers=LAYOUT)
+
+
+def as_first(compiled):
+    def run(x, w):
+        blocks = outermost.first(x, w, compiled)
+        return norm.relayout(blocks, "blocks", "plain")
+
+    return run
+
+
+def as_last(compiled):
+    return lambda x, w: outermost.last(norm.relayout(x, "plain", "blocks"), w, compiled)
+
+
+def same_function(ours, reference, x, w, tolerance):
+    """Values and both gradients, with and without jit."""
+    for f in (ours, jax.jit(ours)):
+        expected, pull_expected = jax.vjp(reference, x, w)
+        got, pull = jax.vjp(f, x, w)
+        assert got.dtype == expected.dtype
+        np.testing.assert_allclose(got, expected, atol=tolerance * float(jnp.abs(expected).max()), rtol=0)
+        dy = normal(*expected.shape, dtype=expected.dtype)
+        for gradient, wanted in zip(pull(dy), pull_expected(dy), strict=True):
+            np.testing.assert_allclose(gradient, wanted, atol=tolerance * float(jnp.abs(wanted).max()), rtol=0)
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_windows_are_the_plain_convolutions(dtype):
+    with jax.enable_x64(dtype == jnp.float64):
+        tolerance = 1e-5 if dtype == jnp.float32 else 1e-12
+        x, w = normal(2, 12, 8, 2, dtype=dtype), normal(4, 4, 2, 3, dtype=dtype)
+        same_function(as_first(False), plain_first, x, w, tolerance)
+        x, w = normal(2, 6, 8, 3, dtype=dtype), normal(4, 4, 3, 1, dtype=dtype)
+        same_function(as_last(False), plain_last, x, w, tolerance)
+
+
+@compiled
+@pytest.mark.parametrize(("images", "side", "channels"), SHAPES)
+def test_compiled_forms_are_the_plain_convolutions(images, side, channels):
+    first, last = normal(4, 4, 1, channels), normal(4, 4, channels, 1)
+    assert "jaxunshear_Gather" in jax.jit(as_first(True)).lower(normal(images, side, side, 1), first).as_text()
+    same_function(as_first(True), plain_first, normal(images, side, side, 1), first, 1e-5)
+    x = normal(images, side // 2, side // 2, channels)
+    assert "jaxunshear_Scatter" in jax.jit(as_last(True)).lower(x, last).as_text()
+    same_function(as_last(True), plain_last, x, last, 1e-5)
+
+
+@compiled
+def test_what_lies_outside_is_zero_and_is_not_read():
+    x, k = normal(2, 12, 12, 1), normal(16, 16)
+    blocks = outermost.gather(x, k)
+    outside = np.repeat(norm.inside(4, 4), 16, -1) == 0
+    assert np.all(np.asarray(blocks)[:, outside] == 0)
+    garbage = jnp.where(outside, 7.0, blocks)
+    np.testing.assert_array_equal(outermost.scatter(garbage, k), outermost.scatter(blocks, k))
+    np.testing.assert_array_equal(outermost.outer(x, garbage), outermost.outer(x, blocks))
+
+
+@compiled
+def test_each_is_a_slope_of_the_others():
+    """Of both orders, and the form for other devices is the same."""
+    x, k = normal(2, 16, 16, 1), normal(16, 16)
+    y = norm.relayout(normal(2, 8, 8, 16), "plain", "blocks")
+    pairs = [
+        (outermost.gather, outermost._gather, x, k),
+        (outermost.scatter, outermost._scatter, y, k),
+        (outermost.outer, outermost._outer, x, y),
+    ]
+    for ours, reference, a, b in pairs:
+        same_function(ours, reference, a, b, 1e-5)
+        twice = [
+            jax.grad(lambda a, f=f, b=b: jnp.sum(jnp.sin(jax.grad(lambda b: jnp.sum(f(a, b) ** 2))(b) / 50)))(a)
+            for f in (ours, reference)
+        ]
+        np.testing.assert_allclose(*twice, atol=1e-4 * float(jnp.abs(twice[1]).max()), rtol=0)
+
+
+@compiled
+def test_twice_gives_the_same_bits():
+    x, w = normal(5, 32, 32, 1), normal(4, 4, 1, 32)
+    run = jax.jit(jax.grad(lambda w: jnp.sum(jnp.sin(outermost.first(x, w, True)))))
+    first = run(w)
+    for _ in range(5):
+        np.testing.assert_array_equal(run(w), first)
+
+
+@compiled
+@pytest.mark.parametrize("image", [(1, 8, 12, 1), (1, 8, 8, 3), (1, 10, 10, 1)])
+def test_other_images_are_left_to_xla(image):
+    assert not native.suits_image(jnp.zeros(image), jnp.zeros((4, 4, image[-1], 16)))
+    assert not native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 12)))
+    assert not native.suits_image(jnp.zeros((1, 8, 8, 1), jnp.bfloat16), jnp.zeros((4, 4, 1, 16), jnp.bfloat16))
+    assert native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 16)))
+    with native.taking("xla"):
+        assert not native.suits_image(jnp.zeros((1, 8, 8, 1)), jnp.zeros((4, 4, 1, 16)))
+
+
+def test_blocks_of_windows_keep_their_place():
+    x = normal(1, 8, 8, 1)
+    seen = outermost.windows(x)
+    assert seen.shape == (1, 3, 3, 36)
+    np.testing.assert_array_equal(seen[0, 1, 1].reshape(6, 6), x[0, 1:7, 1:7, 0])
+    np.testing.assert_array_equal(outermost.from_windows(jnp.ones((1, 3, 3, 36)))[0, :4, 0, 0], [1, 2, 2, 1])
