@@ -4,6 +4,7 @@
 #pragma once
 
 #include <algorithm>
+#include <type_traits>
 
 #include "parallel.h"
 
@@ -54,6 +55,13 @@ struct Vectors {
     for (Index i = 0; i < V; ++i) *reinterpret_cast<Vector*>(at + i * kLanes) = v[i];
   }
 };
+
+// Calls f(V, n) for all channels, V <= kMost vectors from channel n on.
+template <Index kMost, typename F>
+void for_channels(Index channels, F f, Index n = 0) {
+  for (; n + kMost * kLanes <= channels; n += kMost * kLanes) f(std::integral_constant<Index, kMost>(), n);
+  if constexpr (kMost > 1) for_channels<kMost - 1>(channels, f, n);
+}
 
 // Zeros around row r: its ends, and above the first or below the last row all of it.
 void frame(const Pixels<float>& y, Index b, Index r) {

@@ -1,7 +1,6 @@
 // Batch normalisation and ReLU between the layouts of an image, for XLA on a CPU (native.py compiles it, norm.py calls it).
 
 #include <algorithm>
-#include <type_traits>
 
 #include "layouts.h"
 #include "parallel.h"
@@ -9,18 +8,6 @@
 namespace {
 
 using Channels = ffi::Buffer<ffi::F32, 1>;
-
-// Calls f.operator()<V>(n) for all channels, V vectors from channel n on.
-template <typename F>
-void for_channels(Index channels, F f) {
-  for (Index n = 0; n < channels;) {
-    const Index left = (channels - n) / kLanes;
-    if (left >= 4) f(std::integral_constant<Index, 4>(), n), n += 4 * kLanes;
-    else if (left == 3) f(std::integral_constant<Index, 3>(), n), n += 3 * kLanes;
-    else if (left == 2) f(std::integral_constant<Index, 2>(), n), n += 2 * kLanes;
-    else f(std::integral_constant<Index, 1>(), n), n += kLanes;
-  }
-}
 
 // Calls f(r, c) for all columns of rows first <= r < last, two rows of a block together.
 template <typename F>
@@ -45,7 +32,7 @@ ffi::Future moments(ffi::ThreadPool pool, Array data, Index layout, Result out) 
     const Index b = unit / bands, first = unit % bands * rows;
     const float share = 1.f / (rows * x.columns);
     float* const to = result + unit * 2 * x.channels;
-    for_channels(x.channels, [&](auto width, Index n) {
+    for_channels<4>(x.channels, [&](auto width, Index n) {
       constexpr Index V = decltype(width)::value;
       Vectors<V> mean, variance;
       in_pairs(first, first + rows, x.columns, [&](Index r, Index c) {
@@ -72,7 +59,7 @@ ffi::Future affine_relu(ffi::ThreadPool pool, Array data, Channels factors, Chan
   return parallel(pool, x.images * pairs, [=](Index unit) {
     const Index b = unit / pairs, first = std::max<Index>(0, 2 * (unit % pairs) - 1), last = std::min(x.rows, 2 * (unit % pairs) + 1);
     for (Index r = first; r < last; ++r) frame(y, b, r);
-    for_channels(x.channels, [&](auto width, Index n) {
+    for_channels<4>(x.channels, [&](auto width, Index n) {
       constexpr Index V = decltype(width)::value;
       const Vectors<V> factor(factor_at + n), shift(shift_at + n);
       in_pairs(first, last, x.columns, [&](Index r, Index c) {
@@ -98,7 +85,7 @@ ffi::Future slopes(ffi::ThreadPool pool, Array data, Array cotangent, Channels f
   return parallel(pool, x.images * bands, [=](Index unit) {
     const Index b = unit / bands, first = unit % bands * rows;
     float* const sums = result + unit * 2 * x.channels;
-    for_channels(x.channels, [&](auto width, Index n) {
+    for_channels<4>(x.channels, [&](auto width, Index n) {
       constexpr Index V = decltype(width)::value;
       const Vectors<V> factor(factor_at + n), shift(shift_at + n), mean(mean_at + n);
       Vectors<V> sum, product;
@@ -127,7 +114,7 @@ ffi::Future gradient(ffi::ThreadPool pool, Array data, Array cotangent, Channels
   return parallel(pool, x.images * pairs, [=](Index unit) {
     const Index b = unit / pairs, first = std::max<Index>(0, 2 * (unit % pairs) - 1), last = std::min(x.rows, 2 * (unit % pairs) + 1);
     for (Index r = first; r < last; ++r) frame(dx, b, r);
-    for_channels(x.channels, [&](auto width, Index n) {
+    for_channels<4>(x.channels, [&](auto width, Index n) {
       constexpr Index V = decltype(width)::value;
       const Vectors<V> factor(factor_at + n), shift(shift_at + n), mean(mean_at + n), constant(constant_at + n), tilt(tilt_at + n);
       in_pairs(first, last, x.columns, [&](Index r, Index c) {

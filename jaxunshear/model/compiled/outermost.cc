@@ -45,15 +45,7 @@ class Strip {
   std::vector<float> rows_;
 };
 
-// Calls f.operator()<V>(n) for all channels, one or two vectors from channel n on.
-template <typename F>
-void for_channels(Index channels, F f) {
-  Index n = 0;
-  for (; n + 2 * kLanes <= channels; n += 2 * kLanes) f(std::integral_constant<Index, 2>(), n);
-  if (n < channels) f(std::integral_constant<Index, 1>(), n);
-}
-
-// Calls f.operator()<P>(j) for all columns, kTile of them at once; the last tile reaches back.
+// Calls f(P, j) for all columns, P = kTile of them from column j on; the last tile reaches back.
 template <typename F>
 void for_columns(Index columns, F f) {
   for (Index j = 0; j < columns; ++j) {
@@ -71,7 +63,7 @@ ffi::Future gather(ffi::ThreadPool pool, Array image, Kernel kernel, Result out)
     Strip strip(from + b * side * side, side);
     strip.read(i);
     frame(y, b, i);
-    for_channels(y.channels, [&](auto width, Index n) {
+    for_channels<2>(y.channels, [&](auto width, Index n) {
       constexpr Index V = decltype(width)::value;
       for_columns(y.columns, [&](auto many, Index j) {
         constexpr Index P = decltype(many)::value;
@@ -162,7 +154,7 @@ ffi::Future outer(ffi::ThreadPool pool, Array image, Array data, ffi::ResultBuff
     for (Index i = 0; i < x.rows; ++i) {
       strip.read(i);
       const float* const line = x.line(b, i);
-      for_channels(x.channels, [&](auto width, Index n) {
+      for_channels<2>(x.channels, [&](auto width, Index n) {
         constexpr Index V = decltype(width)::value;
         for (Index first = 0; first < kTaps; first += kTile) {
           constexpr Index rows = kTile / 4;
