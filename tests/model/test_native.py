@@ -2,8 +2,6 @@
 
 import os
 import re
-import shlex
-import shutil
 import subprocess
 import sys
 
@@ -14,8 +12,7 @@ import pytest
 
 from jaxunshear.model import conv, native
 
-COMPILER = shutil.which((shlex.split(os.environ.get("CXX", "")) or ["c++"])[0])
-compiled = pytest.mark.skipif(COMPILER is None, reason="there is no C++ compiler")
+compiled = pytest.mark.usefixtures("compiled")
 # k, border, C, N, images, H, W: tails of rows and of vectors, either array the wider, borders of every kind, several slabs
 CASES = [
     (1, 0, 3, 16, 3, 9, 7),
@@ -56,7 +53,6 @@ def test_it_is_the_sum_it_says(case):
     x, dy = arrays(*case)
     expected = by_definition(x, dy, k)
     for run in (native.kernel_gradient, jax.jit(native.kernel_gradient, static_argnums=(2, 3))):
-        assert native.available()
         np.testing.assert_allclose(run(x, dy, k, border), expected, atol=2e-6 * np.abs(expected).max(), rtol=0)
 
 
@@ -80,7 +76,6 @@ def test_the_network_takes_it_and_twice_gives_the_same_bits():
 def test_mapped_over_it_is_as_one_by_one():
     x, dy = (array.reshape(3, 2, *array.shape[1:]) for array in arrays(2, 0, 5, 16, 6, 6, 5))
     run = lambda x, dy: native.kernel_gradient(x, dy, 2, 0)  # noqa: E731
-    assert native.available()
     np.testing.assert_array_equal(jax.vmap(run)(x, dy), np.stack([run(a, b) for a, b in zip(x, dy, strict=True)]))
 
 
@@ -88,7 +83,6 @@ def test_mapped_over_it_is_as_one_by_one():
 def test_what_is_not_finite_is_passed_on():
     x, dy = arrays(2, 0, 8, 16, 2, 6, 5)
     x[0, 3, 2, 1] = np.nan
-    assert native.available()
     found = np.isnan(native.kernel_gradient(x, dy, 2, 0))
     assert found[:, :, 1].all() and found.sum() == 4 * 16
 

@@ -9,6 +9,7 @@ from flax import linen as nn
 from jaxunshear.model import conv, layers, native, norm
 
 LAYOUTS = [(a, b) for a in ("plain", "blocks") for b in native.LAYOUTS]
+compiled = pytest.mark.usefixtures("compiled")
 CHANNELS = (5, 32)  # XLA's passes alone, and the compiled ones
 
 
@@ -52,11 +53,10 @@ def test_equals_flax(source, target, channels):
     agree(ours, flax_norm_relu, inputs((3, 6, 8, channels)))
 
 
+@compiled
 @pytest.mark.parametrize(("source", "target"), LAYOUTS)
 def test_compiled_passes_are_xla_s(source, target):
     """Bands and tails of every kind."""
-    if not native.available():
-        pytest.skip("there is no C++ compiler")
     odd = [(32, 7, 5)] if "blocks" not in (source, target) else []
     for channels, rows, columns in [(16, 2, 2), (48, 6, 10), (80, 32, 32), (112, 24, 6), *odd]:
         x, factor, shift = inputs((3, rows, columns, channels))
@@ -82,9 +82,8 @@ def test_compiled_passes_are_xla_s(source, target):
                 np.testing.assert_allclose(other, one, atol=2e-6 * scale * (rows * columns) ** 0.5, rtol=0)
 
 
+@compiled
 def test_the_network_takes_the_compiled_passes_and_twice_gives_the_same_bits():
-    if not native.available():
-        pytest.skip("there is no C++ compiler")
     x, scale, bias = inputs((5, 9, 9, 4 * 32))
     scale, bias = scale[:32], bias[:32]
     grad = jax.jit(jax.grad(lambda x: jnp.sum(jnp.sin(norm.norm_relu(x, scale, bias, "blocks", "padded")[0]))))

@@ -8,7 +8,7 @@ import pytest
 from jaxunshear.model import native, norm, outermost
 
 LAYOUT = ("NHWC", "HWIO", "NHWC")
-compiled = pytest.mark.skipif(not native.available(), reason="there is no C++ compiler")
+compiled = pytest.mark.usefixtures("compiled")
 SHAPES = [
     (3, 8, 16),
     (1, 16, 32),
