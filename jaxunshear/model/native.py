@@ -1,7 +1,7 @@
 """What a training on a CPU takes in a form that is compiled for the processor at hand (`compiled/`): gradients of kernels, the layers
 next to the image, and the normalisation.
 
-The first training on a machine compiles them, in about 5 s, with the C++ compiler ($CXX, or c++) and the headers that JAX brings, and
+The first training on a machine compiles them, in about 10 s, with the C++ compiler ($CXX, or c++) and the headers that JAX brings, and
 keeps them in the cache folder. Without a compiler, or with CXX=none, `conv.py`, `outermost.py` and `norm.py` take XLA's forms, which are as
 exact, and slower.
 """
@@ -30,10 +30,10 @@ from jax import Array
 from jaxunshear.errors import Note, first_line
 from jaxunshear.storage import cache_folder
 
-SOURCES = sorted(Path(__file__).with_name("compiled").iterdir())
+SOURCES = sorted(Path(__file__).with_name("compiled").glob("*.[ch]*"))
 SYMBOLS = ("KernelGradient", "Gather", "Scatter", "Outer", "Moments", "AffineRelu", "Slopes", "Gradient")
 NAMES = {symbol: f"jaxunshear_{symbol}" for symbol in SYMBOLS}
-LAYOUTS = ("plain", "padded", "blocks")  # in the order of norm_relu.cc
+LAYOUTS = ("plain", "padded", "blocks")  # in the order of layouts.h
 GROUPS, SPREAD = 8, 8  # of images at most; floats read, at least, for one of the sums that they hold apart
 BAND = 16384  # floats at most, of which moments and slopes are summed at once
 WIDEST = 16  # floats of a vector, at most
@@ -44,10 +44,10 @@ _form = contextvars.ContextVar("form", default="compiled")
 
 
 @contextlib.contextmanager
-def taking(form: str) -> Iterator[None]:
+def taking(name: str) -> Iterator[None]:
     """What is traced herein takes this form: "compiled", the default; "xla", that of machines without a compiler; "counted", of which XLA
     counts the operations, slow on a CPU."""
-    token = _form.set(form)
+    token = _form.set(name)
     try:
         yield
     finally:
