@@ -98,9 +98,9 @@ def test_other_numbers_and_few_channels_are_left_to_xla(kind):
 
 
 def told(environment, code="print(native.available(), native.available())") -> tuple[str, str]:
-    """What a process of its own says: whether there is a compiled form, and its notes."""
+    """What a process of its own says: whether there is a compiled form (in haste, not optimised), and its notes."""
     environment = {**os.environ, "PYTHONWARNINGS": "always", **environment}
-    command = [sys.executable, "-c", f"from jaxunshear.model import native; {code}"]
+    command = [sys.executable, "-c", f"from jaxunshear.model import native; native.FLAGS += ('-O0',); {code}"]
     process = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert process.returncode == 0, process.stderr
     return process.stdout.split()[0], process.stderr

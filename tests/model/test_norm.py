@@ -37,8 +37,15 @@ def agree(ours, reference, arguments):
             np.testing.assert_allclose(gradient, gradient_expected, atol=3e-4)
 
 
-@pytest.mark.parametrize("channels", CHANNELS)
-@pytest.mark.parametrize(("source", "target"), LAYOUTS)
+@pytest.mark.parametrize(
+    ("source", "target", "channels"),
+    [
+        *((*layouts, 5) for layouts in LAYOUTS),
+        ("plain", "blocks", 32),
+        ("blocks", "padded", 32),
+        ("blocks", "blocks", 32),
+    ],
+)
 def test_equals_flax(source, target, channels):
     """Garbage outside the image reaches neither the statistics nor the output, and gets no gradient."""
 
@@ -58,7 +65,7 @@ def test_equals_flax(source, target, channels):
 def test_compiled_passes_are_xla_s(source, target):
     """Bands and tails of every kind."""
     odd = [(32, 7, 5)] if "blocks" not in (source, target) else []
-    for channels, rows, columns in [(16, 2, 2), (48, 6, 10), (80, 32, 32), (112, 24, 6), *odd]:
+    for channels, rows, columns in [(16, 2, 2), (112, 6, 10), (80, 32, 32), *odd]:
         x, factor, shift = inputs((3, rows, columns, channels))
         x = norm.relayout(x, "plain", source)
         dy = norm.relayout(inputs((3, rows, columns, channels))[0][::-1], "plain", target)
