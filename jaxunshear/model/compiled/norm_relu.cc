@@ -23,6 +23,17 @@ void in_pairs(Index first, Index last, Index columns, F f) {
   }
 }
 
+// Calls work(b, first, last) for the rows of all images of y, those of a block together, and frames them with zeros.
+template <typename F>
+ffi::Future in_blocks(ffi::ThreadPool pool, const Pixels<float>& y, F work) {
+  const Index pairs = y.rows / 2 + 1;
+  return parallel(pool, y.images * pairs, [=](Index unit) {
+    const Index b = unit / pairs, pair = unit % pairs, first = std::max<Index>(0, 2 * pair - 1), last = std::min(y.rows, 2 * pair + 1);
+    for (Index r = first; r < last; ++r) frame(y, b, r);
+    work(b, first, last);
+  });
+}
+
 // Mean and mean squared deviation of every band's pixels: (bands, 2, channels).
 ffi::Future moments(ffi::ThreadPool pool, Array data, Index layout, Result out) {
   const auto x = pixels(data, layout);
@@ -55,10 +66,7 @@ ffi::Future affine_relu(ffi::ThreadPool pool, Array data, Channels factors, Chan
   const auto x = pixels(data, from);
   const auto y = pixels(out, to);
   const float *factor_at = factors.typed_data(), *shift_at = shifts.typed_data();
-  const Index pairs = x.rows / 2 + 1;
-  return parallel(pool, x.images * pairs, [=](Index unit) {
-    const Index b = unit / pairs, first = std::max<Index>(0, 2 * (unit % pairs) - 1), last = std::min(x.rows, 2 * (unit % pairs) + 1);
-    for (Index r = first; r < last; ++r) frame(y, b, r);
+  return in_blocks(pool, y, [=](Index b, Index first, Index last) {
     for_channels<4>(x.channels, [&](auto width, Index n) {
       constexpr Index V = decltype(width)::value;
       const Vectors<V> factor(factor_at + n), shift(shift_at + n);
@@ -110,10 +118,7 @@ ffi::Future gradient(ffi::ThreadPool pool, Array data, Array cotangent, Channels
   const auto dx = pixels(out, from);
   const float *factor_at = factors.typed_data(), *shift_at = shifts.typed_data(), *mean_at = means.typed_data();
   const float *constant_at = constants.typed_data(), *tilt_at = tilts.typed_data();
-  const Index pairs = x.rows / 2 + 1;
-  return parallel(pool, x.images * pairs, [=](Index unit) {
-    const Index b = unit / pairs, first = std::max<Index>(0, 2 * (unit % pairs) - 1), last = std::min(x.rows, 2 * (unit % pairs) + 1);
-    for (Index r = first; r < last; ++r) frame(dx, b, r);
+  return in_blocks(pool, dx, [=](Index b, Index first, Index last) {
     for_channels<4>(x.channels, [&](auto width, Index n) {
       constexpr Index V = decltype(width)::value;
       const Vectors<V> factor(factor_at + n), shift(shift_at + n), mean(mean_at + n), constant(constant_at + n), tilt(tilt_at + n);
