@@ -25,7 +25,7 @@ PRECISIONS = ("float32", "bfloat16")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
 # Fields of `Training` that no PoseNet's training reads.
-PAIR_LOSSES = ("patch_weight", "crops", "crop_px", "reconstruction_weight", "pose_weight")
+PAIR_LOSSES = ("patch_weight", "crops", "crop_px", "reconstruction_weight", "pose_weight", "label_weight")
 FEWEST_POSES = 5  # the smallest number that 60:20:20 splits exactly
 
 
@@ -42,6 +42,11 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
     pairs = _train_poses(paired) * len(paired.stimuli) * paired.slides
     yield from _training(experiment.train, "train", pairs)
     yield from _pair_losses(experiment.train, experiment.unshear.size)
+    yield (
+        not experiment.train.label_weight or "unet" not in experiment.networks,
+        "train.label_weight",
+        "asks for a code to read the pose off, and the network unet has none: leave one of the two out",
+    )
     taps = _train_poses(pose) * len(pose.stimuli)
     posenets = ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
     for name in posenets:
@@ -324,7 +329,7 @@ def _training(training: Training, group: str, examples: int) -> Iterator[Rule]:
 
 
 def _pair_losses(training: Training, size: int) -> Iterator[Rule]:
-    for field in ("patch_weight", "reconstruction_weight", "pose_weight"):
+    for field in ("patch_weight", "reconstruction_weight", "pose_weight", "label_weight"):
         yield getattr(training, field) >= 0, f"train.{field}", "must not be below zero"
     yield training.crops >= 1, "train.crops", "must be at least 1; train.patch_weight 0 switches the patch loss off"
     yield 1 <= training.crop_px <= size, "train.crop_px", f"must be 1 to the image's {size} px"

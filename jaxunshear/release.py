@@ -14,7 +14,7 @@ from jaxunshear.storage import read_json, write_json, write_text
 PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none is named
     "disentangled": ("E", "pose", "DC"),
     "posenet": (),
-    "entangled": (),
+    "entangled": ("E", "DC"),
     "posenet_sheared": (),
 }
 NEEDED = ("disentangled", "posenet")

@@ -130,7 +130,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training = training_of(experiment, network)
     examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
-    fields = FIELDS.get(network, ("canonical", "sheared"))
+    fields = FIELDS.get(network, ("canonical", "sheared", *(("pose", "edge") if training.label_weight else ())))
     batches = examples.train_batches(training.batch, seed, training.shift, fields)
     common: dict[str, Any] = {
         "training": training,
@@ -145,7 +145,9 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
     else:
         teacher = _teacher(experiment, folder) if training.pose_weight else None
-        summary = train_unshear(unshear_net(experiment.unshear, network), teacher=teacher, **common)
+        summary = train_unshear(
+            unshear_net(experiment.unshear, network), teacher=teacher, ranges=settings.ranges, **common
+        )
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
@@ -180,7 +182,7 @@ def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
 
 def _as_image(batch: dict[str, Any]) -> dict[str, Any]:
     """PoseNet's training names whatever it looks at "image"."""
-    return {"image" if name == "sheared" and "pose" in batch else name: values for name, values in batch.items()}
+    return {"image" if name == "sheared" and "canonical" not in batch else name: x for name, x in batch.items()}
 
 
 def _first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Any]]:

@@ -62,7 +62,8 @@ def unshear(net: settings.UNet, variables: Variables, images: Array) -> Array:
     return jax.nn.sigmoid(logits)
 
 
-def reconstruct(net: settings.UNet, variables: Variables, images: Array) -> tuple[Array, None, Variables]:
-    """The training pass: logits of the canonical image, nothing in the place of the sheared one, new running statistics."""
+def reconstruct(net: settings.UNet, variables: Variables, images: Array) -> tuple[Array, None, None, Variables]:
+    """The training pass: logits of the canonical image, nothing in the places of the sheared one and of a code, new running
+    statistics."""
     canonical, updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])
-    return canonical, None, updates["batch_stats"]
+    return canonical, None, None, updates["batch_stats"]

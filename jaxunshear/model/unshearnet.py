@@ -83,9 +83,9 @@ class Network(nn.Module):
     def unshear(self, images: Array, train: bool) -> Array:
         return jax.nn.sigmoid(self.DC(self.encode_pose(images, train), train))
 
-    def __call__(self, images: Array, train: bool) -> tuple[Array, Array | None]:
+    def __call__(self, images: Array, train: bool) -> tuple[Array, Array | None, Array]:
         z_p, z_s = self.encode(images, train)
-        return self.DC(z_p, train), None if z_s is None else self.decode_sheared(z_p, z_s, train)
+        return self.DC(z_p, train), None if z_s is None else self.decode_sheared(z_p, z_s, train), z_p
 
 
 def init(net: UnshearNet, key: Array) -> Variables:
@@ -153,11 +153,17 @@ def unshear(net: UnshearNet, variables: Variables, images: Array) -> Array:
     return _apply(net, variables, "unshear", images, train=False)
 
 
-def reconstruct(net: UnshearNet, variables: Variables, images: Array) -> tuple[Array, Array | None, Variables]:
-    """The training pass over sheared images: logits of the canonical and the sheared image (None without DS), and the
-    updated running statistics."""
-    (canonical, sheared), updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])
-    return canonical, sheared, updates["batch_stats"]
+def reconstruct(net: UnshearNet, variables: Variables, images: Array) -> tuple[Array, Array | None, Array, Variables]:
+    """The training pass over sheared images: logits of the canonical and the sheared image (None without DS), the pose code,
+    and the updated running statistics."""
+    (canonical, sheared, z_p), updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])
+    return canonical, sheared, z_p, updates["batch_stats"]
+
+
+def code_shape(net: UnshearNet) -> tuple[int, int, int]:
+    """Of z_p, without the batch: (s, s, channels)."""
+    side = net.size // 2 ** len(net.widths)
+    return side, side, net.pose_channels if net.disentangled else net.widths[-1]
 
 
 def _apply(net: UnshearNet, variables: Variables, method: str, *inputs: Array, train: bool) -> Any:

@@ -62,16 +62,17 @@ def train_unshear(
     epoch_images: int,
     origin: Any = None,
     teacher: Callable[[Array], Array] | None = None,
+    ranges: Ranges | None = None,
 ) -> Summary:
     """Train an UnshearNet, entangled or not, or a U-Net into `folder`, or go on where it stopped, or return at once if
     finished.
 
     Batches: {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}. `epoch_images` pairs are one epoch. `origin` is
     any JSON that says where the data come from; a folder trained from another origin or with other settings is refused.
-    `teacher` as in `unshear_task`.
+    `teacher`, `ranges` and what `label_weight` asks of the batches as in `unshear_task`.
     Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
     """
-    task = unshear_task(net, training, teacher)
+    task = unshear_task(net, training, teacher, ranges)
     asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
     return _train(task, training, batches, validation, seed, Path(folder), epoch_images, asked | {"origin": origin})
 

@@ -24,6 +24,7 @@ class Training:
     crop_px: int = 20
     reconstruction_weight: float = 1.0
     pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against what it reads off the tap
+    label_weight: float = 0.0  # of the pose that a head reads off z_p, against the true one; 0 builds no head
     precision: str = "float32"  # of the convolutions; or "bfloat16"
     averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
     shift: float = 0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)

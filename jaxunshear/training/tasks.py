@@ -11,7 +11,7 @@ from jax import Array
 
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.model import posenet, settings, unet, unshearnet
+from jaxunshear.model import pose_head, posenet, settings, unet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.training import losses
 from jaxunshear.training.settings import Training
@@ -33,11 +33,15 @@ class Task:
 
 
 def unshear_task(
-    net: settings.UnshearNet | settings.UNet, training: Training, teacher: Callable[[Array], Array] | None = None
+    net: settings.UnshearNet | settings.UNet,
+    training: Training,
+    teacher: Callable[[Array], Array] | None = None,
+    ranges: Ranges | None = None,
 ) -> Task:
     """Of an entangled or disentangled UnshearNet, or a U-Net; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
 
-    `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, 5), needed for `pose_weight` alone.
+    `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, 5), needed for `pose_weight` alone;
+    `ranges` of the poses are needed for `label_weight` alone, as are {"pose"} (B, 4) and {"edge"} (B, 2) in the batches.
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
     crop = training.crop_px
@@ -55,11 +59,20 @@ def unshear_task(
     kind = "unet" if isinstance(net, settings.UNet) else "unshear"
     module: Any = unet if kind == "unet" else unshearnet
     _checked(module.check, net)
-    init, reconstruct = partial(module.init, net), partial(module.reconstruct, net)
+    reconstruct = partial(module.reconstruct, net)
+    init, labelled = partial(module.init, net), None
+    if training.label_weight:
+        if isinstance(net, settings.UNet):
+            raise UserError(
+                "label_weight: a U-Net has no code to read the pose off: leave unet out, or use label_weight 0"
+            )
+        if ranges is None:
+            raise UserError("label_weight: poses are scaled by their ranges: give them, or use label_weight 0")
+        init, labelled = partial(_init_with_head, net), partial(_labelled, ranges)
 
     def terms(variables, batch, key):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
-        logits, sheared_logits, batch_stats = reconstruct(variables, in_precision(sheared, training.precision))
+        logits, sheared_logits, code, batch_stats = reconstruct(variables, in_precision(sheared, training.precision))
         image = jax.nn.sigmoid(logits)
         named = {"supervised": losses.supervised(image, canonical)}
         if training.patch_weight:
@@ -67,6 +80,8 @@ def unshear_task(
             named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, crop))
         if watch:
             named["pose"] = watch(image, canonical)
+        if labelled:
+            named["label"] = losses.pose(*labelled(variables, code, batch), posenet.WEIGHTS)
         if sheared_logits is not None:
             named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
         return named, batch_stats
@@ -83,6 +98,10 @@ def unshear_task(
             if z_s is not None:
                 again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
                 named["reconstruction"] = losses.reconstruction(again, sheared)
+            if labelled:
+                outputs, targets = labelled(variables, z_p, batch)
+                named |= {"label": losses.pose(outputs, targets, posenet.WEIGHTS)}
+                named |= _pose_errors(outputs, targets, ranges)
         if watch:
             named["pose"] = watch(image, canonical)
         return {"supervised": losses.supervised(image, canonical)} | named
@@ -91,6 +110,7 @@ def unshear_task(
         "supervised": 1.0,
         "patch": training.patch_weight,
         "pose": training.pose_weight,
+        "label": training.label_weight,
         "reconstruction": training.reconstruction_weight,
     }
     return Task(kind, init, terms, weights, validate, "supervised")
@@ -108,10 +128,7 @@ def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> T
     def validate(variables, batch):
         outputs = posenet.predict(net, variables, _unit(batch["image"]))
         targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
-        got, true = posenet.pose_from_outputs(outputs, ranges), posenet.pose_from_outputs(targets, ranges)
-        turn = {"edge_deg": 360.0}
-        errors = {name: jnp.abs(_wrapped(got[name] - true[name], turn.get(name))) for name in got}
-        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)} | errors
+        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)} | _pose_errors(outputs, targets, ranges)
 
     _checked(posenet.check, net)
     return Task("posenet", lambda key: posenet.init(net, key), terms, {"pose": 1.0}, validate, "pose")
@@ -120,6 +137,26 @@ def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> T
 def _watched(teacher: Callable[[Array], Array], image: Array, canonical: Array) -> Array:
     """How far apart the poses lie that `teacher` reads off both images (B,): nothing that a label would tell enters."""
     return losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS)
+
+
+def _init_with_head(net: settings.UnshearNet, key: Array) -> Tree:
+    """Variables of the network, the very ones it has without a head, and the head's parameters beside them."""
+    variables = unshearnet.init(net, key)
+    head = pose_head.init(unshearnet.code_shape(net), jax.random.fold_in(key, 1))
+    return variables | {"params": variables["params"] | {"head": head}}
+
+
+def _labelled(ranges: Ranges, variables: Tree, code: Array, batch: Batch) -> tuple[Array, Array]:
+    """What the head reads off the pose code, and what it should, (B, 5) each."""
+    outputs = pose_head.predict(variables["params"]["head"], code)
+    return outputs, posenet.pose_targets(batch["pose"], batch["edge"], ranges)
+
+
+def _pose_errors(outputs: Array, targets: Array, ranges: Ranges) -> dict[str, Array]:
+    """Absolute errors in mm and deg by quantity, each (B,)."""
+    got, true = posenet.pose_from_outputs(outputs, ranges), posenet.pose_from_outputs(targets, ranges)
+    turn = {"edge_deg": 360.0}
+    return {name: jnp.abs(_wrapped(got[name] - true[name], turn.get(name))) for name in got}
 
 
 def _unit(images: Array) -> Array:

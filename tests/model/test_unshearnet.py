@@ -54,7 +54,8 @@ def test_entangled_has_one_code_and_one_decoder(images):
     z, nothing = unshearnet.encode(ENTANGLED, variables, images)
     assert nothing is None
     assert z.shape == (5, 4, 4, 8)
-    canonical, sheared, _ = unshearnet.reconstruct(ENTANGLED, variables, images)
+    canonical, sheared, code, _ = unshearnet.reconstruct(ENTANGLED, variables, images)
+    assert code.shape == (5, *unshearnet.code_shape(ENTANGLED))
     assert canonical.shape == images.shape
     assert sheared is None
 
@@ -84,7 +85,7 @@ def test_one_sum_gives_each_module_the_gradient_of_the_papers_own_loss(variables
     corners = losses.random_corners(jax.random.key(2), 5, 10, 32, 8)
 
     def loss(params, names):
-        canonical, sheared, _ = unshearnet.reconstruct(NET, variables | {"params": params}, images)
+        canonical, sheared, _, _ = unshearnet.reconstruct(NET, variables | {"params": params}, images)
         canonical, sheared = jax.nn.sigmoid(canonical), jax.nn.sigmoid(sheared)
         terms = {
             "rec": losses.reconstruction(sheared, images),
@@ -143,7 +144,7 @@ def test_bfloat16_images_round_products_and_nothing_else(images):
 
     def loss(params, precision):
         given = in_precision(images, precision)
-        canonical, sheared, statistics = unshearnet.reconstruct(net, start | {"params": params}, given)
+        canonical, sheared, _, statistics = unshearnet.reconstruct(net, start | {"params": params}, given)
         assert canonical.dtype == jnp.float32
         found = [jax.nn.sigmoid(x) for x in (canonical, sheared)]
         return sum(losses.supervised(x, images).mean() for x in found), statistics

@@ -1,4 +1,4 @@
-"""The loss that reads a pose off the unsheared image."""
+"""The losses that read a pose: off the unsheared image, and off the pose code."""
 
 import sys
 from dataclasses import replace
@@ -10,8 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.model import pose_head, posenet, unet, unshearnet
 from jaxunshear.model.settings import UNet
 from jaxunshear.training import losses
 from jaxunshear.training.tasks import _watched, unshear_task
@@ -92,3 +93,60 @@ def test_a_u_net_can_be_taught_too(teacher):
 def test_a_weight_without_a_teacher_is_refused():
     with pytest.raises(UserError, match="pose_weight"):
         unshear_task(small.NET, WATCHED)
+
+
+LABELLED = replace(small.TRAINING, label_weight=0.5)
+
+
+def with_poses(batch):
+    poses = jax.random.uniform(jax.random.key(8), (len(batch["sheared"]), 6), minval=-1.0)
+    return batch | {"pose": poses[:, :4] * np.array([5, 5, 45, 1]), "edge": poses[:, 4:] * np.array([5, 180])}
+
+
+@pytest.mark.parametrize("net", [small.NET, replace(small.NET, disentangled=False)], ids=["disentangled", "entangled"])
+def test_labels_teach_what_makes_the_pose_code_and_nothing_else(net):
+    task, batch = unshear_task(net, LABELLED, ranges=Ranges()), with_poses(small.pair(3, 4))
+    gradient = gradient_of(task, task.init(jax.random.key(0)), batch, "label")
+    largest = {
+        name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part)) for name, part in gradient.items()
+    }
+    reached = {name for name in largest if largest[name] > 0}
+    assert reached == {"E", "pose", "head"} & set(gradient)
+    assert task.weights["label"] == 0.5
+
+
+def test_the_label_term_is_posenets_loss_of_what_the_head_reads():
+    task, batch = unshear_task(small.NET, LABELLED, ranges=Ranges()), with_poses(small.pair(3, 4))
+    variables = task.init(jax.random.key(0))
+    named = task.validate(variables, batch)
+    z_p, _ = unshearnet.encode(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    assert z_p.shape[1:] == unshearnet.code_shape(small.NET)
+    outputs = pose_head.predict(variables["params"]["head"], z_p)
+    targets = posenet.pose_targets(batch["pose"], batch["edge"], Ranges())
+    np.testing.assert_allclose(named["label"], losses.pose(outputs, targets, posenet.WEIGHTS), rtol=1e-5)
+    read = posenet.pose_from_outputs(outputs, Ranges())
+    np.testing.assert_allclose(named["x_mm"], jnp.abs(read["x_mm"] - batch["pose"][:, 0]), rtol=1e-4, atol=1e-5)
+    assert float(named["edge_deg"].max()) <= 180
+
+
+def test_a_head_changes_nothing_of_the_network_it_starts_beside():
+    plain, labelled = (
+        unshear_task(small.NET, t, ranges=Ranges()).init(jax.random.key(0)) for t in (small.TRAINING, LABELLED)
+    )
+    assert set(labelled["params"]) == {*plain["params"], "head"}
+    kept = {name: labelled["params"][name] for name in plain["params"]}
+    jax.tree.map(np.testing.assert_array_equal, kept, plain["params"])
+
+
+def test_without_weight_there_is_no_head_and_no_label_is_read():
+    task = unshear_task(small.NET, small.TRAINING, ranges=Ranges())
+    variables = task.init(jax.random.key(0))
+    assert "label" not in task.terms(variables, small.pair(3, 4), jax.random.key(2))[0]
+    assert "label" not in task.validate(variables, small.pair(3, 4))
+
+
+def test_labels_without_a_code_or_without_ranges_are_refused():
+    with pytest.raises(UserError, match="label_weight: a U-Net has no code"):
+        unshear_task(UNet(small.SIZE, small.NET.widths), LABELLED, ranges=Ranges())
+    with pytest.raises(UserError, match="label_weight: poses are scaled"):
+        unshear_task(small.NET, LABELLED)
