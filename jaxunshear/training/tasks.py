@@ -81,7 +81,7 @@ def unshear_task(
         if watch:
             named["pose"] = watch(image, canonical)
         if labelled:
-            named["label"] = losses.pose(*labelled(variables, code, batch), posenet.WEIGHTS)
+            named["label"] = labelled(variables, code, batch)["label"]
         if sheared_logits is not None:
             named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
         return named, batch_stats
@@ -99,9 +99,7 @@ def unshear_task(
                 again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
                 named["reconstruction"] = losses.reconstruction(again, sheared)
             if labelled:
-                outputs, targets = labelled(variables, z_p, batch)
-                named |= {"label": losses.pose(outputs, targets, posenet.WEIGHTS)}
-                named |= _pose_errors(outputs, targets, ranges)
+                named |= labelled(variables, z_p, batch)
         if watch:
             named["pose"] = watch(image, canonical)
         return {"supervised": losses.supervised(image, canonical)} | named
@@ -146,10 +144,11 @@ def _init_with_head(net: settings.UnshearNet, key: Array) -> Tree:
     return variables | {"params": variables["params"] | {"head": head}}
 
 
-def _labelled(ranges: Ranges, variables: Tree, code: Array, batch: Batch) -> tuple[Array, Array]:
-    """What the head reads off the pose code, and what it should, (B, 5) each."""
+def _labelled(ranges: Ranges, variables: Tree, code: Array, batch: Batch) -> dict[str, Array]:
+    """PoseNet's loss of what the head reads off the pose code, and the errors in mm and deg, each (B,)."""
     outputs = pose_head.predict(variables["params"]["head"], code)
-    return outputs, posenet.pose_targets(batch["pose"], batch["edge"], ranges)
+    targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
+    return {"label": losses.pose(outputs, targets, posenet.WEIGHTS)} | _pose_errors(outputs, targets, ranges)
 
 
 def _pose_errors(outputs: Array, targets: Array, ranges: Ranges) -> dict[str, Array]:
