@@ -24,6 +24,7 @@ def refusal(words: str) -> str:
         ("crop_px", "10", "20"),
         ("reconstruction_weight", "0.3", "1"),
         ("pose_weight", "1", "0"),
+        ("label_weight", "1", "0"),
     ],
 )
 def test_posenets_training_has_no_losses_of_pairs(field, value, default):
@@ -37,6 +38,12 @@ def test_a_teachers_training_is_judged_where_there_is_one():
     validate(override(PLAIN, words))
     assert refusal(" ".join([*words, "--train.pose_weight 0.1"])).startswith("--train_teacher.batch 100000: ")
     assert "leave it at 100" in refusal("--train.pose_weight 0.1 --train_teacher.crops 5")
+
+
+def test_labels_need_a_code_to_be_read_off():
+    words = ["--train.label_weight", "0.5", "--networks"]
+    assert refusal(" ".join([*words, "unet,posenet"])).startswith("--train.label_weight 0.5: ")
+    validate(override(PLAIN, [*words, "entangled,disentangled,posenet"]))
 
 
 def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():

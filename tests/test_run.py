@@ -123,6 +123,25 @@ def test_a_network_is_taught_by_a_posenet_that_the_results_do_not_know(finished,
     assert "pose" not in plain["train"]
 
 
+def test_a_head_that_learns_poses_is_for_training_alone(finished, command, tmp_path):
+    words = [
+        "--data",
+        finished / "datasets",
+        "--train.label_weight",
+        0.5,
+        "--networks",
+        "entangled,disentangled,posenet",
+    ]
+    done = command("run", TINY, "--out", tmp_path, *words)
+    assert done.code == 0, done.err
+    logged = json.loads((tmp_path / "tiny" / "entangled" / "log.jsonl").read_text().splitlines()[-1])
+    assert logged["train"]["label"] > 0 and {"label", "x_mm", "edge_deg"} <= set(logged["validation"])
+    assert command("release", tmp_path / "tiny", "--out", tmp_path / "weights").code == 0
+    for network in ("entangled", "disentangled"):
+        with np.load(tmp_path / "weights" / network / "weights.npz") as file:
+            assert not any("head" in name for name in file) and any("DC" in name for name in file)
+
+
 def test_the_networks_take_images_of_people(finished, command, tmp_path):
     """Grey pins, colour, sixteen bits: all come out as images of the network's size, with a table of poses."""
     rows, columns = np.mgrid[:300, :300]
