@@ -4,7 +4,7 @@ A rule is (holds, dotted field name, what is wrong and what to do instead). Late
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import fields, replace
 
 from jaxunshear.contact.rings import deepest_mm
@@ -19,6 +19,7 @@ Rule = tuple[bool, str, str]
 
 # The keys of `scene.stimuli.STIMULI`, which imports JAX; a test holds the two together.
 STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2")
+MIRROR_IMAGES = ("disk", "clover", "teardrop", "flower", "leaf")  # of themselves, left and right of the target's normal
 SCHEDULES = ("cosine", "steps")
 OPTIMISERS = ("adam", "muon")
 PRECISIONS = ("float32", "bfloat16")
@@ -47,11 +48,15 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
         "train.label_weight",
         "asks for a code to read the pose off, and the network unet has none: leave one of the two out",
     )
+    yield from _mirror(experiment.train, "train", paired.stimuli)
     taps = _train_poses(pose) * len(pose.stimuli)
     posenets = ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
     for name in posenets:
         training = getattr(experiment, name)
         yield from _training(training, name, taps)
+        yield from _mirror(
+            training, name, {*pose.stimuli, *(paired.stimuli if "posenet_sheared" in experiment.networks else ())}
+        )
         for field in PAIR_LOSSES:
             value, unused = getattr(training, field), getattr(Training(), field)
             yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {unused:g}"
@@ -326,6 +331,15 @@ def _training(training: Training, group: str, examples: int) -> Iterator[Rule]:
     yield 0 <= training.shift <= 0.25, f"{group}.shift", "use a fraction of the image, 0 to 0.25"
     yield training.validate_every >= 1, f"{group}.validate_every", "must be at least 1"
     yield training.validation_images >= 1, f"{group}.validation_images", "must be at least 1"
+
+
+def _mirror(training: Training, group: str, stimuli: Iterable[str]) -> Iterator[Rule]:
+    others = ", ".join(sorted(set(stimuli) - set(MIRROR_IMAGES)))
+    yield (
+        not training.mirror or not others,
+        f"{group}.mirror",
+        f"shows poses of {others} that are none: leave it at false",
+    )
 
 
 def _pair_losses(training: Training, size: int) -> Iterator[Rule]:

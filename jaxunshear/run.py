@@ -131,7 +131,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     training = training_of(experiment, network)
     examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
     fields = FIELDS.get(network, ("canonical", "sheared", *(("pose", "edge") if training.label_weight else ())))
-    batches = examples.train_batches(training.batch, seed, training.shift, fields)
+    batches = examples.train_batches(training.batch, seed, training.shift, fields, training.mirror)
     common: dict[str, Any] = {
         "training": training,
         "batches": lambda start: map(_as_image, batches(start)),

@@ -40,6 +40,14 @@ def test_a_teachers_training_is_judged_where_there_is_one():
     assert "leave it at 100" in refusal("--train.pose_weight 0.1 --train_teacher.crops 5")
 
 
+def test_a_mirror_is_for_shapes_that_are_their_own_mirror_images():
+    assert refusal("--train.mirror true --paired.stimuli disk,spiral_1").startswith("--train.mirror ")
+    assert refusal("--train_posenet.mirror true --pose.stimuli disk,spiral_1").startswith("--train_posenet.mirror ")
+    words = ["--train.mirror", "true", "--train_posenet.mirror", "true", "--unseen", "spiral_1,leaf"]
+    assert override(PLAIN, words).train.mirror is True
+    validate(override(PLAIN, words))
+
+
 def test_labels_need_a_code_to_be_read_off():
     words = ["--train.label_weight", "0.5", "--networks"]
     assert refusal(" ".join([*words, "unet,posenet"])).startswith("--train.label_weight 0.5: ")
