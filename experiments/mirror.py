@@ -2,9 +2,10 @@
 
     jaxunshear sweep experiments/mirror.py
 
-Expected on two cores: ten minutes a seed beside 3 minutes for the data. The demo's networks with and without `mirror`: its sensor
-and its shapes are their own mirror images, so what a mirror shows is another touch that could have been (tests/contact), but for
-specks and drift of the camera. Each of the two trainings with and without it, so that what the reader gains is told from what the image does.
+Expected on two cores: ten minutes a seed beside 3 minutes for the data. The demo's networks with and without `mirror`: its
+sensor and its shapes are their own mirror images, so what a mirror shows is another touch that could have been, but for specks and
+drift of the camera (docs/model.md). Each of the two trainings with and without it, so that what the reader gains is told from what
+the image does.
 """
 
 from dataclasses import replace
