@@ -51,6 +51,11 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
     yield from _mirror(experiment.train, "train", paired.stimuli)
     taps = _train_poses(pose) * len(pose.stimuli)
     posenets = ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
+    yield (
+        not experiment.train_teacher.start,
+        "train_teacher.start",
+        "leave it empty: what marks a network must not teach it",
+    )
     for name in posenets:
         training = getattr(experiment, name)
         yield from _training(training, name, taps)

@@ -140,6 +140,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         "folder": folder / network,
         "epoch_images": examples.length("train"),
         "origin": origin_of(experiment, network),
+        "start": _start(training.start, network),
     }
     if pose:
         summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
@@ -153,6 +154,18 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
     )
     return True
+
+
+def _start(model: str, network: str) -> Any:
+    """The weights to go on from, if any."""
+    if not model:
+        return None
+    from jaxunshear.infer import model_folder
+    from jaxunshear.training.checkpoint import digest_of, load_best
+    from jaxunshear.training.start import Start
+
+    folder = model_folder(Path(model)) / network
+    return Start(load_best(folder), digest_of(folder))
 
 
 def _teacher(experiment: Experiment, folder: Path) -> Callable[[Any], Any]:

@@ -29,6 +29,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.settings import Training
+from jaxunshear.training.start import Start, begun
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Batch, Task, Tree, posenet_task, unshear_task
 
@@ -63,6 +64,7 @@ def train_unshear(
     origin: Any = None,
     teacher: Callable[[Array], Array] | None = None,
     ranges: Ranges | None = None,
+    start: Start | None = None,
 ) -> Summary:
     """Train an UnshearNet, entangled or not, or a U-Net into `folder`, or go on where it stopped, or return at once if
     finished.
@@ -70,11 +72,14 @@ def train_unshear(
     Batches: {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}. `epoch_images` pairs are one epoch. `origin` is
     any JSON that says where the data come from; a folder trained from another origin or with other settings is refused.
     `teacher`, `ranges` and what `label_weight` asks of the batches as in `unshear_task`.
+    `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
     Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
     """
     task = unshear_task(net, training, teacher, ranges)
     asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
-    return _train(task, training, batches, validation, seed, Path(folder), epoch_images, asked | {"origin": origin})
+    return _train(
+        task, training, batches, validation, seed, Path(folder), epoch_images, asked | {"origin": origin}, start
+    )
 
 
 def train_posenet(
@@ -88,6 +93,7 @@ def train_posenet(
     ranges: Ranges,
     epoch_images: int,
     origin: Any = None,
+    start: Start | None = None,
 ) -> Summary:
     """Train PoseNet; as `train_unshear`. Batches: {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2)
     float32."""
@@ -103,6 +109,7 @@ def train_posenet(
         Path(folder),
         epoch_images,
         asked | {"ranges": asdict(ranges), "origin": origin},
+        start,
     )
 
 
@@ -115,8 +122,9 @@ def _train(
     folder: Path,
     epoch_images: int,
     asked: dict[str, Any],
+    start: Start | None,
 ) -> Summary:
-    checkpoint.write_settings(folder, {"kind": task.kind} | asked)
+    checkpoint.write_settings(folder, {"kind": task.kind} | asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
         return _summary(folder / checkpoint.SUMMARY)
     keep_freed_memory()
@@ -125,28 +133,32 @@ def _train(
     optimiser = optimiser_of(training, steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
 
-    state = jax.jit(lambda key: fresh(task.init(key), optimiser), compiler_options=run_once())(key_init)
+    def first(key, given):
+        variables = task.init(key)
+        return fresh(begun(variables, given) if start else variables, optimiser)
+
+    state = jax.jit(first, compiler_options=run_once())(key_init, start.variables if start else None)
     history: list[dict[str, Any]] = []
     best_step, best_loss, seconds, compile_seconds = 0, math.inf, 0.0, 0.0
-    start = checkpoint.latest(folder) or 0
-    if start:
-        state, record = checkpoint.restore(folder, start, state)
+    reached = checkpoint.latest(folder) or 0
+    if reached:
+        state, record = checkpoint.restore(folder, reached, state)
         history, best_step, seconds = record["history"], record["best_step"], record["train_seconds"]
         compile_seconds = record["compile_seconds"]
         best_loss = min(_ranked(line["validation"][task.rank]) for line in history)
     _write_log(folder, history)
 
-    stream = iter(batches(start))
+    stream = iter(batches(reached))
     batch = jax.device_put(next(stream))
     began = time.perf_counter()
     step = jax.jit(make_step(task, training, optimiser, key_steps), donate_argnums=0).lower(state, batch).compile()
     validate = jax.jit(task.validate)
     compile_seconds += time.perf_counter() - began
 
-    with Progress(f"train {folder.name}", steps * batch_size, done=start * batch_size) as progress:
+    with Progress(f"train {folder.name}", steps * batch_size, done=reached * batch_size) as progress:
         began = time.perf_counter()
         waiting: list[tuple[int, dict[str, Array], Batch]] = []
-        for done in range(start + 1, steps + 1):
+        for done in range(reached + 1, steps + 1):
             state, metrics = step(state, batch)
             waiting.append((done, metrics, batch))
             if done < steps:

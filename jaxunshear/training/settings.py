@@ -31,5 +31,6 @@ class Training:
     mirror: bool = (
         False  # every other image, at random, as in a mirror: right for sensors and shapes that are their own
     )
+    start: str = ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones
     validate_every: int = 100  # steps; also when a checkpoint is written
     validation_images: int = 256  # at most, the first of the validation split
