@@ -15,6 +15,7 @@ from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment, learnt_from, training_of
+from jaxunshear.infer import model_folder
 from jaxunshear.locks import locked
 from jaxunshear.model.settings import UNet, UnshearNet, without_codes
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
@@ -36,6 +37,9 @@ def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data:
     Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can mend, and
     where another process is at work in that folder.
     """
+    for network in TRAINABLE:
+        if network in stages:
+            start_folder(training_of(experiment, network).start, network)  # before data are made in vain
     folder = Path(out) / experiment.name
     with locked(folder / LOCK, wait=False) as free:
         if not free:
@@ -114,7 +118,7 @@ def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -
 def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
     """Train one network, or find it trained. Returns whether there was anything to do."""
     settings: Any = learnt_from(experiment, network)
-    from jaxunshear.training.checkpoint import SUMMARY, holds_model
+    from jaxunshear.training.checkpoint import SUMMARY, digest_of, holds_model, load_best
 
     if (folder / network / SUMMARY).exists():
         if not holds_model(folder / network):
@@ -125,6 +129,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         return False
     from jaxunshear.dataset.reading import open_set
     from jaxunshear.training.loop import train_posenet, train_unshear
+    from jaxunshear.training.start import Start
 
     pose = network in POSENETS
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
@@ -140,8 +145,9 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         "folder": folder / network,
         "epoch_images": examples.length("train"),
         "origin": origin_of(experiment, network),
-        "start": _start(training.start, network),
     }
+    if begin := start_folder(training.start, network):
+        common["start"] = Start(load_best(begin), digest_of(begin))
     if pose:
         summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
     else:
@@ -156,16 +162,16 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     return True
 
 
-def _start(model: str, network: str) -> Any:
-    """The weights to go on from, if any."""
+def start_folder(model: str, network: str) -> Path | None:
+    """Where `network` of the weights to go on from lies, if any are asked for. Raises UserError where it is not there."""
     if not model:
         return None
-    from jaxunshear.infer import model_folder
-    from jaxunshear.training.checkpoint import digest_of, load_best
-    from jaxunshear.training.start import Start
-
-    folder = model_folder(Path(model)) / network
-    return Start(load_best(folder), digest_of(folder))
+    folder = model_folder(Path(model))
+    if not (folder / network / "model.json").is_file():
+        raise UserError(
+            f"start: {folder} holds no {network}: name a run that trained it, or released weights that have it"
+        )
+    return folder / network
 
 
 def _teacher(experiment: Experiment, folder: Path) -> Callable[[Any], Any]:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import numpy as np
 import pytest
 from PIL import Image
@@ -25,6 +26,7 @@ from jaxunshear.experiment import Experiment
 from jaxunshear.locks import locked
 from jaxunshear.storage import write_json
 from jaxunshear.sweep import tasks
+from jaxunshear.training.checkpoint import load_best
 
 ROOT = Path(__file__).resolve().parents[1]
 TINY = ROOT / "experiments" / "tiny.py"
@@ -140,6 +142,29 @@ def test_a_head_that_learns_poses_is_for_training_alone(finished, command, tmp_p
     for network in ("entangled", "disentangled"):
         with np.load(tmp_path / "weights" / network / "weights.npz") as file:
             assert not any("head" in name for name in file) and any("DC" in name for name in file)
+
+
+def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
+    """And with a learning rate so small, it stays there: the same kernels but for the statistics' last digits."""
+    words = [
+        "--out",
+        tmp_path,
+        "--data",
+        finished / "datasets",
+        "--networks",
+        "disentangled,posenet",
+        "--train.epochs",
+        1,
+    ]
+    begin = ["--train.start", finished / "runs" / "tiny", "--train.learning_rate", 1e-9]
+    done = command("train", TINY, *words, *begin, "--network", "disentangled")
+    assert done.code == 0, done.err
+    before, after = (load_best(folder / "tiny" / "disentangled")["params"] for folder in (finished / "runs", tmp_path))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-5), before, after)
+    unknown = command("run", TINY, *words[:4], "--name", "other", "--train.start", "nowhere")
+    assert unknown.code == 2 and "start: nowhere holds no" in unknown.err and not (tmp_path / "other").exists()
+    refused = command("run", TINY, *words, "--train.pose_weight", 0.1, "--train_teacher.start", "standard")
+    assert refused.code == 2 and "--train_teacher.start" in refused.err
 
 
 def test_the_networks_take_images_of_people(finished, command, tmp_path):
