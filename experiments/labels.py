@@ -1,4 +1,4 @@
-"""Claim: an encoder that is told poses leaves more of them in the image.
+"""Claim: told the pose as well, a network that learns for minutes leaves no more of it in the image; told it loudly, less.
 
     jaxunshear sweep experiments/labels.py
 
@@ -18,7 +18,7 @@ NETWORKS = ("disentangled", "posenet")
 
 sweep = Sweep(
     name="labels",
-    claim="An encoder that is told poses leaves more of them in the image.",
+    claim="Told the pose as well, a network that learns for minutes leaves no more of it in the image; told it loudly, less.",
     base=replace(DEMO, networks=NETWORKS),
     grid=(("train.label_weight", (0.0, 0.1, 0.5, 2.0)),),
     seeds=(0, 1),
