@@ -12,9 +12,9 @@ from jax import Array
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import LEARNT_SHEARED, Outputs, image_scores
+from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, Outputs, image_scores, shown_kind
 from jaxunshear.experiment import UNSHEARING
-from jaxunshear.model import posenet
+from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.training.checkpoint import load_best, read_net
@@ -67,6 +67,12 @@ def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, prec
         if "posenet_sheared" in nets:
             answer = posenet.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, sheared_ranges)
+        head = variables.get(kind := shown_kind(nets), {"params": {}})["params"].get("head")
+        if head is not None:
+            z_p, _ = unshearnet.encode(nets[kind], variables[kind], given)
+            poses[LEARNT_CODE] = posenet.pose_from_outputs(pose_head.predict(head, z_p), sheared_ranges)
+            if kind in poses:
+                poses[LEARNT_BOTH] = posenet.mean_pose(poses[LEARNT_CODE], poses[kind])
         return Outputs(images, cells, poses), image_scores(images, cells)
 
     return run

@@ -14,8 +14,11 @@ from jaxunshear.metrics import ms_ssim, mse, pose_errors, scales_that_fit, ssim
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them
+LEARNT_CODE = "code_learnt"  # what a head that learnt poses reads off the pose code of the network a run is about
+LEARNT_BOTH = "both_learnt"  # the mean of that and of what PoseNet reads off this network's image
+LEARNT = (LEARNT_SHEARED, LEARNT_CODE, LEARNT_BOTH)
 KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
-POSE_KINDS = ("tap", "sheared", LEARNT_SHEARED, *BASELINES, *UNSHEARING)
+POSE_KINDS = ("tap", "sheared", *LEARNT, *BASELINES, *UNSHEARING)
 CELLS = {  # appendix D: which decoder is fed which codes, and what it should draw
     "DC(z_p)": "tap",
     "DC(z_s)": "tap",
@@ -71,7 +74,7 @@ def differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for name, score in scores.items():
         table, kind, *quantity = name.split("/")
         ours = scores.get("/".join([table, "disentangled", *quantity]))
-        if ours is not None and kind in (*UNSHEARING, LEARNT_SHEARED) and kind != "disentangled":
+        if ours is not None and kind in (*UNSHEARING, *LEARNT) and kind != "disentangled":
             found["/".join(["difference", kind, *(quantity or [table])])] = ours - score
     return found
 

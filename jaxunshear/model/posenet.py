@@ -100,6 +100,13 @@ def pose_from_outputs(outputs: Array, ranges: Ranges) -> dict[str, Array]:
     }
 
 
+def mean_pose(one: dict[str, Array], other: dict[str, Array]) -> dict[str, Array]:
+    """The mean of two answers in the form of `pose_from_outputs`; of the edge's direction that of the unit vectors."""
+    mean = {name: (one[name] + other[name]) / 2 for name in one}
+    a, b = jnp.deg2rad(one["edge_deg"]), jnp.deg2rad(other["edge_deg"])
+    return mean | {"edge_deg": jnp.rad2deg(jnp.arctan2(jnp.sin(a) + jnp.sin(b), jnp.cos(a) + jnp.cos(b)))}
+
+
 def _scales(ranges: Ranges) -> tuple[float, float, float]:
     """Largest |x| mm, |yaw| deg and |edge distance| mm: the target point lies on the edge, so the distance to it is a
     bound. A range of zero still needs a scale."""

@@ -10,10 +10,10 @@ from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import networks
 from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_SHEARED, POSE_KINDS
+from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, POSE_KINDS
 from jaxunshear.experiment import NETWORKS, RIVALS
 from jaxunshear.metrics import QUANTITIES
-from jaxunshear.model import unshearnet
+from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training.loop import run_once
 
@@ -84,7 +84,7 @@ def test_rivals_and_baselines_join_in(trained):
     run = networks.load(trained, NETWORKS + RIVALS, Ranges(), Ranges(lateral_mm=10), taps=images(5))
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
-    assert set(outputs.poses) == set(POSE_KINDS)
+    assert set(outputs.poses) == {*POSE_KINDS} - {LEARNT_CODE, LEARNT_BOTH}  # no head was trained
     assert {name.split("/")[1] for name in scores if name.startswith("ms_ssim")} == {*outputs.images} - {"tap"}
     # a PoseNet that learnt from sheared images is given those, with ranges of its own
     same = networks.load(trained, ("posenet", "posenet_sheared"), Ranges(), Ranges(lateral_mm=10))(images(), images())[
@@ -92,6 +92,32 @@ def test_rivals_and_baselines_join_in(trained):
     ]
     twice = np.asarray(same.poses[LEARNT_SHEARED]["x_mm"])
     np.testing.assert_allclose(twice, 2 * np.asarray(same.poses["sheared"]["x_mm"]), rtol=1e-5)
+
+
+def test_a_head_reads_the_code_and_both_answers_are_averaged(trained):
+    nets = {name: networks.read_net(trained / name) for name in ("disentangled", "posenet")}
+    variables = {name: networks.load_best(trained / name) for name in nets}
+    run = jax.jit(networks.run_of(nets, Ranges(), Ranges()))
+    plain, _ = run(variables, None, images(), images()[::-1])
+    assert not {LEARNT_CODE, LEARNT_BOTH} & set(plain.poses)
+    net, own = nets["disentangled"], variables["disentangled"]
+    head = jax.tree.map(lambda x: 20 * x, pose_head.init(unshearnet.code_shape(net), jax.random.key(2)))
+    learnt = own | {"params": own["params"] | {"head": head}}
+    outputs, _ = run(variables | {"disentangled": learnt}, None, images(), images()[::-1])
+    code, _ = unshearnet.encode(net, own, images()[::-1].astype(np.float32) / 255)
+    expected = posenet.pose_from_outputs(pose_head.predict(head, code), Ranges())
+    for name, read in outputs.poses[LEARNT_CODE].items():
+        np.testing.assert_allclose(read, expected[name], rtol=1e-4, atol=1e-4)
+    other = outputs.poses["disentangled"]["x_mm"]
+    np.testing.assert_allclose(outputs.poses[LEARNT_BOTH]["x_mm"], (expected["x_mm"] + other) / 2, rtol=1e-4, atol=1e-5)
+    assert set(outputs.images) == set(plain.images)
+
+
+def test_the_mean_of_two_directions_goes_the_short_way_round():
+    one, other = (
+        dict.fromkeys(QUANTITIES, np.zeros(2)) | {"edge_deg": np.array(x)} for x in ((170.0, 10.0), (-170.0, 30.0))
+    )
+    np.testing.assert_allclose(np.abs(posenet.mean_pose(one, other)["edge_deg"]), [180, 20], rtol=1e-4)
 
 
 def test_only_what_is_evaluated_is_read_and_run(trained, tmp_path):
