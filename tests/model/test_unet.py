@@ -26,9 +26,9 @@ def test_images_come_out_as_large_as_they_went_in(widths):
     found = jax.jit(unet.unshear, static_argnums=0)(net, variables, images())
     assert found.shape == (3, 32, 32, 1)
     assert 0 < float(found.min()) < float(found.max()) < 1
-    logits, nothing, statistics = jax.jit(unet.reconstruct, static_argnums=0)(net, variables, images())
+    logits, nothing, no_code, statistics = jax.jit(unet.reconstruct, static_argnums=0)(net, variables, images())
     assert logits.shape == found.shape
-    assert nothing is None
+    assert nothing is None and no_code is None
     assert jax.tree.structure(statistics) == jax.tree.structure(variables["batch_stats"])
 
 
