@@ -23,17 +23,20 @@ def begun(fresh: Tree, start: Tree) -> Tree:
 
     Raises UserError where a shape differs, or nothing of `start` has a place.
     """
-    named = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(start)}
-    paths = jax.tree_util.tree_leaves_with_path(fresh)
-    taken = [(path, named[name]) for path, _ in paths if (name := jax.tree_util.keystr(path)) in named]
+    given = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(start)}
+    taken = []
+
+    def chosen(path, own):
+        name = jax.tree_util.keystr(path)
+        if name not in given:
+            return own
+        if jnp.shape(given[name]) != jnp.shape(own):
+            part, there, here = ".".join(str(key.key) for key in path), jnp.shape(given[name]), jnp.shape(own)
+            raise UserError(f"start: {part} is {there} there and {here} here: use that network's settings")
+        taken.append(name)
+        return given[name]
+
+    variables = jax.tree_util.tree_map_with_path(chosen, fresh)
     if not taken:
         raise UserError("start: these weights have nothing in common with the network: name those of another")
-    own = {jax.tree_util.keystr(path): leaf for path, leaf in paths}
-    for path, leaf in taken:
-        name = jax.tree_util.keystr(path)
-        if jnp.shape(leaf) != jnp.shape(own[name]):
-            parts = ".".join(str(key.key) for key in path)
-            raise UserError(
-                f"start: {parts} is {jnp.shape(leaf)} there and {jnp.shape(own[name])} here: use that network's settings"
-            )
-    return jax.tree_util.tree_map_with_path(lambda path, leaf: named.get(jax.tree_util.keystr(path), leaf), fresh)
+    return variables
