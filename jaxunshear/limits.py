@@ -251,6 +251,11 @@ def _networks(experiment: Experiment) -> Iterator[Rule]:
         "unshear.size",
         f"is not divisible by {halvings}: each of the {len(unshear.widths)} widths halves the image",
     )
+    yield (
+        0 <= unshear.residual < len(unshear.widths),
+        "unshear.residual",
+        f"is no number of layers from 0 to {len(unshear.widths) - 1}, all of the encoder's but the first",
+    )
     yield len(posenet.widths) == 5, "posenet.widths", "list five: PoseNet has five convolutions"
     yield posenet.size % 16 == 0, "posenet.size", "is no multiple of 16, which PoseNet's strides and pooling need"
     yield posenet.hidden >= 1, "posenet.hidden", "must be at least 1"

@@ -18,6 +18,7 @@ class UnshearNet:
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
     disentangled: bool = True
+    residual: int = 0  # of E's innermost layers that are each followed by a 3x3 convolution which the array also passes by
 
 
 def without_codes(net: UnshearNet) -> UnshearNet:

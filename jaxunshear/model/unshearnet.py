@@ -29,13 +29,20 @@ class Encoder(nn.Module):
     """E: an image (B, S, S, 1) -> (B, S / 2**layers, S / 2**layers, widths[-1])."""
 
     widths: tuple[int, ...]
+    residual: int = 0  # of the innermost layers have a second convolution, which is added to what the first one gives
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         x = First(self.widths[0])(x, train)
-        for width in self.widths[1:-1]:
-            x = Down(width)(x, train)
-        return Down(self.widths[-1], "plain")(x, train)
+        for left, width in zip(range(len(self.widths) - 2, -1, -1), self.widths[1:], strict=True):
+            target = "blocks" if left else "plain"
+            if left >= self.residual:
+                x = Down(width, target)(x, train)
+                continue
+            x = Down(width, "plain")(x, train)
+            x = x + Same(width)(x, train)
+            x = conv.to_blocks(conv.pad(x, 1), 2) if left else x
+        return x
 
 
 class Decoder(nn.Module):
@@ -58,7 +65,7 @@ class Network(nn.Module):
 
     def setup(self) -> None:
         net = self.net
-        self.E, self.DC = Encoder(net.widths), Decoder(net.widths)
+        self.E, self.DC = Encoder(net.widths, net.residual), Decoder(net.widths)
         if net.disentangled:
             self.pose = Same(net.pose_channels)
             if net.shear_channels:
@@ -101,6 +108,8 @@ def check(net: UnshearNet) -> None:
         raise ValueError(f"widths: at least two layers are needed, got {net.widths}")
     if net.size % 2 ** len(net.widths):
         raise ValueError(f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)")
+    if not 0 <= net.residual < len(net.widths):
+        raise ValueError(f"residual: {net.residual} of {len(net.widths)} layers; use 0 to {len(net.widths) - 1}, all but the first")
     if net.disentangled and net.pose_channels < 1:
         raise ValueError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
     if net.disentangled and net.shear_channels < 0:
