@@ -191,7 +191,7 @@ def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
     from jaxunshear.model.unshearnet import as_large_entangled
 
     if network == "unet":
-        return UNet(net.size, net.widths)
+        return UNet(net.size, net.widths, net.residual)
     if network == "entangled_large":
         return as_large_entangled(dataclasses.replace(net, disentangled=True))
     if network == "entangled":

@@ -38,6 +38,17 @@ def _up(before: int, width: int) -> nn.Module:
     return nn.Sequential(nn.ConvTranspose2d(before, width, 4, 2, 1, bias=False), _norm(width), nn.ReLU(inplace=True))
 
 
+class Residual(nn.Module):
+    """Passes its input by its convolution."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.layer = _same(width, width)
+
+    def forward(self, x: Tensor) -> Tensor:
+        return x + self.layer(x)
+
+
 class Twin(nn.Module):
     """`unshearnet.Network`, images (B, 1, S, S) in [0, 1]."""
 
@@ -45,7 +56,11 @@ class Twin(nn.Module):
         super().__init__()
         self.net = net
         widths = net.widths
-        self.E = nn.Sequential(*(_down(before, width) for before, width in zip((1, *widths), widths, strict=False)))
+        self.E = nn.Sequential()
+        for left, before, width in zip(range(len(widths) - 1, -1, -1), (1, *widths), widths, strict=False):
+            self.E.append(_down(before, width))
+            if left < net.residual:
+                self.E.append(Residual(width))
         codes = widths[-1]
         if net.disentangled:
             self.pose = _same(widths[-1], net.pose_channels)
@@ -76,7 +91,10 @@ class Twin(nn.Module):
     def load(self, variables: dict[str, Any]) -> None:
         """Takes the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
-        _load_layers(list(self.E), params["E"], stats["E"], ("First_0", *(f"Down_{i}" for i in range(99))), False)
+        downs = [layer for layer in self.E if not isinstance(layer, Residual)]
+        _load_layers(downs, params["E"], stats["E"], ("First_0", *(f"Down_{i}" for i in range(99))), False)
+        added = [layer.layer for layer in self.E if isinstance(layer, Residual)]
+        _load_layers(added, params["E"], stats["E"], tuple(f"Same_{i}" for i in range(99)), False)
         for name in ("DC", "DS"):
             if name in params:
                 ups = tuple(f"Up_{i}" for i in range(len(self.net.widths) - 1))

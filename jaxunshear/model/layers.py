@@ -77,6 +77,15 @@ class Same(nn.Module):
         return NormRelu(name="norm")(conv.conv_valid(conv.pad(x, 1), w, 1), train)
 
 
+def inner(x: Array, width: int, target: str, residual: bool, train: bool) -> Array:
+    """`Down`, within the module that calls this; with `residual` what a `Same` makes of its result is added to it."""
+    if not residual:
+        return Down(width, target)(x, train)
+    x = Down(width, "plain")(x, train)
+    x = x + Same(width)(x, train)
+    return conv.to_blocks(conv.pad(x, 1), 2) if target == "blocks" else x
+
+
 class Up(nn.Module):
     """4x4 transposed convolution of stride 2 from a padded array (B, H+2, W+2, C) to (2H, 2W), in layout `target`."""
 

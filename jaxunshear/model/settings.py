@@ -18,7 +18,7 @@ class UnshearNet:
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
     disentangled: bool = True
-    residual: int = 0  # of E's innermost layers that are each followed by a 3x3 convolution which the array also passes by
+    residual: int = 0  # of E's innermost layers have a 3x3 convolution more, added to what they give
 
 
 def without_codes(net: UnshearNet) -> UnshearNet:
@@ -32,6 +32,7 @@ class UNet:
 
     size: int = 128
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)
+    residual: int = 0  # as UnshearNet's
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.model import conv
-from jaxunshear.model.layers import Down, First, Last, Same, Up
+from jaxunshear.model.layers import First, Last, Same, Up, inner
 from jaxunshear.model.settings import UnshearNet
 
 Variables = dict[str, Any]  # {"params": ..., "batch_stats": ...}, each by module: E, pose, shear, DC, DS
@@ -35,13 +35,7 @@ class Encoder(nn.Module):
     def __call__(self, x: Array, train: bool) -> Array:
         x = First(self.widths[0])(x, train)
         for left, width in zip(range(len(self.widths) - 2, -1, -1), self.widths[1:], strict=True):
-            target = "blocks" if left else "plain"
-            if left >= self.residual:
-                x = Down(width, target)(x, train)
-                continue
-            x = Down(width, "plain")(x, train)
-            x = x + Same(width)(x, train)
-            x = conv.to_blocks(conv.pad(x, 1), 2) if left else x
+            x = inner(x, width, "blocks" if left else "plain", left < self.residual, train)
         return x
 
 
@@ -109,7 +103,9 @@ def check(net: UnshearNet) -> None:
     if net.size % 2 ** len(net.widths):
         raise ValueError(f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)")
     if not 0 <= net.residual < len(net.widths):
-        raise ValueError(f"residual: {net.residual} of {len(net.widths)} layers; use 0 to {len(net.widths) - 1}, all but the first")
+        raise ValueError(
+            f"residual: {net.residual} of {len(net.widths)} layers; use 0 to {len(net.widths) - 1}, all but the first"
+        )
     if net.disentangled and net.pose_channels < 1:
         raise ValueError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
     if net.disentangled and net.shear_channels < 0:
