@@ -104,44 +104,32 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
     assert not any((out / "tiny" / name).exists() for name in ("results.json", "ablation.json"))
 
 
-def test_a_network_is_taught_by_a_posenet_that_the_results_do_not_know(finished, command, tmp_path):
-    words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--train.pose_weight", 1]
-    done = command("run", *words, "--networks", "disentangled,posenet")
+def test_a_network_is_taught_by_a_posenet_and_told_poses_in_training_alone(finished, command, tmp_path):
+    """Results, and released weights, know neither that PoseNet nor the head that reads poses off the code."""
+    words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--networks", "disentangled,posenet"]
+    words += ["--train.pose_weight", 1, "--train.label_weight", 0.5]
+    done = command("run", *words)
     assert done.code == 0, done.err
     folder = tmp_path / "tiny"
     logged = json.loads((folder / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
     assert logged["train"]["pose"] > 0 and logged["validation"]["pose"] > 0
+    assert logged["train"]["label"] > 0 and {"label", "x_mm", "edge_deg"} <= set(logged["validation"])
     teacher, other = (json.loads((folder / name / "model.json").read_text()) for name in ("posenet_teacher", "posenet"))
     assert teacher["seed"] != other["seed"] and teacher["net"] == other["net"]
     found = json.loads((folder / "results.json").read_text())
     assert "disentangled" in found["ms_ssim"] and "posenet_teacher" not in json.dumps(found["ms_per_image"])
+    plain = json.loads((finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
+    assert not {"pose", "label"} & plain["train"].keys()
+
+    assert command("release", folder, "--out", tmp_path / "weights").code == 0
+    with np.load(tmp_path / "weights" / "disentangled" / "weights.npz") as file:
+        assert not any("head" in name for name in file) and any("DC" in name for name in file)
 
     shutil.rmtree(folder / "disentangled")
     teacher["origin"]["version"] = "2.3.0"
     (folder / "posenet_teacher" / "model.json").write_text(json.dumps(teacher))
-    refused = command("train", *words, "--networks", "disentangled,posenet", "--network", "disentangled")
+    refused = command("train", *words, "--network", "disentangled")
     assert refused.code == 2 and "posenet_teacher learnt from a data set with another version" in refused.err
-    plain = json.loads((finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
-    assert "pose" not in plain["train"]
-
-
-def test_a_head_that_learns_poses_is_for_training_alone(finished, command, tmp_path):
-    words = [
-        "--data",
-        finished / "datasets",
-        "--train.label_weight",
-        0.5,
-        "--networks",
-        "entangled,disentangled,posenet",
-    ]
-    done = command("run", TINY, "--out", tmp_path, *words)
-    assert done.code == 0, done.err
-    logged = json.loads((tmp_path / "tiny" / "entangled" / "log.jsonl").read_text().splitlines()[-1])
-    assert logged["train"]["label"] > 0 and {"label", "x_mm", "edge_deg"} <= set(logged["validation"])
-    assert command("release", tmp_path / "tiny", "--out", tmp_path / "weights").code == 0
-    for network in ("entangled", "disentangled"):
-        with np.load(tmp_path / "weights" / network / "weights.npz") as file:
-            assert not any("head" in name for name in file) and any("DC" in name for name in file)
 
 
 def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
