@@ -20,11 +20,13 @@ HIDDEN = 128  # as many as PoseNet has
 
 
 class Network(nn.Module):
-    """Two dense layers over the whole code, sigmoid outputs."""
+    """Two dense layers over the whole code, sigmoid outputs. The first is normalised over its units: codes are never negative, and
+    without it steps that lower all units at once, as Muon's are, leave most of them at zero for good."""
 
     @nn.compact
     def __call__(self, z_p: Array) -> Array:
-        x = nn.relu(nn.Dense(HIDDEN, kernel_init=INIT)(z_p.reshape(z_p.shape[0], -1)))
+        x = nn.Dense(HIDDEN, kernel_init=INIT)(z_p.reshape(z_p.shape[0], -1))
+        x = nn.relu(nn.LayerNorm(name="norm")(x))
         return nn.sigmoid(nn.Dense(len(OUTPUTS), kernel_init=INIT)(x))
 
 
