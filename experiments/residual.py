@@ -1,4 +1,4 @@
-"""Claim: a second convolution at E's inner layers, added to what they give, finds more of the pose in the same time.
+"""Claim: none yet; how much of the pose second convolutions at E's inner layers find, and in what time.
 
     jaxunshear sweep experiments/residual.py
 
@@ -18,7 +18,7 @@ NETWORKS = ("disentangled", "posenet")
 
 sweep = Sweep(
     name="residual",
-    claim="A second convolution at E's inner layers, added to what they give, finds more of the pose in the same time.",
+    claim="None yet: how much of the pose second convolutions at E's inner layers find, and in what time.",
     base=replace(DEMO, networks=NETWORKS),
     grid=(("unshear.residual", (0, 1, 2, 3)),),
     seeds=(0, 1),

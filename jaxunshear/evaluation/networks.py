@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.dataset.settings import Ranges
+from jaxunshear.errors import UserError
 from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, Outputs, image_scores, shown_kind
@@ -39,6 +40,11 @@ def load(
     folders = {name: Path(run_dir) / name for name in names}
     nets = {name: read_net(folder) for name, folder in folders.items()}
     variables = {name: load_best(folder) for name, folder in folders.items()}
+    for name, folder in folders.items():
+        if not pose_head.fits(variables[name]["params"].get("head", pose_head.PARTS)):
+            raise UserError(
+                f"{folder} was trained with an earlier form of the head for poses: delete it to train again"
+            )
     return partial(jax.jit(run_of(nets, ranges, sheared_ranges, precision)), variables, taps)
 
 

@@ -17,6 +17,7 @@ from jaxunshear.model.layers import INIT
 from jaxunshear.model.posenet import OUTPUTS
 
 HIDDEN = 128  # as many as PoseNet has
+PARTS = ("Dense_0", "norm", "Dense_1")
 
 
 class Network(nn.Module):
@@ -33,6 +34,11 @@ class Network(nn.Module):
 def init(code: tuple[int, ...], key: Array) -> Any:
     """Fresh parameters for codes of shape `code`, (s, s, channels)."""
     return Network().init(key, jnp.zeros((1, *code)))["params"]
+
+
+def fits(params: Any) -> bool:
+    """Whether these are parameters of this head: earlier ones were not normalised."""
+    return set(params) == set(PARTS)
 
 
 def predict(params: Any, z_p: Array) -> Array:

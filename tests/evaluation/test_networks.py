@@ -1,5 +1,6 @@
 """The adapter from networks on disk to outputs, and which codes each cell is fed."""
 
+import shutil
 from dataclasses import replace
 
 import jax
@@ -15,6 +16,7 @@ from jaxunshear.experiment import NETWORKS, RIVALS
 from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
@@ -111,6 +113,19 @@ def test_a_head_reads_the_code_and_both_answers_are_averaged(trained):
     other = outputs.poses["disentangled"]["x_mm"]
     np.testing.assert_allclose(outputs.poses[LEARNT_BOTH]["x_mm"], (expected["x_mm"] + other) / 2, rtol=1e-4, atol=1e-5)
     assert set(outputs.images) == set(plain.images)
+
+
+def test_a_head_of_another_form_is_refused(trained, tmp_path):
+    folder = tmp_path / "disentangled"
+    folder.mkdir()
+    shutil.copy(trained / "disentangled" / "model.json", folder)
+    own = networks.load_best(trained / "disentangled")
+    head = pose_head.init((8, 8, 3), jax.random.key(2))
+    del head["norm"]
+    average = own | {"params": own["params"] | {"head": head}}
+    checkpoint.save(folder, 1, {"average": average}, {"best_step": 1, "history": []})
+    with pytest.raises(UserError, match=r"disentangled was trained with an earlier form of the head .*: delete it"):
+        networks.load(tmp_path, ("disentangled",), Ranges(), Ranges())
 
 
 def test_the_mean_of_two_directions_goes_the_short_way_round():
