@@ -105,7 +105,7 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
 
 
 def test_a_network_is_taught_by_a_posenet_and_told_poses_in_training_alone(finished, command, tmp_path):
-    """Results, and released weights, know neither that PoseNet nor the head that reads poses off the code."""
+    """Results do not know that PoseNet, and released weights hold no head that reads poses off the code."""
     words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--networks", "disentangled,posenet"]
     words += ["--train.pose_weight", 1, "--train.label_weight", 0.5]
     done = command("run", *words)

@@ -41,7 +41,8 @@ def load(
     nets = {name: read_net(folder) for name, folder in folders.items()}
     variables = {name: load_best(folder) for name, folder in folders.items()}
     for name, folder in folders.items():
-        if not pose_head.fits(variables[name]["params"].get("head", pose_head.PARTS)):
+        head = variables[name]["params"].get("head")
+        if head is not None and not pose_head.fits(head):
             raise UserError(
                 f"{folder} was trained with an earlier form of the head for poses: delete it to train again"
             )
