@@ -2,9 +2,9 @@
 
     jaxunshear sweep experiments/residual.py
 
-Not yet run; reckoned on two cores: a quarter of an hour a seed beside 3 minutes for the data. The demo's disentangled network by
-`unshear.residual`, how many of its encoder's innermost layers have one (0 is the paper's). All see the same images; those with more
-layers take longer for them, so the training's time stands beside the errors.
+Expected on two cores: reckoned (it has not been run) a quarter of an hour a seed beside 3 minutes for the data. The demo's disentangled
+network by `unshear.residual`, how many of its encoder's innermost layers have one (0 is the paper's). All see the same images; those
+with more layers take longer for them, so the training's time stands beside the errors.
 """
 
 from dataclasses import replace
