@@ -22,11 +22,20 @@ STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "s
 MIRROR_IMAGES = ("disk", "clover", "teardrop", "flower", "leaf")  # of themselves, left and right of the target's normal
 SCHEDULES = ("cosine", "steps")
 OPTIMISERS = ("adam", "muon")
+POSE_TARGETS = ("tap", "label")
 PRECISIONS = ("float32", "bfloat16")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
 # Fields of `Training` that no PoseNet's training reads.
-PAIR_LOSSES = ("patch_weight", "crops", "crop_px", "reconstruction_weight", "pose_weight", "label_weight")
+PAIR_LOSSES = (
+    "patch_weight",
+    "crops",
+    "crop_px",
+    "reconstruction_weight",
+    "pose_weight",
+    "pose_target",
+    "label_weight",
+)
 FEWEST_POSES = 5  # the smallest number that 60:20:20 splits exactly
 
 
@@ -48,7 +57,17 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
         "train.label_weight",
         "asks for a code to read the pose off, and the network unet has none: leave one of the two out",
     )
+    yield (
+        experiment.train.pose_target != "label" or paired.ranges == pose.ranges,
+        "train.pose_target",
+        "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
+    )
     yield from _mirror(experiment.train, "train", paired.stimuli)
+    yield (
+        experiment.train.mirror or not experiment.unshear.both_sides,
+        "unshear.both_sides",
+        "asks for networks that have seen mirror images: add --train.mirror true, or leave it at false",
+    )
     taps = _train_poses(pose) * len(pose.stimuli)
     posenets = ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
     yield (
@@ -64,7 +83,11 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
         )
         for field in PAIR_LOSSES:
             value, unused = getattr(training, field), getattr(Training(), field)
-            yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {unused:g}"
+            yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {_plain(unused)}"
+
+
+def _plain(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
 
 
 def _tests(experiment: Experiment) -> Iterator[Rule]:
@@ -355,5 +378,10 @@ def _mirror(training: Training, group: str, stimuli: Iterable[str]) -> Iterator[
 def _pair_losses(training: Training, size: int) -> Iterator[Rule]:
     for field in ("patch_weight", "reconstruction_weight", "pose_weight", "label_weight"):
         yield getattr(training, field) >= 0, f"train.{field}", "must not be below zero"
+    yield (
+        training.pose_target in POSE_TARGETS,
+        "train.pose_target",
+        f"is unknown: use one of {', '.join(POSE_TARGETS)}",
+    )
     yield training.crops >= 1, "train.crops", "must be at least 1; train.patch_weight 0 switches the patch loss off"
     yield 1 <= training.crop_px <= size, "train.crop_px", f"must be 1 to the image's {size} px"

@@ -20,6 +20,7 @@ from jaxunshear.locks import locked
 from jaxunshear.model.settings import UNet, UnshearNet, without_codes
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
 from jaxunshear.training.origin import check_origin, origin_of
+from jaxunshear.training.settings import labelled
 
 FIELDS = {  # what a training reads; others the pair
     "posenet": ("image", "pose", "edge"),
@@ -135,7 +136,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training = training_of(experiment, network)
     examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
-    fields = FIELDS.get(network, ("canonical", "sheared", *(("pose", "edge") if training.label_weight else ())))
+    fields = FIELDS.get(network, ("canonical", "sheared", *(("pose", "edge") if labelled(training) else ())))
     batches = examples.train_batches(training.batch, seed, training.shift, fields, training.mirror)
     common: dict[str, Any] = {
         "training": training,
@@ -191,7 +192,7 @@ def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
     from jaxunshear.model.unshearnet import as_large_entangled
 
     if network == "unet":
-        return UNet(net.size, net.widths, net.residual)
+        return UNet(net.size, net.widths, net.residual, net.both_sides)
     if network == "entangled_large":
         return as_large_entangled(dataclasses.replace(net, disentangled=True))
     if network == "entangled":

@@ -48,6 +48,18 @@ def test_a_mirror_is_for_shapes_that_are_their_own_mirror_images():
     validate(override(PLAIN, words))
 
 
+def test_both_sides_are_unsheared_by_what_has_seen_both():
+    assert refusal("--unshear.both_sides true").startswith("--unshear.both_sides ")
+    validate(override(PLAIN, ["--unshear.both_sides", "true", "--train.mirror", "true"]))
+
+
+def test_a_poses_target_is_known_and_on_the_teachers_scale():
+    assert refusal("--train.pose_target pins").startswith("--train.pose_target pins: ")
+    words = ["--train.pose_weight", "0.1", "--train.pose_target", "label"]
+    validate(override(PLAIN, words))
+    assert "make paired.ranges and pose.ranges equal" in refusal(" ".join([*words, "--pose.ranges.yaw_deg 60"]))
+
+
 def test_labels_need_a_code_to_be_read_off():
     words = ["--train.label_weight", "0.5", "--networks"]
     assert refusal(" ".join([*words, "unet,posenet"])).startswith("--train.label_weight 0.5: ")

@@ -66,7 +66,7 @@ def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, prec
             if kind == "disentangled" and kind in nets:
                 cells = draw_cells(nets[kind], variables[kind], given)
                 images[kind] = cells["DC(z_p)"]
-            elif kind in nets:
+            if kind in nets and (kind not in images or nets[kind].both_sides):
                 images[kind] = unshear(nets[kind], variables[kind], given)
         if "posenet" in nets:
             answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}

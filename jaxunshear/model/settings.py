@@ -19,6 +19,7 @@ class UnshearNet:
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
     disentangled: bool = True
     residual: int = 0  # of E's innermost layers have a 3x3 convolution more, added to what they give
+    both_sides: bool = False  # unshears an image and its mirror image, and takes the mean of what both give
 
 
 def without_codes(net: UnshearNet) -> UnshearNet:
@@ -33,6 +34,7 @@ class UNet:
     size: int = 128
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)
     residual: int = 0  # as UnshearNet's
+    both_sides: bool = False  # as UnshearNet's
 
 
 @dataclass(frozen=True)

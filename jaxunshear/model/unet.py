@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.model import conv, settings, unshearnet
-from jaxunshear.model.layers import First, Last, Up, inner
+from jaxunshear.model.layers import First, Last, Up, both_sides, inner
 
 Variables = dict[str, Any]
 
@@ -59,8 +59,12 @@ def check(net: settings.UNet) -> None:
 
 def unshear(net: settings.UNet, variables: Variables, images: Array) -> Array:
     """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones."""
-    logits: Array = Network(net).apply(variables, images, False)  # type: ignore[assignment]
-    return jax.nn.sigmoid(logits)
+
+    def drawn(images: Array) -> Array:
+        logits: Array = Network(net).apply(variables, images, False)  # type: ignore[assignment]
+        return jax.nn.sigmoid(logits)
+
+    return both_sides(drawn, images) if net.both_sides else drawn(images)
 
 
 def reconstruct(net: settings.UNet, variables: Variables, images: Array) -> tuple[Array, None, None, Variables]:

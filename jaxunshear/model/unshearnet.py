@@ -11,6 +11,7 @@ network has one code and DC alone; its z_s is None. Inputs are binary images sca
 
 import dataclasses
 import math
+from functools import partial
 from typing import Any
 
 import flax.linen as nn
@@ -19,7 +20,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.model import conv
-from jaxunshear.model.layers import First, Last, Same, Up, inner
+from jaxunshear.model.layers import First, Last, Same, Up, both_sides, inner
 from jaxunshear.model.settings import UnshearNet
 
 Variables = dict[str, Any]  # {"params": ..., "batch_stats": ...}, each by module: E, pose, shear, DC, DS
@@ -155,7 +156,8 @@ def decode_sheared(net: UnshearNet, variables: Variables, z_p: Array, z_s: Array
 
 def unshear(net: UnshearNet, variables: Variables, images: Array) -> Array:
     """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
-    return _apply(net, variables, "unshear", images, train=False)
+    drawn = partial(_apply, net, variables, "unshear", train=False)
+    return both_sides(drawn, images) if net.both_sides else drawn(images)
 
 
 def reconstruct(net: UnshearNet, variables: Variables, images: Array) -> tuple[Array, Array | None, Array, Variables]:

@@ -71,7 +71,7 @@ def train_unshear(
 
     Batches: {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}. `epoch_images` pairs are one epoch. `origin` is
     any JSON that says where the data come from; a folder trained from another origin or with other settings is refused.
-    `teacher`, `ranges` and what `label_weight` asks of the batches as in `unshear_task`.
+    `teacher`, `ranges` and what labels ask of the batches as in `unshear_task`.
     `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
     Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
     """

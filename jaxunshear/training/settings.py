@@ -23,7 +23,8 @@ class Training:
     crops: int = 100
     crop_px: int = 20
     reconstruction_weight: float = 1.0
-    pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against what it reads off the tap
+    pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
+    pose_target: str = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
     label_weight: float = 0.0  # of the pose that a head reads off z_p, against the true one; 0 builds no head
     precision: str = "float32"  # of the convolutions; or "bfloat16"
     averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
@@ -32,3 +33,8 @@ class Training:
     start: str = ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones
     validate_every: int = 100  # steps; also when a checkpoint is written
     validation_images: int = 256  # at most, the first of the validation split
+
+
+def labelled(training: Training) -> bool:
+    """Whether a network that unshears is told true poses."""
+    return training.label_weight > 0 or (training.pose_weight > 0 and training.pose_target == "label")

@@ -41,7 +41,8 @@ def unshear_task(
     """Of an entangled or disentangled UnshearNet, or a U-Net; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
 
     `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, 5), needed for `pose_weight` alone;
-    `ranges` of the poses are needed for `label_weight` alone, as are {"pose"} (B, 4) and {"edge"} (B, 2) in the batches.
+    where labels are told (`label_weight`, `pose_target` "label") it takes the `ranges` of the poses, the teacher's too, and {"pose"}
+    (B, 4) and {"edge"} (B, 2) in the batches.
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
     crop = training.crop_px
@@ -54,7 +55,9 @@ def unshear_task(
     if training.pose_weight:
         if teacher is None:
             raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
-        watch = partial(_watched, teacher)
+        if training.pose_target == "label" and ranges is None:
+            raise UserError("pose_target: poses are scaled by their ranges: give them, or use pose_target tap")
+        watch = partial(_watched, teacher, ranges if training.pose_target == "label" else None)
 
     kind = "unet" if isinstance(net, settings.UNet) else "unshear"
     module: Any = unet if kind == "unet" else unshearnet
@@ -79,7 +82,7 @@ def unshear_task(
             corners = losses.random_corners(key, len(image), training.crops, net.size, crop)
             named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, crop))
         if watch:
-            named["pose"] = watch(image, canonical)
+            named["pose"] = watch(image, canonical, batch)
         if labelled:
             named["label"] = labelled(variables, code, batch)["label"]
         if sheared_logits is not None:
@@ -101,7 +104,7 @@ def unshear_task(
             if labelled:
                 named |= labelled(variables, z_p, batch)
         if watch:
-            named["pose"] = watch(image, canonical)
+            named["pose"] = watch(image, canonical, batch)
         return {"supervised": losses.supervised(image, canonical)} | named
 
     weights = {
@@ -132,9 +135,13 @@ def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> T
     return Task("posenet", lambda key: posenet.init(net, key), terms, {"pose": 1.0}, validate, "pose")
 
 
-def _watched(teacher: Callable[[Array], Array], image: Array, canonical: Array) -> Array:
-    """How far apart the poses lie that `teacher` reads off both images (B,): nothing that a label would tell enters."""
-    return losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS)
+def _watched(
+    teacher: Callable[[Array], Array], ranges: Ranges | None, image: Array, canonical: Array, batch: Batch
+) -> Array:
+    """How far the pose that `teacher` reads off an image lies from the one it reads off the tap (B,): nothing that a label would
+    tell enters. With `ranges`, from the true one."""
+    targets = teacher(canonical) if ranges is None else posenet.pose_targets(batch["pose"], batch["edge"], ranges)
+    return losses.pose(teacher(image), targets, posenet.WEIGHTS)
 
 
 def _init_with_head(net: settings.UnshearNet, key: Array) -> Tree:

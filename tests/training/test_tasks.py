@@ -14,13 +14,17 @@ from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unet, unshearnet
 from jaxunshear.model.settings import UNet
+from jaxunshear.model.unshearing import unshear
 from jaxunshear.training import losses
+from jaxunshear.training.settings import labelled
 from jaxunshear.training.tasks import _watched, unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
 
 WATCHED = replace(small.TRAINING, pose_weight=0.5)
+AGAINST_LABELS = replace(WATCHED, pose_target="label")
+UNET = UNet(small.SIZE, small.NET.widths)
 
 
 @pytest.fixture(scope="module")
@@ -37,6 +41,11 @@ def gradient_of(task, variables, batch, name):
         return jnp.sum(named[name])
 
     return jax.jit(jax.grad(term))(variables["params"])
+
+
+def with_poses(batch):
+    poses = jax.random.uniform(jax.random.key(8), (len(batch["sheared"]), 6), minval=-1.0)
+    return batch | {"pose": poses[:, :4] * np.array([5, 5, 45, 1]), "edge": poses[:, 4:] * np.array([5, 180])}
 
 
 def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
@@ -65,7 +74,7 @@ def test_a_perfect_image_has_no_gradient(teacher):
     """An image whose every pixel is right is where the term ends, whatever the teacher makes of it."""
     canonical = jnp.asarray(small.dots(5, 3), jnp.float32) / 255
 
-    gradient = jax.grad(lambda image: jnp.sum(_watched(teacher, image, canonical)))
+    gradient = jax.grad(lambda image: jnp.sum(_watched(teacher, None, image, canonical, {})))
     np.testing.assert_array_equal(gradient(canonical), 0)
     assert float(jnp.abs(gradient(canonical[::-1])).max()) > 0
 
@@ -81,10 +90,9 @@ def test_without_weight_the_teacher_is_never_asked():
 
 
 def test_a_u_net_can_be_taught_too(teacher):
-    net = UNet(small.SIZE, small.NET.widths)
-    task, batch = unshear_task(net, WATCHED, teacher), small.pair(3, 4)
+    task, batch = unshear_task(UNET, WATCHED, teacher), small.pair(3, 4)
     variables = task.init(jax.random.key(0))
-    image = unet.unshear(net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    image = unet.unshear(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     expected = losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS)
     np.testing.assert_allclose(task.validate(variables, batch)["pose"], expected, rtol=1e-5)
@@ -95,12 +103,45 @@ def test_a_weight_without_a_teacher_is_refused():
         unshear_task(small.NET, WATCHED)
 
 
+@pytest.mark.parametrize("net", [small.NET, UNET], ids=["unshear", "unet"])
+def test_against_labels_the_tap_does_not_enter(teacher, net):
+    task, batch = unshear_task(net, AGAINST_LABELS, teacher, Ranges()), with_poses(small.pair(3, 4))
+    variables = task.init(jax.random.key(0))
+    image = unshear(net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    targets = posenet.pose_targets(batch["pose"], batch["edge"], Ranges())
+    expected = losses.pose(teacher(image), targets, posenet.WEIGHTS)
+    np.testing.assert_allclose(task.validate(variables, batch)["pose"], expected, rtol=1e-5)
+    terms = jax.jit(task.terms)
+    trained, other = (
+        terms(variables, given, jax.random.key(2))[0]
+        for given in (batch, batch | {"canonical": batch["canonical"][::-1]})
+    )
+    np.testing.assert_array_equal(trained["pose"], other["pose"])
+    assert np.all(trained["supervised"] != other["supervised"])
+    moved = batch | {"pose": batch["pose"] + np.array([1, 0, 0, 0])}
+    assert np.all(terms(variables, moved, jax.random.key(2))[0]["pose"] != trained["pose"])
+
+
+def test_against_labels_without_ranges_is_refused(teacher):
+    with pytest.raises(UserError, match="pose_target: poses are scaled"):
+        unshear_task(small.NET, AGAINST_LABELS, teacher)
+
+
 LABELLED = replace(small.TRAINING, label_weight=0.5)
 
 
-def with_poses(batch):
-    poses = jax.random.uniform(jax.random.key(8), (len(batch["sheared"]), 6), minval=-1.0)
-    return batch | {"pose": poses[:, :4] * np.array([5, 5, 45, 1]), "edge": poses[:, 4:] * np.array([5, 180])}
+@pytest.mark.parametrize(
+    ("training", "told"),
+    [
+        (small.TRAINING, False),
+        (WATCHED, False),
+        (AGAINST_LABELS, True),
+        (replace(AGAINST_LABELS, pose_weight=0.0), False),
+        (LABELLED, True),
+    ],
+)
+def test_labels_are_read_only_where_a_loss_asks_for_them(training, told):
+    assert labelled(training) == told
 
 
 @pytest.mark.parametrize("net", [small.NET, replace(small.NET, disentangled=False)], ids=["disentangled", "entangled"])
@@ -147,6 +188,6 @@ def test_without_weight_there_is_no_head_and_no_label_is_read():
 
 def test_labels_without_a_code_or_without_ranges_are_refused():
     with pytest.raises(UserError, match="label_weight: a U-Net has no code"):
-        unshear_task(UNet(small.SIZE, small.NET.widths), LABELLED, ranges=Ranges())
+        unshear_task(UNET, LABELLED, ranges=Ranges())
     with pytest.raises(UserError, match="label_weight: poses are scaled"):
         unshear_task(small.NET, LABELLED)
