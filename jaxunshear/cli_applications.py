@@ -76,6 +76,12 @@ def add_parsers(commands: Any) -> None:
     _add_model(parser)
     parser.add_argument("--fps", metavar="N", type=float, help="play a folder or video at this rate, as a camera would")
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="(float32)")
+    parser.add_argument(
+        "--way",
+        choices=("disentangled", "code", "both"),
+        default="disentangled",
+        help="whose pose: PoseNet's of the unsheared image; the head's of the pose code, without a PoseNet; their mean (disentangled)",
+    )
     parser.add_argument("--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--images", metavar="DIR", type=Path, help="for unsheared images (default: within the lines)")
@@ -332,7 +338,7 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
         check_beside(Path(arguments.source), arguments.images, "--images")
     check_new_file(arguments.lines, "--lines")
     folder, experiment = model
-    step = step_of(folder, experiment, arguments.precision)
+    step = step_of(folder, experiment, arguments.precision, arguments.way)
     frames, live = frames_of(arguments.source, experiment.paired.preprocess, arguments.fps)
     with contextlib.ExitStack() as stack:
         lines = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout

@@ -12,7 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.storage import read_json, write_json, write_text
 
 PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none is named
-    "disentangled": ("E", "pose", "DC"),
+    "disentangled": ("E", "pose", "DC", "head"),
     "posenet": (),
     "entangled": ("E", "DC"),
     "posenet_sheared": (),

@@ -14,7 +14,7 @@ from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Preprocess
-from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.release import release
 from jaxunshear.storage import read_json, write_json
@@ -71,7 +71,12 @@ def image_in(folder):
     return folder
 
 
-def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch):
+@pytest.mark.parametrize("head", [False, True])
+def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head):
+    if head:
+        variables = checkpoint.load_best(run / "disentangled")
+        variables["params"]["head"] = pose_head.init(unshearnet.code_shape(NET), jax.random.key(2))
+        checkpoint.save(run / "disentangled", 2, {"average": variables}, {"history": [], "best_step": 2})
     monkeypatch.setattr(infer, "RELEASED", tmp_path / "weights")
     made = release(run, tmp_path / "weights" / "mine")
     frames = image_in(tmp_path / "frames")
@@ -88,6 +93,7 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch):
     assert read_json(made / "experiment.json")["name"] == "mine"
     arrays = np.load(made / "disentangled" / "weights.npz").files
     assert not any("DS" in name or "shear" in name for name in arrays)
+    assert sum("head" in name for name in arrays) == (6 if head else 0)
     card = (made / "README.md").read_text()
     assert "--model mine" in card and "0.123" in card and "simulated" in card and "`unseen` (leaf)" in card
 

@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +16,27 @@ from jax import Array
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import UNSHEARING, Experiment
-from jaxunshear.model import posenet
+from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
+from jaxunshear.model.settings import PoseNet
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.training.checkpoint import check_finished, digest_of, holds_model, load_best, read_net
 
 TRUE = "true"  # the pose that the simulator knows
-WAYS = {  # name: the networks it runs, the last of them a PoseNet
+WAYS = {  # name: the networks it runs, in this order
     "sheared": ("posenet",),
     "entangled": ("entangled", "posenet"),
     "disentangled": ("disentangled", "posenet"),
     "entangled_large": ("entangled_large", "posenet"),
     "unet": ("unet", "posenet"),
     "learnt": ("posenet_sheared",),
+    "code": ("disentangled",),  # the head that reads the pose code; draws no image
+    "both": ("disentangled", "posenet"),  # the mean of what that head reads and what PoseNet reads off the image
 }
+OF_CODE = ("code", "both")  # ask for a head
 Perceive = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-# (variables by network, images (B, S, S) uint8 of {0, 255}) -> what PoseNet sees (B, S, S, 1) in [0, 1], pose by quantity, each (B,)
+# (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each (B,)
 Look = Callable[[Mapping[str, Any], Array], tuple[Array, dict[str, Array]]]
 BATCH = 32
 Unshear = Callable[[np.ndarray], np.ndarray]
@@ -39,7 +44,9 @@ Unshear = Callable[[np.ndarray], np.ndarray]
 
 def ways_of(model: Path) -> tuple[str, ...]:
     """The ways that the trained networks in a folder allow."""
-    return tuple(way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks))
+    there = [way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks)]
+    headed = "code" in there and pose_head.of(load_best(model / "disentangled")) is not None
+    return tuple(way for way in there if headed or way not in OF_CODE)
 
 
 def unshearing_of(model: Path) -> tuple[str, ...]:
@@ -76,15 +83,25 @@ def in_batches(unshear: Unshear, images: np.ndarray) -> np.ndarray:
     return np.concatenate(parts)
 
 
-def look_of(nets: Mapping[str, Any], ranges: Ranges, precision: str = "float32") -> Look:
-    """Of networks by name, in the order in which they look, the last of them a PoseNet that was trained on poses in `ranges`."""
-    *unshearing, last = nets
+def look_of(
+    nets: Mapping[str, Any], ranges: Ranges, precision: str = "float32", head_ranges: Ranges | None = None
+) -> Look:
+    """Of networks by name, in the order in which they look. PoseNet was trained on poses in `ranges`. With `head_ranges`, those of the
+    poses that the head of a network that unshears was told, its answer counts, too: alone, or in a mean with PoseNet's."""
 
     def look(variables, images):
-        seen = _unit(images)
-        for name in unshearing:
-            seen = unshear(nets[name], variables[name], in_precision(seen, precision))
-        return seen, posenet.pose_from_outputs(posenet.predict(nets[last], variables[last], seen), ranges)
+        seen, answers = _unit(images), []
+        for name, net in nets.items():
+            if isinstance(net, PoseNet):
+                answers.append(posenet.pose_from_outputs(posenet.predict(net, variables[name], seen), ranges))
+                continue
+            given = in_precision(seen, precision)
+            if head_ranges is not None:
+                z_p, _ = unshearnet.encode(net, variables[name], given)
+                outputs = pose_head.predict(pose_head.of(variables[name]), z_p)
+                answers.append(posenet.pose_from_outputs(outputs, head_ranges))
+            seen = unshear(net, variables[name], given)
+        return seen, reduce(posenet.mean_pose, answers)
 
     return look
 
@@ -96,7 +113,15 @@ def read_look(model: Path, experiment: Experiment, way: str, precision: str = "f
         check_finished(model / name)
     ranges = (experiment.paired if names[-1] == "posenet_sheared" else experiment.pose).ranges
     nets = {name: read_net(model / name) for name in names}
-    return look_of(nets, ranges, precision), {name: load_best(model / name) for name in names}
+    variables = {name: load_best(model / name) for name in names}
+    if way not in OF_CODE:
+        return look_of(nets, ranges, precision), variables
+    if pose_head.of(variables["disentangled"]) is None:
+        raise UserError(
+            f"{model / 'disentangled'} has no head that reads the pose code: train with --train.label_weight above zero, "
+            "or perceive another way"
+        )
+    return look_of(nets, ranges, precision, experiment.paired.ranges), variables
 
 
 def _unshearer(model: Path, name: str) -> Unshear:

@@ -1,7 +1,7 @@
 """Perception for a robot: frame in; unsheared image, pose and a confidence out, as a JSON line each.
 
-The step is compiled once, before the first frame, and holds E, DC and PoseNet with their weights: no shear code, no DS. A frame that
-cannot be used is told and counted, and the next one comes.
+The step is compiled once, before the first frame, and holds E, DC and PoseNet (or, in its place or beside it, the head on the pose
+code) with their weights: no shear code, no DS. A frame that cannot be used is told and counted, and the next one comes.
 """
 
 import base64
@@ -32,9 +32,10 @@ FAST = 1  # zlib's level: a frame has milliseconds
 Step = Callable[[np.ndarray], tuple[np.ndarray, dict[str, float], float]]
 
 
-def step_of(model: Path, experiment: Experiment, precision: str = "float32") -> Step:
-    """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already."""
-    look, variables = read_look(model, experiment, "disentangled", precision)
+def step_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Step:
+    """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already.
+    `way` is one of perception's that unshear."""
+    look, variables = read_look(model, experiment, way, precision)
     run = ready(perceive_of(look), variables)
     size = experiment.paired.preprocess.size
 

@@ -41,8 +41,7 @@ def load(
     nets = {name: read_net(folder) for name, folder in folders.items()}
     variables = {name: load_best(folder) for name, folder in folders.items()}
     for name, folder in folders.items():
-        head = variables[name]["params"].get("head")
-        if head is not None and not pose_head.fits(head):
+        if "head" in variables[name]["params"] and pose_head.of(variables[name]) is None:
             raise UserError(
                 f"{folder} was trained with an earlier form of the head for poses: delete it to train again"
             )
@@ -74,7 +73,7 @@ def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, prec
         if "posenet_sheared" in nets:
             answer = posenet.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, sheared_ranges)
-        head = variables.get(kind := shown_kind(nets), {"params": {}})["params"].get("head")
+        head = pose_head.of(variables.get(kind := shown_kind(nets), {"params": {}}))
         if head is not None:
             z_p, _ = unshearnet.encode(nets[kind], variables[kind], given)
             poses[LEARNT_CODE] = posenet.pose_from_outputs(pose_head.predict(head, z_p), sheared_ranges)

@@ -35,9 +35,11 @@ def init(code: tuple[int, ...], key: Array) -> Any:
     return Network().init(key, jnp.zeros((1, *code)))["params"]
 
 
-def fits(params: Any) -> bool:
-    """Whether these are parameters of this head: earlier ones were not normalised."""
-    return "norm" in params
+def of(variables: Any) -> Any:
+    """The head's parameters among those of the network that it was trained with; None where there is none, or one of an earlier form,
+    which was not normalised."""
+    head = variables["params"].get("head", {})
+    return head if "norm" in head else None
 
 
 def predict(params: Any, z_p: Array) -> Array:

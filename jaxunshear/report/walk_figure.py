@@ -18,6 +18,8 @@ WORDS = {
     "entangled_large": "unsheared, entangled (large)",
     "unet": "unsheared, U-Net",
     "learnt": "sheared, PoseNet that learnt slides",
+    "code": "pose code, its head",
+    "both": "head and unsheared image",
 }
 
 

@@ -1,0 +1,103 @@
+"""Ways of perceiving: which networks allow them, whose answer they give, and what each leaves out."""
+
+import shutil
+from dataclasses import asdict
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.applications.perception import perceptions, read_look, ways_of
+from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.model import pose_head, posenet, unshearnet
+from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.storage import write_json
+from jaxunshear.training import checkpoint
+from jaxunshear.training.loop import run_once
+
+NET = UnshearNet(size=32, widths=(8, 8, 8), pose_channels=8, shear_channels=4)
+POSENET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
+EXPERIMENT = Experiment(  # PoseNet knows more poses than the pairs show
+    "small", "A claim.", paired=PairedData(ranges=Ranges(lateral_mm=3)), pose=PoseData(ranges=Ranges(lateral_mm=6))
+)
+
+
+def kept(folder, kind, net, variables):
+    larger = variables | {"params": jax.tree.map(lambda x: 10 * x, variables["params"])}
+    checkpoint.write_settings(folder, {"kind": kind, "net": asdict(net)})
+    checkpoint.save(folder, 1, {"average": larger}, {"best_step": 1, "history": []})
+    write_json(folder / "summary.json", {"steps": 1})
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    networks = (("disentangled", "unshear", unshearnet, NET), ("posenet", "posenet", posenet, POSENET))
+    for name, kind, module, net in networks:
+        variables = jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(0))
+        if name == "disentangled":
+            variables["params"]["head"] = pose_head.init(unshearnet.code_shape(net), jax.random.key(2))
+        kept(folder / name, kind, net, variables)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def images():
+    return (np.random.default_rng(0).random((3, 32, 32)) < 0.3).astype(np.uint8) * 255
+
+
+def looked(model, way, images):
+    look, variables = read_look(model, EXPERIMENT, way)
+    return jax.jit(look)(variables, images)
+
+
+def test_the_code_is_read_by_its_head_and_both_is_the_mean(model, images):
+    (seen, code), (drawn, image), (_, both) = (looked(model, way, images) for way in ("code", "disentangled", "both"))
+    variables = checkpoint.load_best(model / "disentangled")
+    z_p, _ = unshearnet.encode(NET, variables, images[..., None] / np.float32(255))
+    outputs = pose_head.predict(variables["params"]["head"], z_p)
+    expected = posenet.pose_from_outputs(outputs, EXPERIMENT.paired.ranges)
+    for name, answer in code.items():
+        np.testing.assert_allclose(answer, expected[name], rtol=1e-4, atol=1e-4)
+        assert np.abs(answer - image[name]).max() > 1e-3
+    np.testing.assert_allclose(seen, drawn, atol=1e-6)
+    mean = posenet.mean_pose(code, image)
+    for name, answer in both.items():
+        np.testing.assert_allclose(answer, mean[name], rtol=1e-4, atol=1e-3)
+
+
+def test_a_robot_gets_the_heads_edge(model, images):
+    edge_mm, edge_deg = perceptions(model, EXPERIMENT, ("code",))["code"](images)
+    _, pose = looked(model, "code", images)
+    np.testing.assert_allclose(edge_mm, pose["edge_mm"], atol=1e-4)
+    np.testing.assert_allclose(edge_deg, pose["edge_deg"], atol=1e-3)
+
+
+def test_the_code_alone_draws_nothing_and_both_encode_once(model, images):
+    def products(way):
+        look, variables = read_look(model, EXPERIMENT, way)
+        compiled = jax.jit(lambda known, images: look(known, images)[1]).lower(variables, images).compile()
+        return compiled.cost_analysis()["flops"]
+
+    code, image, both = map(products, ("code", "disentangled", "both"))
+    variables = checkpoint.load_best(model / "disentangled")
+    encode = jax.jit(lambda known, images: unshearnet.encode(NET, known, images)[0])
+    encoding = encode.lower(variables, jnp.zeros((3, 32, 32, 1))).compile().cost_analysis()["flops"]
+    assert code < image < both < image + code - 0.9 * encoding
+
+
+def test_ways_that_ask_for_a_head_are_there_where_one_is(model, tmp_path):
+    assert ways_of(model) == ("sheared", "disentangled", "code", "both")
+    shutil.copytree(model / "disentangled", tmp_path / "disentangled")
+    assert ways_of(tmp_path) == ("code",)
+    variables = checkpoint.load_best(model / "disentangled")
+    del variables["params"]["head"]
+    shutil.rmtree(tmp_path / "disentangled")
+    kept(tmp_path / "disentangled", "unshear", NET, variables)
+    shutil.copytree(model / "posenet", tmp_path / "posenet")
+    assert ways_of(tmp_path) == ("sheared", "disentangled")
+    with pytest.raises(UserError, match="disentangled has no head that reads the pose code: train with"):
+        read_look(tmp_path, EXPERIMENT, "both")
