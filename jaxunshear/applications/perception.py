@@ -97,7 +97,7 @@ def look_of(
                 continue
             given = in_precision(seen, precision)
             if head_ranges is not None:
-                z_p, _ = unshearnet.encode(net, variables[name], given)
+                z_p = unshearnet.encode_pose(net, variables[name], given)
                 outputs = pose_head.predict(pose_head.of(variables[name]), z_p)
                 answers.append(posenet.pose_from_outputs(outputs, head_ranges))
             seen = unshear(net, variables[name], given)

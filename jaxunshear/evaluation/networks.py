@@ -75,7 +75,7 @@ def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, prec
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, sheared_ranges)
         head = pose_head.of(variables.get(kind := shown_kind(nets), {"params": {}}))
         if head is not None:
-            z_p, _ = unshearnet.encode(nets[kind], variables[kind], given)
+            z_p = unshearnet.encode_pose(nets[kind], variables[kind], given)
             poses[LEARNT_CODE] = posenet.pose_from_outputs(pose_head.predict(head, z_p), sheared_ranges)
             if kind in poses:
                 poses[LEARNT_BOTH] = posenet.mean_pose(poses[LEARNT_CODE], poses[kind])

@@ -144,6 +144,11 @@ def encode(net: UnshearNet, variables: Variables, images: Array, train: bool = F
     return _apply(net, variables, "encode", images, train=train)
 
 
+def encode_pose(net: UnshearNet, variables: Variables, images: Array) -> Array:
+    """z_p alone; needs no variables of the shear code, which released weights do not hold."""
+    return _apply(net, variables, "encode_pose", images, train=False)
+
+
 def decode_canonical(net: UnshearNet, variables: Variables, z_p: Array, train: bool = False) -> Array:
     """DC: pose code -> logits (B, S, S, 1) of the canonical image."""
     return _apply(net, variables, "decode_canonical", z_p, train=train)

@@ -14,6 +14,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.release import PARTS
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
@@ -67,6 +68,16 @@ def test_the_code_is_read_by_its_head_and_both_is_the_mean(model, images):
     mean = posenet.mean_pose(code, image)
     for name, answer in both.items():
         np.testing.assert_allclose(answer, mean[name], rtol=1e-4, atol=1e-3)
+
+
+def test_released_weights_perceive_by_their_head(model, images, tmp_path):
+    for name in ("disentangled", "posenet"):
+        checkpoint.write_weights(tmp_path / name, checkpoint.load_best(model / name), PARTS[name])
+        shutil.copy(model / name / "model.json", tmp_path / name)
+    assert ways_of(tmp_path) == ways_of(model)
+    of_run = looked(model, "code", images)[1]
+    for name, answer in looked(tmp_path, "code", images)[1].items():
+        np.testing.assert_allclose(answer, of_run[name], atol=0.1)  # kernels are float16
 
 
 def test_a_robot_gets_the_heads_edge(model, images):

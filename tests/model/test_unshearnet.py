@@ -81,6 +81,8 @@ def test_unshear_needs_neither_the_shear_code_nor_its_decoder(variables, images)
     pruned = {kind: {m: v for m, v in tree.items() if m not in ("shear", "DS")} for kind, tree in variables.items()}
     got = unshearnet.unshear(NET, pruned, images)
     np.testing.assert_array_equal(got, unshearnet.unshear(NET, variables, images))
+    z_p = unshearnet.encode_pose(NET, pruned, images)
+    np.testing.assert_allclose(z_p, unshearnet.encode(NET, variables, images)[0], atol=1e-6)
 
 
 def test_canonical_image_has_exactly_no_gradient_toward_the_shear_code(variables, images):
