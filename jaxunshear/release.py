@@ -59,6 +59,8 @@ def release(run_dir: Path, out: Path) -> Path:
 
 def card(results: dict[str, Any], name: str) -> str:
     """The model card, in Markdown, all of it from the run's results."""
+    from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE
+
     settings, metric = results["settings"], results["metric"]
     paired, pose, sensor = settings["paired"], settings["pose"], settings["sensor"]["name"]
     shapes = ", ".join(paired["stimuli"])
@@ -92,11 +94,18 @@ def card(results: dict[str, Any], name: str) -> str:
         f"| image | {metric['ms_ssim']} to the tap | edge distance, mm | edge angle, deg | x, mm | yaw, deg |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
-    for kind in ("tap", "sheared", "disentangled"):
+    headed = [kind for kind in (LEARNT_CODE, LEARNT_BOTH) if kind in results["pose_mae"]]
+    for kind in ("tap", "sheared", "disentangled", *headed):
         errors = results["pose_mae"].get(kind, {})
         likeness = results["ms_ssim"].get(kind, {}).get("overall")
         cells = [likeness, *(errors.get(q) for q in ("edge_mm", "edge_deg", "x_mm", "yaw_deg"))]
         lines.append(f"| {kind} | " + " | ".join("" if cell is None else f"{cell:.3g}" for cell in cells) + " |")
+    if headed:
+        lines += [
+            "",
+            f"`{LEARNT_CODE}`: read off the pose code by the head that the network learnt with (`servo --ways code`, `stream --way code`); "
+            f"`{LEARNT_BOTH}`: the mean of its answer and of PoseNet's off the unsheared image (`both`).",
+        ]
     for test, found in results["tests"].items():
         likeness = found["ms_ssim"]["disentangled"]["overall"]
         lines += ["", f"Test `{test}` ({', '.join(found['stimuli'])}): {metric['ms_ssim']} {likeness:.3f}."]

@@ -77,6 +77,8 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head)
         variables = checkpoint.load_best(run / "disentangled")
         variables["params"]["head"] = pose_head.init(unshearnet.code_shape(NET), jax.random.key(2))
         checkpoint.save(run / "disentangled", 2, {"average": variables}, {"history": [], "best_step": 2})
+        errors = RESULTS["pose_mae"] | {"code_learnt": RESULTS["pose_mae"]["tap"]}
+        write_json(run / "results.json", RESULTS | {"pose_mae": errors})
     monkeypatch.setattr(infer, "RELEASED", tmp_path / "weights")
     made = release(run, tmp_path / "weights" / "mine")
     frames = image_in(tmp_path / "frames")
@@ -95,6 +97,7 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head)
     assert not any("DS" in name or "shear" in name for name in arrays)
     assert sum("head" in name for name in arrays) == (6 if head else 0)
     card = (made / "README.md").read_text()
+    assert ("servo --ways code" in card) == ("| code_learnt |" in card) == head
     assert "--model mine" in card and "0.123" in card and "simulated" in card and "`unseen` (leaf)" in card
 
 
