@@ -104,10 +104,11 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
     assert not any((out / "tiny" / name).exists() for name in ("results.json", "ablation.json"))
 
 
-def test_a_network_is_taught_by_a_posenet_and_told_poses_in_training_alone(finished, command, tmp_path):
-    """Results do not know that PoseNet, and released weights hold no head that reads poses off the code."""
+def test_a_network_is_taught_by_a_posenet_and_told_poses_and_sees_both_sides(finished, command, tmp_path):
+    """Results do not know that PoseNet; released weights hold the head that reads poses off the code, and no DS."""
     words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--networks", "disentangled,posenet"]
-    words += ["--train.pose_weight", 1, "--train.label_weight", 0.5]
+    words += ["--train.pose_weight", 1, "--train.pose_target", "label", "--train.label_weight", 0.5]
+    words += ["--train.mirror", "true", "--unshear.both_sides", "true"]
     done = command("run", *words)
     assert done.code == 0, done.err
     folder = tmp_path / "tiny"
@@ -117,13 +118,14 @@ def test_a_network_is_taught_by_a_posenet_and_told_poses_in_training_alone(finis
     teacher, other = (json.loads((folder / name / "model.json").read_text()) for name in ("posenet_teacher", "posenet"))
     assert teacher["seed"] != other["seed"] and teacher["net"] == other["net"]
     found = json.loads((folder / "results.json").read_text())
+    assert {"disentangled", "code_learnt", "both_learnt"} <= found["pose_mae"].keys()
     assert "disentangled" in found["ms_ssim"] and "posenet_teacher" not in json.dumps(found["ms_per_image"])
     plain = json.loads((finished / "runs" / "tiny" / "disentangled" / "log.jsonl").read_text().splitlines()[-1])
     assert not {"pose", "label"} & plain["train"].keys()
 
     assert command("release", folder, "--out", tmp_path / "weights").code == 0
     with np.load(tmp_path / "weights" / "disentangled" / "weights.npz") as file:
-        assert not any("head" in name for name in file) and any("DC" in name for name in file)
+        assert {name.split(".")[1] for name in file if name.startswith("params.")} == {"E", "pose", "DC", "head"}
 
     shutil.rmtree(folder / "disentangled")
     teacher["origin"]["version"] = "2.3.0"

@@ -17,7 +17,6 @@ from jaxunshear.training.loop import run_once
 
 NETS = {
     "disentangled": UnshearNet(size=32, widths=(6, 8, 8), pose_channels=4, shear_channels=3),
-    "entangled": UnshearNet(size=32, widths=(6, 8, 8), disentangled=False),
     "unet": UNet(size=32, widths=(4, 6, 8)),
 }
 
