@@ -11,7 +11,7 @@ from jaxunshear.applications.contour import Outline, outline
 from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry_scores import growths, known_growths
 from jaxunshear.applications.occupancy import Occupancy, evidence, learn
-from jaxunshear.applications.perception import TRUE, Unshear, in_batches
+from jaxunshear.applications.perception import Unshear, in_batches, unsheared_by
 from jaxunshear.applications.reconstruct import (
     CELL_MM,
     Fused,
@@ -84,7 +84,8 @@ def objects_of(
 ) -> dict[str, tuple[dict[str, Any], Solid]]:
     """By way of perceiving: means over its walks as a row, and the object of its walk of middling likeness.
 
-    Images are unsheared by the network that the walk perceived by; those of walks that know the true pose by the disentangled one.
+    Images are unsheared by the network that the walk perceived by; those of walks that know the true pose, or read the
+    pose code, by the disentangled one.
     """
     course, walks = walked
     stimulus = stimulus_named(course.stimulus)
@@ -94,7 +95,7 @@ def objects_of(
     ways = list(dict.fromkeys(walks.way.tolist()))
     with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:
         for way in ways:
-            unshear = networks.get("disentangled" if way == TRUE else way)
+            unshear = networks.get(unsheared_by(way))
             rows, solids = np.flatnonzero(walks.way == way), []
             for walk in rows:
                 solids.append(solid(experiment, lattice, walks, int(walk), line, stimulus, unshear, occupancy))

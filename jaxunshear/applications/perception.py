@@ -69,6 +69,11 @@ def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
     return {way: " ".join(own[name] for name in names) for way, names in parts.items()}
 
 
+def unsheared_by(way: str) -> str:
+    """The network, if there is one of the name, that unshears the images of walks by this way of perceiving."""
+    return "disentangled" if way in (TRUE, *OF_CODE) else way
+
+
 def unshearers(model: Path, names: tuple[str, ...]) -> dict[str, Unshear]:
     """Functions of images (B, S, S) uint8 of {0, 255} -> unsheared (B, S, S) in [0, 1], by network. Raises `UserError`."""
     return {name: _unshearer(model, name) for name in names}

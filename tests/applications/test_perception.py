@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.applications.perception import perceptions, read_look, ways_of
+from jaxunshear.applications.perception import TRUE, perceptions, read_look, unsheared_by, ways_of
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import UNSHEARING, Experiment
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.release import PARTS
@@ -98,6 +98,12 @@ def test_the_code_alone_draws_nothing_and_both_encode_once(model, images):
     encode = jax.jit(lambda known, images: unshearnet.encode(NET, known, images)[0])
     encoding = encode.lower(variables, jnp.zeros((3, 32, 32, 1))).compile().cost_analysis()["flops"]
     assert code < image < both < image + code - 0.9 * encoding
+
+
+def test_images_are_unsheared_whatever_tells_the_pose():
+    assert {unsheared_by(way) for way in (TRUE, "code", "both", "disentangled")} == {"disentangled"}
+    assert (unsheared_by("entangled"), unsheared_by("unet")) == ("entangled", "unet")
+    assert not {unsheared_by("sheared"), unsheared_by("learnt")} & set(UNSHEARING)
 
 
 def test_ways_that_ask_for_a_head_are_there_where_one_is(model, tmp_path):
