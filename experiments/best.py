@@ -8,7 +8,7 @@ on that of the other results; MS-SSIM 0.982, edge distance to 0.22 mm where taps
 but that the disentangled one sees seven and a half times as many poses, 15 times as many images, and is told how far
 apart the poses lie that a PoseNet of its own (`posenet_teacher`) reads off its image and off the tap. Both PoseNets see
 six times as many poses; the one that is evaluated five times as many images, for poses and for walks (docs/applications.md).
-The released weights `best` go on from it: with labels, a mirror and second convolutions, see docs/model.md.
+The released weights `best` are of two runs of this file with other settings (`best_deep`, `best_sided` in docs/model.md).
 """
 
 from dataclasses import replace

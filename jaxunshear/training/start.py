@@ -18,13 +18,19 @@ class Start(NamedTuple):
 
 
 def begun(fresh: Tree, start: Tree) -> Tree:
-    """`fresh` variables with those of `start` in the places of its own; parts of `start` that it lacks (a head) are left out, and parts
+    """`fresh` variables with those of `start` in the places of its own; modules of `start` that it lacks (a head) are left out, and parts
     that `start` lacks (released weights hold no shear code and no DS) stay fresh.
 
-    Raises UserError where a shape differs, or nothing of `start` has a place.
+    Raises UserError where a shape differs, a module of its own has fewer layers than that of `start`, or nothing of `start` has a place.
     """
     given = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(start)}
     taken = []
+    leaves = {path for path, _ in jax.tree_util.tree_leaves_with_path(fresh)}
+    modules = {path[:2] for path in leaves}
+    for path, _ in jax.tree_util.tree_leaves_with_path(start):
+        if path[:2] in modules and path not in leaves:
+            part = ".".join(str(key.key) for key in path)
+            raise UserError(f"start: {part} is there and has no place here: use that network's settings")
 
     def chosen(path, own):
         name = jax.tree_util.keystr(path)

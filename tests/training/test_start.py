@@ -33,6 +33,10 @@ def test_what_both_have_is_taken_and_nothing_else():
     ("start", "line"),
     [
         (tree(1.0, E=(3, 2)), r"params.E.kernel is \(3, 2\) there and \(2, 3\) here"),
+        (
+            {"params": {"E": {"kernel": jnp.ones((2, 3)), "Same_0": jnp.ones(3)}}},
+            r"params.E.Same_0 is there and has no place",
+        ),
         (tree(1.0, other=(2, 3)), "nothing in common"),
         ({}, "nothing in common"),
     ],
