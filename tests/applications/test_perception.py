@@ -19,7 +19,7 @@ from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 
-NET = UnshearNet(size=32, widths=(8, 8, 8), pose_channels=8, shear_channels=4)
+NET = UnshearNet(size=32, widths=(8, 8), pose_channels=8, shear_channels=4)
 POSENET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
 EXPERIMENT = Experiment(  # PoseNet knows more poses than the pairs show
     "small", "A claim.", paired=PairedData(ranges=Ranges(lateral_mm=3)), pose=PoseData(ranges=Ranges(lateral_mm=6))

@@ -16,8 +16,8 @@ from jaxunshear.model.unshearing import unshear
 from jaxunshear.training.loop import run_once
 
 NETS = {
-    "disentangled": UnshearNet(size=32, widths=(6, 8, 8), pose_channels=4, shear_channels=3),
-    "unet": UNet(size=32, widths=(4, 6, 8)),
+    "disentangled": UnshearNet(size=32, widths=(6, 8), pose_channels=4, shear_channels=3),
+    "unet": UNet(size=32, widths=(4, 6)),
 }
 
 
