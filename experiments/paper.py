@@ -3,9 +3,9 @@
     jaxunshear run experiments/paper.py
 
 Expected: the paper's MS-SSIM on real data is 0.93 disentangled, 0.90 entangled, 0.32 sheared (Table 1). Data and training
-want a GPU: 120,000 images of contacts in pairs, 30,000 of poses, 100 and 250 epochs; days on two cores. The same way in
-minutes: `--paired.poses 10 --paired.taps 1 --paired.slides 2 --pose.poses 20 --train.epochs 1 --train_posenet.epochs 1
---train_posenet.batch 32`.
+want a GPU: 120,000 images of contacts in pairs, 30,000 of poses, 100 and 250 epochs; days on two cores, and not yet run
+whole. The same way in minutes: `--paired.poses 10 --paired.taps 1 --paired.slides 2 --pose.poses 20 --train.epochs 1
+--train_posenet.epochs 1 --train_posenet.batch 32`.
 
 Read as the text is meant: "10e-4" is 1e-3, "10:1" a weight of 0.1 on the patch loss, "one-fifth and one-tenth" factors
 on the first learning rate. A slide is paired with a tap whose depth misses its own by up to 1 mm, as in the paper,
