@@ -259,7 +259,7 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
             f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE}"
         )
     chosen = arguments.ways.split(",") if arguments.ways else (perception.TRUE, *perception.ways_of(folder))
-    known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
+    known = perception.perceptions(folder, tuple(way for way in chosen if way != perception.TRUE))
     ways, digests = {way: known.get(way) for way in chosen}, perception.digests(folder, chosen)
     rows: list[dict[str, Any]] = []
     for name in names:

@@ -27,6 +27,7 @@ class Experiment:
     unseen: tuple[str, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
     other_jitters_mm: tuple[float, ...] = ()  # tests of their own, with taps that miss the slide's depth by up to this
     sensor: Sensor = TACTIP_331
+    targets: tuple[str, ...] = ()  # of a pose, as targets.py writes them; none: all usual ones that the data vary
     paired: PairedData = field(default_factory=PairedData)
     pose: PoseData = field(default_factory=PoseData)
     unshear: UnshearNet = field(default_factory=UnshearNet)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from jaxunshear.config import from_json
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.png import eight_bit, png
@@ -56,7 +55,7 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
     experiment = _settings_for(path, model)
     check_beside(path, out, "--out")
     recordings = _read(path, experiment)
-    network = load_networks(model, experiment.pose.ranges, pose_needed=False)
+    network = load_networks(model, pose_needed=False)
     targets = _targets(recordings.names)
     table: list[dict[str, Any]] = []
     seconds: list[float] = []
@@ -90,7 +89,7 @@ def pose_of_recordings(path: Path, model: Path, log: Log = print, note: Log | No
     model = model_folder(model)
     experiment = _settings_for(path, model)
     recordings = _read(path, experiment)
-    network = load_networks(model, experiment.pose.ranges, pose_needed=True)
+    network = load_networks(model, pose_needed=True)
     table: list[dict[str, Any]] = []
     rows_out: list[dict[str, Any]] = []
     for rows, names, answers, _ in _answers(recordings, network, "pose"):
@@ -127,8 +126,8 @@ def load_settings(model: Path) -> Experiment:
     return from_json(read_json(file), str(file))
 
 
-def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[np.ndarray], Answers]:
-    """A function of images (B, S, S) uint8 of {0, 255}; `ranges` are those that PoseNet was trained on.
+def load_networks(model: Path, pose_needed: bool) -> Callable[[np.ndarray], Answers]:
+    """A function of images (B, S, S) uint8 of {0, 255}.
 
     Without a trained PoseNet the answers hold no poses; where `pose_needed` that is a `UserError`, as are damaged files. The
     poses of images as they were recorded are read only where `pose_needed`.
@@ -138,7 +137,7 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
     from jaxunshear.memory import keep_freed_memory
     from jaxunshear.model import posenet, unshearnet
     from jaxunshear.model.ready import ready
-    from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net
+    from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
 
     keep_freed_memory()
     wanted = ["disentangled"]
@@ -148,13 +147,14 @@ def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[n
         check_finished(model / name)
     nets: dict[str, Any] = {name: read_net(model / name) for name in wanted}
     variables = {name: load_best(model / name) for name in wanted}
+    targets = read_targets(model / "posenet") if "posenet" in nets else ()
 
     def look(variables: dict[str, Any], images: jax.Array) -> tuple[jax.Array, dict[str, Any], dict[str, Any]]:
         recorded = images[..., None].astype(np.float32) / 255
         after = unshearnet.unshear(nets["disentangled"], variables["disentangled"], recorded)
 
         def pose(image: jax.Array) -> dict[str, Any]:
-            return posenet.pose_from_outputs(posenet.predict(nets["posenet"], variables["posenet"], image), ranges)
+            return posenet.pose_from_outputs(posenet.predict(nets["posenet"], variables["posenet"], image), targets)
 
         return after[..., 0], pose(recorded) if pose_needed else {}, pose(after) if "posenet" in nets else {}
 

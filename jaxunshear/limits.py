@@ -10,9 +10,11 @@ from dataclasses import fields, replace
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
+from jaxunshear.errors import UserError
 from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, further_tests, trained
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import Sensor, sensor_rules
+from jaxunshear.targets import names_of, of_ranges
 from jaxunshear.training.settings import Training
 
 Rule = tuple[bool, str, str]
@@ -46,6 +48,7 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
     yield from _sensor(experiment.sensor)
     yield from _paired(experiment.paired, experiment.sensor)
     yield from _pose(experiment.pose, experiment.sensor)
+    yield from _targets(experiment)
     yield from _networks(experiment)
     yield from _tests(experiment)
     paired, pose = experiment.paired, experiment.pose
@@ -107,6 +110,18 @@ def _tests(experiment: Experiment) -> Iterator[Rule]:
         data = replace(experiment.paired, tap_depth_jitter_mm=jitter)
         for holds, _, remedy in _jitter(data, experiment.sensor):
             yield holds, "other_jitters_mm", remedy
+
+
+def _targets(experiment: Experiment) -> Iterator[Rule]:
+    for ranges in (experiment.paired.ranges, experiment.pose.ranges):
+        try:
+            known, wrong = of_ranges(experiment.targets, ranges), ""
+        except UserError as error:
+            known, wrong = (), str(error)
+        yield not wrong, "targets", wrong
+        names = names_of(known)
+        yield len(set(names)) == len(names), "targets", "name each once"
+        yield len(names) > 0, "targets", "there is none: the ranges of the poses leave nothing to predict"
 
 
 def _train_poses(data: PairedData | PoseData) -> int:

@@ -50,7 +50,7 @@ def release(run_dir: Path, out: Path) -> Path:
     for name in names:
         write_weights(part / name, variables[name], PARTS[name])
         model = read_json(run_dir / name / MODEL)
-        write_json(part / name / MODEL, {"kind": model["kind"], "net": model["net"]})
+        write_json(part / name / MODEL, {known: model[known] for known in ("kind", "net", "targets")})
     write_json(part / "experiment.json", settings)
     write_text(part / CARD, text)
     part.rename(out)

@@ -19,14 +19,10 @@ from jaxunshear.infer import model_folder
 from jaxunshear.locks import locked
 from jaxunshear.model.settings import UNet, UnshearNet, without_codes
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
+from jaxunshear.targets import fields_of, of_ranges
 from jaxunshear.training.origin import check_origin, origin_of
 from jaxunshear.training.settings import labelled
 
-FIELDS = {  # what a training reads; others the pair
-    "posenet": ("image", "pose", "edge"),
-    TEACHER: ("image", "pose", "edge"),
-    "posenet_sheared": ("sheared", "pose", "edge"),
-}
 TEACHER_SEED = 1000  # beyond the run's own
 TIMES = "times.json"
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
@@ -129,33 +125,33 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         check_origin(experiment, network, folder)
         return False
     from jaxunshear.dataset.reading import open_set
-    from jaxunshear.training.loop import train_posenet, train_unshear
+    from jaxunshear.training.loop import train
     from jaxunshear.training.start import Start
+    from jaxunshear.training.tasks import posenet_task, unshear_task
 
-    pose = network in POSENETS
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
-    training = training_of(experiment, network)
+    training, targets = training_of(experiment, network), of_ranges(experiment.targets, settings.ranges)
     examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
-    fields = FIELDS.get(network, ("canonical", "sheared", *(("pose", "edge") if labelled(training) else ())))
-    batches = examples.train_batches(training.batch, seed, training.shift, fields, training.mirror)
-    common: dict[str, Any] = {
-        "training": training,
-        "batches": lambda start: map(_as_image, batches(start)),
-        "validation": _first(examples.split, training.validation_images, fields),
-        "seed": seed,
-        "folder": folder / network,
-        "epoch_images": examples.length("train"),
-        "origin": origin_of(experiment, network),
-    }
-    if begin := start_folder(training.start, network):
-        common["start"] = Start(load_best(begin), digest_of(begin))
-    if pose:
-        summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
+    if network in POSENETS:
+        task = posenet_task(experiment.posenet, training, targets)
+        fields = ("sheared" if network == "posenet_sheared" else "image", *fields_of(targets))
     else:
         teacher = _teacher(experiment, folder) if training.pose_weight else None
-        summary = train_unshear(
-            unshear_net(experiment.unshear, network), teacher=teacher, ranges=settings.ranges, **common
-        )
+        task = unshear_task(unshear_net(experiment.unshear, network), training, teacher, targets)
+        fields = ("canonical", "sheared", *(fields_of(targets) if labelled(training) else ()))
+    batches = examples.train_batches(training.batch, seed, training.shift, fields, training.mirror)
+    begin = start_folder(training.start, network)
+    summary = train(
+        task,
+        training,
+        lambda start: map(_as_image, batches(start)),
+        _first(examples.split, training.validation_images, fields),
+        seed,
+        folder / network,
+        epoch_images=examples.length("train"),
+        origin=origin_of(experiment, network),
+        start=Start(load_best(begin), digest_of(begin)) if begin else None,
+    )
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"

@@ -24,9 +24,9 @@ from jaxunshear.experiment import Experiment
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
 from jaxunshear.image.settings import Preprocess
-from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model.ready import ready
 from jaxunshear.storage import write_bytes
+from jaxunshear.targets import names_of
 
 FAST = 1  # zlib's level: a frame has milliseconds
 Step = Callable[[np.ndarray], tuple[np.ndarray, dict[str, float], float]]
@@ -35,25 +35,26 @@ Step = Callable[[np.ndarray], tuple[np.ndarray, dict[str, float], float]]
 def step_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Step:
     """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already.
     `way` is one of perception's that unshear."""
-    look, variables = read_look(model, experiment, way, precision)
-    run = ready(perceive_of(look), variables)
+    look, variables, targets = read_look(model, way, precision)
+    names = names_of(targets)
+    run = ready(perceive_of(look, names), variables)
     size = experiment.paired.preprocess.size
 
     def step(image: np.ndarray) -> tuple[np.ndarray, dict[str, float], float]:
         after, (*pose, sure) = jax.device_get(run(image))
-        return after, dict(zip(QUANTITIES, map(float, pose), strict=True)), float(sure)
+        return after, dict(zip(names, map(float, pose), strict=True)), float(sure)
 
     step(np.zeros((size, size), np.uint8))  # compiles
     return step
 
 
-def perceive_of(look: Look) -> Callable[[Any, Array], tuple[Array, Array]]:
+def perceive_of(look: Look, names: tuple[str, ...]) -> Callable[[Any, Array], tuple[Array, Array]]:
     """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
     the quantities of the pose and the confidence."""
 
     def perceive(variables, image):
         seen, pose = look(variables, image[None])
-        return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in QUANTITIES), confidence(seen[0])])
+        return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in names), confidence(seen[0])])
 
     return perceive
 

@@ -26,9 +26,10 @@ from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_depth, tables, typical
 from jaxunshear.experiment import Experiment, further_tests
-from jaxunshear.metrics import ms_ssim_name, scales_that_fit, true_quantities
+from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.storage import read_json_if_sound, write_bytes, write_json
+from jaxunshear.targets import of_ranges, true_values
 from jaxunshear.training.origin import check_origin
 
 BATCH = 32
@@ -59,17 +60,17 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     if not total:
         raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
     taps = training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
-    ranges, precision = (experiment.pose.ranges, experiment.paired.ranges), experiment.train.precision
-    run = load(run_dir, experiment.networks, *ranges, taps, precision)
+    precision, targets = experiment.train.precision, of_ranges(experiment.targets, experiment.paired.ranges)
+    run = load(run_dir, experiment.networks, taps, precision)
     for network in experiment.networks:
         check_origin(experiment, network, run_dir)
-    gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT)
+    gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets)
     further = {}
     for name, settings in further_tests(experiment).items():
         reader = open_set("tactip_paired", settings, data_dir, experiment.sensor)
         count = sum(reader.length(split) for split in SPLITS)
         batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
-        further[name] = gather(run, batches, count, 0, f"evaluate {name}")
+        further[name] = gather(run, batches, count, 0, targets, f"evaluate {name}")
     results = results_of(experiment, gathered, further)
     results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
     results["counts"] |= {name: pairs.metadata["counts"][name] for name in ("contacts", "retried", "dropped")}
@@ -105,7 +106,8 @@ def results_of(
     names = experiment.paired.stimuli
     size = experiment.paired.preprocess.size
     scales = scales_that_fit(size)
-    true = true_quantities(labels["pose"], labels["edge"])
+    targets = of_ranges(experiment.targets, experiment.paired.ranges)
+    true = true_values(targets, labels)
     tested = further_tests(experiment)
     return {
         "experiment": experiment.name,
@@ -131,7 +133,7 @@ def results_of(
             experiment.paired.camera.mm_across / size,
         ),
         "tests": {name: _further(tested[name], found) for name, found in further.items()},
-        "baselines": {"pose_chance": chance(true)},
+        "baselines": {"pose_chance": chance(true, targets)},
         "contact": contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
         "counts": {
             "test_poses": len(np.unique(numbered_poses(labels["stimulus"], labels["pose_id"]))),

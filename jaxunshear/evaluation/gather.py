@@ -7,8 +7,8 @@ import numpy as np
 
 from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
 from jaxunshear.image.png import eight_bit
-from jaxunshear.metrics import true_quantities
 from jaxunshear.progress import Progress
+from jaxunshear.targets import Targets, true_values
 
 LABELS = ("stimulus", "pose_id", "pose", "edge", "move", "residual_mm", "iterations", "stuck", "slipping", "free")
 PINS = ("canonical_pins", "sheared_pins")
@@ -30,9 +30,10 @@ def gather(
     batches: Iterable[Mapping[str, np.ndarray]],
     total: int,
     keep: int,
+    targets: Targets,
     title: str = "evaluate",
 ) -> Gathered:
-    """Feeds (tap, sheared) of every batch to `run` and collects what it scores; keeps `keep` contacts, evenly spaced.
+    """Feeds (tap, sheared) of every batch to `run` and collects what it scores, poses by `targets`; keeps `keep` contacts, evenly spaced.
 
     A last, shorter batch is filled up by repeating its first contact, so `run` compiles once; the surplus is dropped.
     """
@@ -49,7 +50,7 @@ def gather(
             outputs, similar = run(_filled(batch["canonical"], full), _filled(batch["sheared"], full))
             poses = {k: {q: np.asarray(v)[:size] for q, v in pose.items()} for k, pose in outputs.poses.items()}
             scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
-            scores[-1] |= pose_scores(poses, true_quantities(batch["pose"], batch["edge"]))
+            scores[-1] |= pose_scores(poses, true_values(targets, batch))
             labels.append({name: np.asarray(batch[name]) for name in LABELS})
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(

@@ -11,6 +11,7 @@ from jax import Array
 
 from jaxunshear.experiment import UNSHEARING
 from jaxunshear.metrics import ms_ssim, mse, pose_errors, scales_that_fit, ssim
+from jaxunshear.targets import Targets
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them
@@ -84,9 +85,11 @@ def shown_kind(kinds: Container[str]) -> str:
     return next((kind for kind in reversed(UNSHEARING) if kind in kinds), "sheared")
 
 
-def chance(true: dict[str, np.ndarray]) -> dict[str, float]:
+def chance(true: dict[str, np.ndarray], targets: Targets) -> dict[str, float]:
     """Mean absolute error of one answer to every image, the best that needs no image: the middle of the labels."""
     middle = {name: np.full_like(value, np.median(value)) for name, value in true.items()}
-    angle = np.radians(true["edge_deg"].astype(np.float64))
-    middle["edge_deg"][:] = np.degrees(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()))
+    for target in targets:
+        if target.circle:
+            angle = np.radians(true[target.name].astype(np.float64))
+            middle[target.name][:] = np.degrees(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()))
     return {name: float(error.mean()) for name, error in pose_errors(middle, true).items()}

@@ -9,7 +9,6 @@ import numpy as np
 
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
 from jaxunshear.evaluation.spread import LEVEL, RESAMPLES, interval, numbered_poses, redrawn_means
-from jaxunshear.metrics import QUANTITIES
 
 DEPTHS = 3  # equal parts of the range of indentation depths
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
@@ -107,23 +106,26 @@ def _poses_of(
 
 def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Errors, their ratios and recoveries, and the intervals of errors and recoveries."""
-    felt = [kind for kind in POSE_KINDS if f"pose/{kind}/{QUANTITIES[0]}" in scores]
+    names = {kind: [n.rpartition("/")[2] for n in scores if n.startswith(f"pose/{kind}/")] for kind in POSE_KINDS}
+    felt = [kind for kind in POSE_KINDS if names[kind]]
     mended = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
-    error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in QUANTITIES} for kind in felt}
-    redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in QUANTITIES} for kind in felt}
+    error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in names[kind]} for kind in felt}
+    redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in names[kind]} for kind in felt}
     found = {
         "pose_mae": error,
-        "pose_ratio": {kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in QUANTITIES} for kind in mended},
+        "pose_ratio": {kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in names[kind]} for kind in mended},
         "pose_recovery": {
-            kind: {q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q]) for q in QUANTITIES}
+            kind: {q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q]) for q in names[kind]}
             for kind in mended
+            if "tap" in felt
         },
     }
     return found, {
-        "pose_mae": {kind: {q: interval(redone[kind][q]) for q in QUANTITIES} for kind in felt},
+        "pose_mae": {kind: {q: interval(redone[kind][q]) for q in names[kind]} for kind in felt},
         "pose_recovery": {
-            kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in QUANTITIES}
+            kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in names[kind]}
             for kind in mended
+            if "tap" in felt
         },
     }
 

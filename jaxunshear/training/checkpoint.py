@@ -28,6 +28,7 @@ import orbax.checkpoint as ocp
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
+from jaxunshear.targets import Targets, from_json
 
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST = "weights.npz", "digest"
@@ -188,6 +189,12 @@ def read_net(folder: Path) -> UnshearNet | UNet | PoseNet:
         return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
     except (KeyError, TypeError) as error:
         raise UserError(f"{path} lacks or misnames {error}: delete {folder} and train again") from error
+
+
+def read_targets(folder: Path) -> Targets:
+    """The pose targets that the network in `folder` has learnt, from model.json; none of one that has learnt no poses. Raises UserError."""
+    path = Path(folder) / MODEL
+    return from_json(storage.read_json(path).get("targets", []), str(path))
 
 
 def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
