@@ -1,6 +1,6 @@
 """One pass over the test contacts: scores of all, images of a few. Memory stays that of one batch and of those few."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,8 @@ from jaxunshear.targets import Targets, true_values
 
 LABELS = ("stimulus", "pose_id", "pose", "edge", "move", "residual_mm", "iterations", "stuck", "slipping", "free")
 PINS = ("canonical_pins", "sheared_pins")
-FIELDS = ("canonical", "sheared", *PINS, *LABELS)  # what a batch must hold
+IMAGES = ("canonical", "sheared")
+FIELDS = (*IMAGES, *PINS, *LABELS)  # what a batch must hold
 
 
 class Gathered(NamedTuple):
@@ -32,8 +33,11 @@ def gather(
     keep: int,
     targets: Targets,
     title: str = "evaluate",
+    inputs: tuple[str, str] = IMAGES,
+    named: Sequence[str] = LABELS,
 ) -> Gathered:
     """Feeds (tap, sheared) of every batch to `run` and collects what it scores, poses by `targets`; keeps `keep` contacts, evenly spaced.
+    `inputs`: the fields that are tap and sheared; `named`: those that are kept as labels.
 
     A last, shorter batch is filled up by repeating its first contact, so `run` compiles once; the surplus is dropped.
     """
@@ -45,13 +49,13 @@ def gather(
     full = start = 0
     with Progress(title, total) as progress:
         for batch in batches:
-            size = len(batch["sheared"])
+            size = len(batch[inputs[1]])
             full = max(full, size)
-            outputs, similar = run(_filled(batch["canonical"], full), _filled(batch["sheared"], full))
+            outputs, similar = run(*(_filled(batch[name], full) for name in inputs))
             poses = {k: {q: np.asarray(v)[:size] for q, v in pose.items()} for k, pose in outputs.poses.items()}
             scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
             scores[-1] |= pose_scores(poses, true_values(targets, batch))
-            labels.append({name: np.asarray(batch[name]) for name in LABELS})
+            labels.append({name: np.asarray(batch[name]) for name in named})
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(
                 {k: eight_bit(np.asarray(x)[inside, ..., 0]) for k, x in outputs.images.items() if k not in BASELINES}

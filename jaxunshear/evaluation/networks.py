@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -14,11 +15,13 @@ from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, Outputs, image_scores, shown_kind
 from jaxunshear.experiment import UNSHEARING
-from jaxunshear.model import pose_head, posenet, unshearnet
+from jaxunshear.image.dots import dots
+from jaxunshear.model import pinnets, pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.targets import Targets
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
+from jaxunshear.training.examples import Pins
 
 Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
 
@@ -28,11 +31,13 @@ def load(
     names: Sequence[str],
     taps: np.ndarray | None = None,
     precision: str = "float32",
+    pins: Pins | None = None,
 ) -> Run:
     """A function (tap, sheared) -> (outputs, image scores), both images (B, S, S, 1) uint8 in {0, 255}; jitted as one.
 
     Reads the best checkpoints of the networks `names` in `run_dir` and no others, and what poses each has learnt. With training taps
-    (M, S, S, 1) uint8 the baselines are there too. Raises `UserError` where a network is missing or cannot be read.
+    (M, S, S, 1) uint8 the baselines are there too. Networks over `pins` take pins (B, P, 2) px in the place of images.
+    Raises `UserError` where a network is missing or cannot be read.
     """
     folders = {name: Path(run_dir) / name for name in names}
     nets = {name: read_net(folder) for name, folder in folders.items()}
@@ -43,6 +48,8 @@ def load(
                 f"{folder} was trained with an earlier form of the head for poses: delete it to train again"
             )
     targets = {name: read_targets(folder) for name, folder in folders.items()}
+    if pins is not None:
+        return partial(jax.jit(pin_run_of(nets, targets, pins)), variables)
     return partial(jax.jit(run_of(nets, targets, precision)), variables, taps)
 
 
@@ -80,3 +87,37 @@ def run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: s
         return Outputs(images, cells, poses), image_scores(images, cells)
 
     return run
+
+
+def pin_run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pins):
+    """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted.
+
+    Images are the pins drawn as dots, whatever the frames showed beside them, so that likenesses stand in the same tables.
+    """
+
+    def run(variables: dict[str, Any], tap: Array, sheared: Array):
+        places, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
+        for kind in (name for name in UNSHEARING if name in nets):
+            z_p, z_s = pinnets.encode(nets[kind], variables[kind], sheared)
+            places[kind] = pinnets.decode_canonical(nets[kind], variables[kind], z_p)
+            if z_s is not None:
+                cells = {"DC(z_p)": places[kind]}
+                cells["DS(z_p,z_s)"] = pinnets.decode_sheared(nets[kind], variables[kind], z_p, z_s)
+        if "posenet" in nets:
+            for kind, place in places.items():
+                outputs = pinnets.predict(nets["posenet"], variables["posenet"], place)
+                poses[kind] = posenet.pose_from_outputs(outputs, targets["posenet"])
+        if "posenet_sheared" in nets:
+            outputs = pinnets.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
+            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(outputs, targets["posenet_sheared"])
+        images, drawn = ({k: dots(p, pins.radius_px, pins.size) for k, p in each.items()} for each in (places, cells))
+        apart = {f"pins/{kind}": _rms(place, tap) for kind, place in places.items() if kind != "tap"}
+        return Outputs(images, drawn, poses, places), image_scores(images, drawn) | apart
+
+    return run
+
+
+def _rms(pins: Array, target: Array) -> Array:
+    """(B,) root mean square distance px of pins (B, P, 2) that both show; NaN where there is none."""
+    square = jnp.sum(jnp.square(pins - target), -1)
+    return jnp.sqrt(jnp.nanmean(square, -1))

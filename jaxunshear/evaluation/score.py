@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable, Container, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ LEARNT_CODE = "code_learnt"  # what a head that learnt poses reads off the pose 
 LEARNT_BOTH = "both_learnt"  # the mean of that and of what PoseNet reads off this network's image
 LEARNT = (LEARNT_SHEARED, LEARNT_CODE, LEARNT_BOTH)
 KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
-POSE_KINDS = ("tap", "sheared", *LEARNT, *BASELINES, *UNSHEARING)
+PARTNER = "partner"  # of a recorded slide: what a perfect network would unshear it to
+POSE_KINDS = ("tap", PARTNER, "sheared", *LEARNT, *BASELINES, *UNSHEARING)
 CELLS = {  # appendix D: which decoder is fed which codes, and what it should draw
     "DC(z_p)": "tap",
     "DC(z_s)": "tap",
@@ -35,6 +37,7 @@ class Outputs(NamedTuple):
     images: dict[str, Array]  # by kind, those of KINDS that the run has
     cells: dict[str, Array]  # by cell: CELLS, or fewer where the network has no shear code or codes of two widths
     poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # by kind, those of POSE_KINDS that the run has
+    pins: Mapping[str, Array] = MappingProxyType({})  # (B, P, 2) px by kind, of networks over pins
 
 
 def cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:

@@ -15,7 +15,12 @@ CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 
 
 def tables(
-    scores: dict[str, np.ndarray], names: Sequence[str], stimulus: np.ndarray, pose_id: np.ndarray, seed: int
+    scores: dict[str, np.ndarray],
+    names: Sequence[str],
+    stimulus: np.ndarray,
+    pose_id: np.ndarray,
+    seed: int,
+    apart: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = ({}, {}),
 ) -> dict[str, dict]:
     """The tables `ms_ssim`, `pose_mae`, `pose_ratio`, `pose_recovery`, `difference`, `swap` and their `spread` (95 % intervals).
     Poses of each stimulus alone stand under `pose_by_stimulus`.
@@ -23,7 +28,8 @@ def tables(
     `scores`: arrays (N,) by the names of `score.py`, of whichever networks there are; `names` of the stimuli, indexed by
     `stimulus` (N,); `pose_id` (N,). A stimulus without test contacts is null. Ratio: error over that on sheared images.
     Recovery: the part of the slide's damage undone, (sheared - unsheared) / (sheared - tap); null where the slide does no damage.
-    Difference: disentangled less another network, contact by contact.
+    Difference: disentangled less another network, contact by contact. `apart`: scores of other contacts (M,) that join the tables of poses,
+    with their redrawn means.
     """
     groups = {name: stimulus == index for index, name in enumerate(names)} | {"overall": np.ones(len(stimulus), bool)}
     poses = numbered_poses(stimulus, pose_id)
@@ -34,8 +40,8 @@ def tables(
     }
     overall = redrawn["overall"]
     similar = [kind for kind in KINDS if f"ms_ssim/{kind}" in scores]
-    pose, pose_spread = _poses(scores, overall)
-    apart = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
+    pose, pose_spread = _poses(scores | apart[0], overall | apart[1])
+    differences = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
     return {
         "ms_ssim": {
             kind: {group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()}
@@ -45,7 +51,7 @@ def tables(
         "pose_by_stimulus": {
             name: _poses_of(scores, groups[name], redrawn[name]) if name in redrawn else None for name in names
         },
-        "difference": _by_kind({place: _mean(scores[name]) for place, name in apart.items()}),
+        "difference": _by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
         "swap": {
             cell: {"target": target} | {m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS}
             for cell, target in CELLS.items()
@@ -62,7 +68,7 @@ def tables(
                 for kind in similar
             },
             **pose_spread,
-            "difference": _by_kind({place: interval(overall[name]) for place, name in apart.items()}),
+            "difference": _by_kind({place: interval(overall[name]) for place, name in differences.items()}),
         },
     }
 

@@ -15,6 +15,7 @@ from typing import Any
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
 from jaxunshear.model import conv, settings
 from jaxunshear.model.layers import INIT, Down, First, Same
@@ -89,7 +90,7 @@ def output_weights(targets: Targets) -> tuple[float, ...]:
     return tuple(target.weight for target in targets for _ in range(target.outputs))
 
 
-def pose_targets(batch: Mapping[str, Array], targets: Targets) -> Array:
+def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Array:
     """Labels of a batch, (B, columns) mm and deg by field -> what the outputs should be, (B, K) in [0, 1]."""
     signed: list[Array] = []
     for target in targets:

@@ -27,12 +27,19 @@ import orbax.checkpoint as ocp
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
+from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
 from jaxunshear.targets import Targets, from_json
 
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST = "weights.npz", "digest"
-NETS = {"unshear": UnshearNet, "unet": UNet, "posenet": PoseNet}
+NETS = {
+    "unshear": UnshearNet,
+    "unet": UNet,
+    "posenet": PoseNet,
+    "pin_unshear": PinUnshear,
+    "pin_posenet": PinPoseNet,
+    "renderer": PinRenderer,
+}
 
 
 def save(folder: Path, step: int, state: Any, record: dict[str, Any]) -> None:
@@ -130,7 +137,7 @@ def write_weights(folder: Path, variables: dict[str, Any], modules: Sequence[str
     Kernels are kept as float16, which halves the file; biases and statistics as they are.
     """
     arrays = {
-        name: np.asarray(leaf, np.float16 if np.ndim(leaf) > 1 else None)
+        name: np.asarray(leaf, np.float16 if np.ndim(leaf) > 1 and name.startswith("params.") else None)
         for name, leaf in _named(jax.device_get(variables)).items()
         if not modules or name.split(".")[1] in modules
     }
@@ -177,7 +184,7 @@ def write_settings(folder: Path, settings: dict[str, Any]) -> None:
             raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
 
 
-def read_net(folder: Path) -> UnshearNet | UNet | PoseNet:
+def read_net(folder: Path) -> Any:
     """The network's settings from model.json. Raises UserError."""
     path = Path(folder) / MODEL
     if not path.exists():

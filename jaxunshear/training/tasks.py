@@ -89,7 +89,7 @@ def unshear_task(
             named["label"] = labelled(variables, code, batch)["label"]
         if sheared_logits is not None:
             named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
-        return _weighed(named, batch), batch_stats
+        return weighed(named, batch), batch_stats
 
     def validate(variables, batch):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
@@ -107,7 +107,7 @@ def unshear_task(
                 named |= labelled(variables, z_p, batch)
         if watch:
             named["pose"] = watch(image, canonical, batch)
-        return _weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
+        return weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
 
     weights = {
         "supervised": 1.0,
@@ -133,7 +133,7 @@ def posenet_task(net: settings.PoseNet, training: Training, targets: Targets) ->
     def validate(variables, batch):
         outputs = posenet.predict(net, variables, _unit(batch["image"]))
         loss = losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
-        return {"pose": loss} | _pose_errors(outputs, batch, targets)
+        return {"pose": loss} | pose_error_terms(outputs, batch, targets)
 
     _checked(posenet.check, net)
     init = partial(posenet.init, net, posenet.outputs_of(targets))
@@ -160,16 +160,16 @@ def _labelled(targets: Targets, variables: Tree, code: Array, batch: Batch) -> d
     """PoseNet's loss of what the head reads off the pose code, and the errors in mm and deg, each (B,)."""
     outputs = pose_head.predict(variables["params"]["head"], code)
     loss = losses.pose(outputs, posenet.pose_targets(batch, targets), posenet.output_weights(targets))
-    return {"label": loss} | _pose_errors(outputs, batch, targets)
+    return {"label": loss} | pose_error_terms(outputs, batch, targets)
 
 
-def _pose_errors(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
+def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
     """Absolute errors in mm and deg by target, each (B,)."""
     got, true = posenet.pose_from_outputs(outputs, targets), true_values(targets, batch)
     return {name: jnp.abs(_wrapped(got[name] - true[name], 360.0 if name.endswith("_deg") else None)) for name in got}
 
 
-def _weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
+def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
     """Terms (B,) times the weight of each example, where the batch has one."""
     return {name: term * batch["weight"] for name, term in named.items()} if "weight" in batch else named
 
