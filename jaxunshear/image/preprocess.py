@@ -104,13 +104,13 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) 
         grey = to_grey(raw, dict(view.whites).get(raw.dtype.name, 0.0))
         _check_seen(grey)
     square = crop(grey, view.box or _box(preprocess, grey))
+    if square.dtype == bool and len(square) == preprocess.size:
+        return (square & _mask(preprocess)).view(np.uint8) * np.uint8(255)
     with _one_thread():
         if not is_binary(grey):
             return _binarise(np, np.matmul, preprocess, square)
-        small = square
-        if len(square) != preprocess.size:  # else the products are by ones
-            small = _both_sides(np.matmul, _area_matrix(len(square), preprocess.size), square)
-    return ((small >= middle_level(grey)) & _mask(preprocess)).view(np.uint8) * np.uint8(255)
+        small = _both_sides(np.matmul, _area_matrix(len(square), preprocess.size), square)
+    return ((small >= middle_level(grey)) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
 
 
 def _one_thread() -> AbstractContextManager[object]:
