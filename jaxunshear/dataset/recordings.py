@@ -12,11 +12,10 @@ not needed is noted, not fatal.
 from __future__ import annotations
 
 import contextlib
-import csv
 import json
 import os
 import re
-import struct
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,6 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
+from jaxunshear.dataset.targets import UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Preprocess
 
@@ -34,20 +34,17 @@ if TYPE_CHECKING:
 SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 # Folders that hold a recording's images, the most processed first: only the first that has any is read.
 IMAGE_FOLDERS = ("processed_images", "frames_bw", "images", "frames", "sensor_images")
-IMAGE_COLUMNS = ("sensor_image", "image_name")
-POSE_COLUMNS = tuple(f"pose_{i}" for i in range(1, 7)), tuple(f"pose_{i}" for i in ("x", "y", "z", "Rx", "Ry", "Rz"))
-MOVE_COLUMNS = tuple(f"move_{i}" for i in range(1, 7)), tuple(f"shear_{i}" for i in ("x", "y", "z", "Rx", "Ry", "Rz"))
 PROBES = 20  # frames that a common crop is found from
 DEPTH = 4  # folders below the given one that are searched
-UNREADABLE = (OSError, SyntaxError, ValueError, EOFError, struct.error, Image.DecompressionBombError)
 
 
 @dataclass(frozen=True)
 class Recordings:
     """What lies at `path`: N images, in order, that `frames` loads one at a time.
 
-    `poses` and `moves` (N, 6) in mm and degrees, NaN in rows that are not labelled, or None where nothing is. `notes` says what was
-    left out, by name; images that turn out to be unreadable are added while `frames` runs.
+    `poses` and `moves` (N, 6) in mm and degrees, NaN in rows that are not labelled, or None where nothing is. `pose_ids` (N,) int64,
+    -1 where unknown, and `objects`, "" where unknown, or None likewise. `notes` says in a line each what is wrong, by file and row
+    (`Problem` where these are known); images that turn out to be unreadable, or unlike the others, are added while `frames` runs.
     """
 
     path: Path
@@ -56,6 +53,8 @@ class Recordings:
     poses: np.ndarray | None
     moves: np.ndarray | None
     notes: list[str] = field(default_factory=list)
+    pose_ids: np.ndarray | None = None
+    objects: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.files)
@@ -64,9 +63,11 @@ class Recordings:
     def names(self) -> tuple[str, ...]:
         """The images' places below `path`, with slashes: unique. Bytes that are no UTF-8 as they are escaped in Python: names go to
         tables."""
-        root = self.path if self.path.is_dir() else self.path.parent
-        names = (os.fsencode(file.relative_to(root).as_posix()) for file in self.files)
-        return tuple(name.decode("utf-8", "backslashreplace") for name in names)
+        return tuple(map(self._name, self.files))
+
+    def _name(self, file: Path) -> str:
+        root = self.path.parent if file == self.path else self.path
+        return os.fsencode(file.relative_to(root).as_posix()).decode("utf-8", "backslashreplace")
 
     def frames(self, view: View | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
         """(row of `poses`, name, image (S, S) uint8 of {0, 255}), seen as `view`; what it does not tell, as each folder's have in common.
@@ -75,22 +76,32 @@ class Recordings:
         """
         from jaxunshear.image.preprocess import View, prepare_frame
 
-        read, problem = 0, ""
+        problem = ""
         views: dict[Path, View] = {}
-        for index, (file, name) in enumerate(zip(self.files, self.names, strict=True)):
-            if file.parent not in views:
-                own = self.common_view(file.parent) if view is None or view.box is None else view
-                views[file.parent] = View(own.box, own.whites if view is None else view.whites)
+        sizes: dict[Path, dict[tuple[int, ...], list[str]]] = {}
+        for index, file in enumerate(self.files):
+            name, folder = self._name(file), file.parent
+            if folder not in views:
+                own = self.common_view(folder) if view is None or view.box is None else view
+                views[folder], sizes[folder] = View(own.box, own.whites if view is None else view.whites), {}
             try:
-                image = prepare_frame(self.preprocess, read_image(file), views[file.parent])
+                raw = read_image(file)
+                image = prepare_frame(self.preprocess, raw, views[folder])
             except UserError as error:
                 problem = f"{name}: {error}"
-                self.notes.append(f"left out {problem}")
+                self._note(Problem.of(file, f"left out {problem}"))
                 continue
-            read += 1
+            sizes[folder].setdefault(raw.shape[:2], []).append(file.name)
             yield index, name, image
-        if not read:
+        if not any(sizes.values()):
             raise UserError(f"none of {len(self)} images in {self.path} can be read; the last: {problem}")
+        for folder, seen in sizes.items():
+            if len(seen) > 1:
+                self._note(Problem.at(folder, f"images of {len(seen)} sizes: {_sizes(seen)}"))
+
+    def _note(self, problem: str) -> None:
+        if problem not in self.notes:  # frames may be asked for twice
+            self.notes.append(problem)
 
     def common_view(self, folder: Path | None = None) -> View:
         """The crop and the whites that suit up to PROBES frames, of all or of one folder, evenly spaced: a crop that trembled would look
@@ -111,11 +122,13 @@ class Recordings:
 def read_image(file: Path) -> np.ndarray:
     """An image file as an array of its own depth and channels. Raises UserError for what Pillow cannot read."""
     try:
-        with Image.open(file) as opened:
-            opened.load()
-            plain = opened.mode in ("1", "L", "LA", "RGB", "RGBA", "I", "F") or opened.mode.startswith("I;16")
-            return np.array(opened if plain else opened.convert("RGB"))
-    except UNREADABLE as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with Image.open(file) as opened:
+                opened.load()
+                plain = opened.mode in ("1", "L", "LA", "RGB", "RGBA", "I", "F") or opened.mode.startswith("I;16")
+                return np.array(opened if plain else opened.convert("RGB"))
+    except Exception as error:  # decoders meet broken files with errors of every kind
         raise UserError(f"no readable image ({_one_line(error)})") from None
 
 
@@ -130,39 +143,54 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
         raise UserError(f"{path} does not exist: give a folder of recordings or an image")
     notes: list[str] = []
     files: list[Path] = []
-    poses: list[np.ndarray] = []
-    moves: list[np.ndarray] = []
+    targets: list[Targets] = []
     try:
-        for folder, images in _recording_folders(path, DEPTH):
+        for folder, images in _recording_folders(path, DEPTH, notes):
             files += images
             _check_json(folder, notes)
-            pose, move = _labels(folder, images, notes)
-            poses.append(pose)
-            moves.append(move)
+            targets.append(_targets(folder, images, notes))
             if images[0].parent == folder and (hidden := _below(folder)) is not None:
                 notes.append(f"{folder} has images of its own, so those below it, such as in {hidden}, are not read")
     except OSError as error:
         raise UserError(f"{path} cannot be searched: {_one_line(error)}") from None
     if not files:
         raise UserError(f"{path} holds no images ({', '.join(sorted(SUFFIXES))}), nor a known layout of recordings")
-    return Recordings(path, preprocess, tuple(files), _known(poses), _known(moves), notes)
+    poses, moves, ids, objects = (list(part) for part in zip(*targets, strict=True))
+    pose_ids, kinds = np.concatenate(ids), tuple(kind for part in objects for kind in part)
+    return Recordings(
+        path,
+        preprocess,
+        tuple(files),
+        _known(poses),
+        _known(moves),
+        notes,
+        pose_ids if (pose_ids != UNKNOWN_ID).any() else None,
+        kinds if any(kinds) else None,
+    )
 
 
-def _recording_folders(folder: Path, depth: int) -> Iterator[tuple[Path, list[Path]]]:
-    """Every folder with images of its own or in a known subfolder, and these images."""
+def _recording_folders(
+    folder: Path, depth: int, notes: list[str], seen: frozenset[Path] = frozenset()
+) -> Iterator[tuple[Path, list[Path]]]:
+    """Every folder with images of its own or in a known subfolder, and these images. Links that lead back are not followed."""
     for place in (*(folder / name for name in IMAGE_FOLDERS), folder):
         images = _images(place)
         if images:
             yield folder, images
             return
-    if depth:
-        for below in _folders(folder):
-            yield from _recording_folders(below, depth - 1)
+    seen |= {folder.resolve()}
+    for below in _folders(folder) if depth else ():
+        if below.resolve() in seen:
+            continue
+        try:
+            yield from _recording_folders(below, depth - 1, notes, seen)
+        except OSError as error:
+            notes.append(Problem.at(below, f"cannot be searched ({error.strerror or error})"))
 
 
 def _below(folder: Path) -> Path | None:
     """A folder in `folder` where images would be found if it had none of its own."""
-    found = (place for sub in _folders(folder) for place, _ in _recording_folders(sub, DEPTH - 1))
+    found = (place for sub in _folders(folder) for place, _ in _recording_folders(sub, DEPTH - 1, []))
     with contextlib.suppress(OSError):  # nobody asked for what lies there
         return next(found, None)
     return None
@@ -188,63 +216,35 @@ def _check_json(folder: Path, notes: list[str]) -> None:
     for file in sorted(folder.glob("*.json")):
         try:
             json.loads(file.read_text(encoding="utf-8"))
-        except (ValueError, OSError) as error:
-            notes.append(f"{file} is broken ({_one_line(error)}); it is not needed, so the reading goes on without it")
+        except (ValueError, OSError, RecursionError) as error:
+            text = f"this JSON is broken ({_one_line(error)}); it is not needed, so the reading goes on without it"
+            notes.append(Problem.at(file, text))
 
 
-def _labels(folder: Path, images: list[Path], notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Poses and moves (N, 6) of the images, NaN where the folder's csv does not tell."""
-    unknown = np.full((len(images), 6), np.nan)
+def _targets(folder: Path, images: list[Path], notes: list[str]) -> Targets:
+    """What the folder's table tells of its images."""
     for file in (folder / "targets.csv", folder / "targets_images.csv"):
-        if not file.is_file():
-            continue
-        try:
-            with open(file, newline="", encoding="utf-8-sig") as stream:
-                rows = list(csv.DictReader(stream))
-        except (OSError, ValueError, csv.Error) as error:
-            notes.append(f"{file} cannot be read ({_one_line(error)})")
-            continue
-        columns = set(rows[0]) if rows else set()
-        image_column = next((name for name in IMAGE_COLUMNS if name in columns), None)
-        if image_column is None:
-            notes.append(f"{file} has no rows with a column {' or '.join(IMAGE_COLUMNS)}: its poses are not used")
-            continue
-        by_name = {re.split(r"[/\\]", row[image_column] or "")[-1]: row for row in rows}
-        missing = [image.name for image in images if image.name not in by_name]
-        if missing:
-            notes.append(
-                f"{file} has no row for {len(missing)} of {len(images)} images, the first {missing[0]}: poses unknown"
-            )
-        found = [by_name.get(image.name, {}) for image in images]
-        return (
-            _six(file, found, columns, POSE_COLUMNS, "poses", notes),
-            _six(file, found, columns, MOVE_COLUMNS, "slides", notes),
-        )
-    return unknown, unknown.copy()
-
-
-def _six(file: Path, rows: list[dict], columns: set[str], choices, what: str, notes: list[str]) -> np.ndarray:
-    """The six columns of whichever naming the file uses, (N, 6) float."""
-    values = np.full((len(rows), 6), np.nan)
-    names = max(choices, key=lambda choice: len(columns.intersection(choice)))
-    lacking = [name for name in names if name not in columns]
-    if lacking:
-        notes.append(f"{file} has no column {', '.join(lacking)}: {what} are not known")
-        return values
-    bad = 0
-    for i, row in enumerate(rows):
-        try:
-            values[i] = [float(row[name]) for name in names] if row else np.nan
-        except (TypeError, ValueError):
-            bad += 1
-    if bad:
-        notes.append(f"{file} has {bad} rows whose {what} are no numbers")
-    return values
+        if file.is_file():
+            try:
+                targets, problems = read_targets(read_table(file), [image.name for image in images])
+            except UserError as error:
+                notes.append(error.args[0])
+                continue
+            notes += problems
+            return targets
+    return no_targets(len(images))
 
 
 def _known(parts: list[np.ndarray]) -> np.ndarray | None:
-    values = np.concatenate(parts) if parts else np.zeros((0, 6))
+    values = np.concatenate(parts)
     return values if np.isfinite(values).any() else None
+
+
+def _sizes(names: dict[tuple[int, ...], list[str]]) -> str:
+    """The usual size of images, and the first that has another."""
+    usual, *others = sorted(names, key=lambda size: -len(names[size]))
+    parts = [f"{len(names[size])} of {size[1]} x {size[0]} ({names[size][0]})" for size in others[:3]]
+    return ", ".join([f"{len(names[usual])} of {usual[1]} x {usual[0]}", *parts])
 
 
 def _one_line(error: Exception) -> str:

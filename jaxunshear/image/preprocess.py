@@ -7,6 +7,7 @@ matrix on the rows and one on the columns; a batch is a few products of matrices
     image = prepare_frame(Preprocess(size=128), imageio.imread("frame.png"))       # any real frame
 """
 
+from contextlib import AbstractContextManager
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -18,13 +19,14 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 from skimage.filters import threshold_otsu
 from skimage.measure import label
+from threadpoolctl import ThreadpoolController
 
 from jaxunshear.errors import UserError
+from jaxunshear.image.grey import is_binary, middle_level, to_grey, white_of, white_pixels
 from jaxunshear.image.pins import in_company
 from jaxunshear.image.settings import Preprocess
 
 OUTER_PINS_OF_DISC = 0.82  # radius of the outermost pins over that of the dark disc, measured: 172 and 210 px
-LUMA = np.array([0.299, 0.587, 0.114], np.float32)  # ITU-R BT.601, as cameras and image libraries make grey
 
 
 def binarise(preprocess: Preprocess, grey: Array) -> Array:
@@ -97,13 +99,28 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) 
     not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.
     """
     raw = np.asarray(raw)
-    grey = to_grey(raw, dict(view.whites).get(raw.dtype.name, 0.0))
-    _check_seen(grey)
+    grey = white_pixels(raw)
+    if grey is None:
+        grey = to_grey(raw, dict(view.whites).get(raw.dtype.name, 0.0))
+        _check_seen(grey)
     square = crop(grey, view.box or _box(preprocess, grey))
-    if is_binary(grey):
-        small = _both_sides(np.matmul, _area_matrix(square.shape[0], preprocess.size), square)
-        return ((small >= _middle_level(grey)) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
-    return _binarise(np, np.matmul, preprocess, square)
+    if square.dtype == bool and len(square) == preprocess.size:
+        return (square & _mask(preprocess)).view(np.uint8) * np.uint8(255)
+    with _one_thread():
+        if not is_binary(grey):
+            return _binarise(np, np.matmul, preprocess, square)
+        small = _both_sides(np.matmul, _area_matrix(len(square), preprocess.size), square)
+    return ((small >= middle_level(grey)) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
+
+
+def _one_thread() -> AbstractContextManager[object]:
+    """Of BLAS: on busy cores two threads take ten times as long for products as small as these."""
+    return _blas().limit(limits=1, user_api="blas")
+
+
+@lru_cache(maxsize=1)
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()  # looks for libraries: milliseconds
 
 
 def own_view(preprocess: Preprocess, raw: np.ndarray) -> View:
@@ -134,60 +151,10 @@ def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
 
     Resampling costs a binary image its edges, so a framing that is near enough stays.
     """
-    pins = _pin_circle(grey > _middle_level(grey))
+    pins = _pin_circle(grey > middle_level(grey))
     if pins is None or abs(pins.radius / outer_pins / min(grey.shape) - 1) < 0.12:
         return _middle(grey.shape)
     return _square(pins.row, pins.column, pins.radius / outer_pins)
-
-
-def white_of(raw: np.ndarray) -> float:
-    """The number that stands for white in a frame: 1 of masks and floats, 255, or what 10, 12, 14 or 16 bits can hold, which cameras
-    keep in wider words. One pixel in a thousand may be brighter than 255, or than 1 in floats: some pixels of a camera are."""
-    colours = raw[..., : 1 if raw.shape[-1] < 3 else 3] if raw.ndim == 3 else raw
-    most = float(colours.max())
-    unit, usual = (1.5, 1.5) if np.issubdtype(raw.dtype, np.floating) else (1.0, 255.0)  # floats may overshoot a little
-    if most > usual:
-        most = max(usual, float(np.quantile(colours, 0.999)))
-    if most <= unit:
-        return 1.0
-    return next((float(white) for white in (255, 1023, 4095, 16383, 65535) if most <= white), most)
-
-
-def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
-    """Any image array -> (H, W) float32 in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger, or
-    1 itself.
-
-    Raises UserError for a wrong shape, no pixels, or values that are no numbers.
-    """
-    raw = np.asarray(raw)
-    if raw.ndim == 3 and raw.shape[-1] in (1, 2):
-        raw = raw[..., 0]
-    if raw.ndim not in (2, 3) or (raw.ndim == 3 and raw.shape[-1] not in (3, 4)):
-        raise UserError(
-            f"this is no image: an array of shape {raw.shape}; give (height, width) or (height, width, channels)"
-        )
-    if min(raw.shape[:2]) < 16:
-        raise UserError(f"this image has {raw.shape[1]} x {raw.shape[0]} pixels: too small to show pins")
-    if np.issubdtype(raw.dtype, np.floating):
-        if not np.isfinite(raw).all():
-            raise UserError("this image holds values that are not finite (NaN or infinity)")
-    elif raw.dtype != bool and not np.issubdtype(raw.dtype, np.integer):
-        raise UserError(f"this is no image: an array of type {raw.dtype}")
-    own = white_of(raw)
-    grey = raw.astype(np.float32) / (own if own == 1 else max(own, white))
-    return np.clip(grey if grey.ndim == 2 else grey[..., :3] @ LUMA, 0.0, 1.0)
-
-
-def is_binary(grey: np.ndarray) -> bool:
-    """Whether (nearly) all pixels are one of two levels far apart: a frame thresholded before (a few greys come of compression)."""
-    low, high = np.min(grey), np.max(grey)
-    if high - low < 0.25:
-        return False
-    return float(np.mean((grey - low < 0.1 * (high - low)) | (high - grey < 0.1 * (high - low)))) > 0.97
-
-
-def _middle_level(grey: np.ndarray) -> float:
-    return float(np.min(grey) + np.max(grey)) / 2
 
 
 def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
@@ -289,6 +256,8 @@ def crop(grey: np.ndarray, bbox: tuple[int, int, int, int]) -> np.ndarray:
         raise UserError(f"bbox {left},{top},{right},{bottom} holds no pixels of a frame of {width} x {height}")
     side = max(right - left, bottom - top)
     left, top = (left + right - side) // 2, (top + bottom - side) // 2
+    if min(left, top) >= 0 and left + side <= width and top + side <= height:
+        return np.ascontiguousarray(grey[top : top + side, left : left + side])
     rows = np.clip(np.arange(top, top + side), 0, height - 1)
     columns = np.clip(np.arange(left, left + side), 0, width - 1)
-    return grey[rows[:, None], columns]
+    return grey.take(rows, 0).take(columns, 1)

@@ -5,6 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from PIL import Image
 
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.image import preprocess
 from jaxunshear.image.settings import Preprocess
 
 PREPROCESS = Preprocess(size=64)
@@ -108,8 +110,8 @@ def test_a_folder_without_one_readable_image(tmp_path):
     [
         (lambda text: text.replace("pose_4", "pose_four"), "no column pose_4"),
         (lambda text: text.replace("sensor_image", "picture"), "sensor_image or image_name"),
-        (lambda text: "", "sensor_image or image_name"),
-        (lambda text: text.replace("image_2.png,100,", "image_2.png,abc,"), "1 rows whose poses are no numbers"),
+        (lambda text: "", "is empty"),
+        (lambda text: text.replace("image_2.png,100,", "image_2.png,abc,"), "row 3: pose_1 is 'abc', no usable number"),
         (lambda text: text.replace("image_10.png", "image_11.png"), "no row for 1 of 3 images, the first image_10.png"),
     ],
     ids=["column", "image_column", "empty", "number", "row"],
@@ -121,6 +123,51 @@ def test_broken_labels_are_told_of_and_the_images_read(tmp_path, spoil, says):
     recordings = read_recordings(root, PREPROCESS)
     assert len(list(recordings.frames())) == 3
     assert any(says in note and "targets.csv" in note for note in recordings.notes)
+
+
+def test_pose_numbers_and_objects(tmp_path):
+    root = older(tmp_path / "a" / "set")
+    assert read_recordings(root, PREPROCESS).pose_ids is read_recordings(root, PREPROCESS).objects is None
+    write_images(tmp_path / "a" / "bare", ["x.png"])
+    lines = (root / "targets.csv").read_text().splitlines()
+    more = ["pose_id,obj_id", "7,3", ",3", "9,"]
+    (root / "targets.csv").write_text("\n".join(f"{a},{b}" for a, b in zip(lines, more, strict=True)))
+    recordings = read_recordings(tmp_path / "a", PREPROCESS)
+    assert recordings.names[0] == "bare/x.png"
+    assert recordings.pose_ids.dtype == np.int64
+    np.testing.assert_array_equal(recordings.pose_ids, [-1, 7, -1, 9])
+    assert recordings.objects == ("", "3", "3", "")
+
+
+def test_images_of_other_sizes_are_told_once(tmp_path):
+    root = older(tmp_path / "set")
+    Image.fromarray(binary(0, 64)).save(root / "images" / "image_2.png")
+    recordings = read_recordings(root, PREPROCESS)
+    assert len(list(recordings.frames())) == len(list(recordings.frames())) == 3
+    (note,) = recordings.notes
+    assert note == f"{root / 'images'}: images of 2 sizes: 2 of 96 x 96, 1 of 64 x 64 (image_2.png)"
+
+
+def test_links_that_lead_back_are_not_followed(tmp_path):
+    older(tmp_path / "a")
+    (tmp_path / "b").mkdir()
+    (tmp_path / "b" / "up").symlink_to(tmp_path)
+    assert len(read_recordings(tmp_path, PREPROCESS)) == 3
+
+
+def test_a_ready_frame_takes_no_arithmetic(tmp_path, monkeypatch):
+    """As it lies on disk, within the mask; the long way, which is not to be taken, says the same."""
+    root = older(tmp_path / "set")
+    ready = replace(PREPROCESS, size=96)
+    recordings = read_recordings(root, ready)
+    monkeypatch.setattr(preprocess, "white_pixels", lambda raw: None)
+    long = [image for _, _, image in recordings.frames()]
+    monkeypatch.undo()
+    view = recordings.common_view()
+    monkeypatch.setattr(preprocess, "_both_sides", None)
+    monkeypatch.setattr(preprocess, "to_grey", None)
+    np.testing.assert_array_equal([image for _, _, image in recordings.frames(view)], long)
+    assert 0 < np.mean(long) < 255
 
 
 def test_only_rows_without_labels_are_unknown(tmp_path):

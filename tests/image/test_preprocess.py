@@ -8,6 +8,7 @@ from skimage.filters import threshold_local
 from skimage.transform import resize_local_mean
 
 from jaxunshear.errors import UserError
+from jaxunshear.image import grey, preprocess
 from jaxunshear.image.camera import frame, outer_fraction, project, to_image_px
 from jaxunshear.image.pins import find_pins
 from jaxunshear.image.preprocess import (
@@ -238,6 +239,37 @@ def test_a_binary_frame_is_not_thresholded_again(frames, kind):
     image = np.asarray(binarise(Preprocess(size=128), frames[0]))
     other = {"uint8": image, "bool": image > 0, "zero_one": image // 255, "jpeg": np.clip(image, 8, 246)}[kind]
     np.testing.assert_array_equal(prepare_frame(Preprocess(size=128), other), image)
+
+
+VIEWS = (View(), View((0, 0, 96, 96)), View((3, 5, 67, 69)), View((-9, 2, 80, 91)), View((-70, -70, 5, 5)))
+
+
+@pytest.mark.parametrize("kind", [bool, np.uint8])
+@pytest.mark.parametrize("size", [48, 64, 96, 128])
+@pytest.mark.parametrize("view", VIEWS, ids=str)
+def test_the_quick_way_for_black_and_white_gives_what_the_long_one_does(monkeypatch, kind, size, view):
+    generator = np.random.default_rng(size)
+    raws = [generator.random(shape) > 0.7 for shape in ((96, 96), (96, 120), (64, 96))]
+    raws = [raw if kind is bool else raw.astype(np.uint8) * np.uint8(255) for raw in raws]
+    assert all(grey.white_pixels(raw) is not None for raw in raws)
+    quick = [prepare_frame(Preprocess(size=size), raw, view) for raw in raws]
+    monkeypatch.setattr(preprocess, "white_pixels", lambda raw: None)
+    for image, raw in zip(quick, raws, strict=True):
+        long = prepare_frame(Preprocess(size=size), raw, view)
+        assert image.dtype == long.dtype == np.uint8
+        np.testing.assert_array_equal(image, long)
+
+
+def test_what_is_not_black_and_white_goes_the_long_way():
+    """Also what is black or white all over, and too small: the long way refuses these."""
+    raw = np.random.default_rng(0).integers(0, 2, (32, 32), np.uint8) * np.uint8(255)
+    assert grey.white_pixels(raw) is not None
+    other = [raw.astype(np.uint16), raw.astype(float), raw[:15], raw[..., None], raw * 0, raw * 0 + np.uint8(255)]
+    for level in (1, 2, 127, 254):
+        spoilt = raw.copy()
+        spoilt[3, 4] = level
+        other.append(spoilt)
+    assert [grey.white_pixels(each) for each in other] == [None] * len(other)
 
 
 def test_a_binary_frame_of_another_framing_is_brought_to_ours(frames):

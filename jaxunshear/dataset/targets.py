@@ -1,0 +1,251 @@
+"""The tables beside recorded images: poses, slides and pose numbers by the name of the image. What is wrong is named by file and row.
+
+A row is counted as spreadsheets and editors do: the heading is row 1.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.errors import UserError
+
+IMAGE_COLUMNS = ("sensor_image", "image_name")
+OBJECT_COLUMNS = ("obj_id", "object_label")
+AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
+POSE_COLUMNS = tuple(f"pose_{i}" for i in range(1, 7)), tuple(f"pose_{axis}" for axis in AXES)
+MOVE_COLUMNS = tuple(f"move_{i}" for i in range(1, 7)), tuple(f"shear_{axis}" for axis in AXES)
+FARTHEST = 1e5  # mm or degrees: a number beyond it is no label
+MOST_POSES = 2.0**53
+UNKNOWN_ID = -1
+
+Wrong = tuple[int, str]  # row, and what is wrong with it
+
+
+@dataclass(frozen=True)
+class Row:
+    number: int  # in the file, the heading being 1
+    cells: dict[str, str]
+
+
+class Uneven(NamedTuple):
+    """A row that does not fit the heading."""
+
+    number: int
+    cells: int
+
+
+@dataclass(frozen=True)
+class Table:
+    file: Path
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+    uneven: tuple[Uneven, ...]  # not among `rows`
+
+
+class Problem(str):
+    """One line on what is wrong with a recording, that knows where."""
+
+    place: Path
+    row: int | None  # of a table
+
+    @classmethod
+    def at(cls, place: Path, text: str, row: int | None = None) -> Problem:
+        """That begins with the place."""
+        return cls.of(place, f"{place}{f', row {row}' if row else ''}: {text}", row)
+
+    @classmethod
+    def of(cls, place: Path, line: str, row: int | None = None) -> Problem:
+        """That names the place in its own words."""
+        printable = line.encode("utf-8", "backslashreplace").decode()  # a file's name may be of bytes that are no text
+        problem = cls(" ".join(printable.split()))
+        problem.place, problem.row = place, row
+        return problem
+
+
+class Targets(NamedTuple):
+    """Of N images, in their order."""
+
+    poses: np.ndarray  # (N, 6) mm and degrees, NaN where unknown
+    moves: np.ndarray  # (N, 6)
+    pose_ids: np.ndarray  # (N,) int64, UNKNOWN_ID where unknown
+    objects: tuple[str, ...]  # "" where unknown
+
+
+def read_table(file: Path) -> Table:
+    """Raises UserError, by file and row, for what is no table of text."""
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise UserError(Problem.at(file, f"cannot be read ({error.strerror or error})")) from None
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        row = data.count(b"\n", 0, error.start) + 1
+        raise UserError(Problem.at(file, "this is not UTF-8 text: save the table as CSV in UTF-8", row)) from None
+    reader = csv.reader(io.StringIO(text, newline=""))
+    lines: list[tuple[int, list[str]]] = []
+    while True:
+        row = reader.line_num + 1
+        try:
+            cells = next(reader, None)
+        except csv.Error as error:
+            raise UserError(Problem.at(file, f"this is not CSV ({error})", row)) from None
+        if cells is None:
+            break
+        if any(cell.strip() for cell in cells):
+            lines.append((row, [cell.strip() for cell in cells]))
+    if not lines:
+        raise UserError(Problem.at(file, "is empty"))
+    columns = tuple(lines[0][1])
+    twice = next((name for i, name in enumerate(columns) if name and name in columns[:i]), None)
+    if twice is not None:
+        raise UserError(Problem.at(file, f"the heading names column {_shown(twice)} twice", lines[0][0]))
+    width = len(columns)
+    return Table(
+        file,
+        columns,
+        tuple(Row(row, dict(zip(columns, cells, strict=True))) for row, cells in lines[1:] if len(cells) == width),
+        tuple(Uneven(row, len(cells)) for row, cells in lines[1:] if len(cells) != width),
+    )
+
+
+def read_targets(table: Table, names: Sequence[str]) -> tuple[Targets, list[Problem]]:
+    """The labels of images of these names. Raises UserError where the table names no images."""
+    column = next((name for name in IMAGE_COLUMNS if name in table.columns), None)
+    if column is None:
+        raise UserError(
+            Problem.at(table.file, f"has no column {' or '.join(IMAGE_COLUMNS)}: its poses are not used", 1)
+        )
+    by_name, problems = _by_name(table, column, set(names))
+    missing = [name for name in names if name not in by_name]
+    if missing:
+        text = f"has no row for {len(missing)} of {len(names)} images, the first {missing[0]}: poses unknown"
+        problems.append(Problem.at(table.file, text))
+    rows = [by_name.get(name) for name in names]
+    poses, bad_poses = _six(table, rows, POSE_COLUMNS, "pose")
+    moves, bad_moves = _six(table, rows, MOVE_COLUMNS, "slide")
+    ids, bad_ids = _ids(table, rows)
+    kind = next((name for name in OBJECT_COLUMNS if name in table.columns), None)
+    objects = tuple(row.cells[kind] if row and kind else "" for row in rows)
+    return Targets(poses, moves, ids, objects), problems + bad_poses + bad_moves + bad_ids
+
+
+def no_targets(images: int) -> Targets:
+    """Of images that no table names."""
+    unknown = np.full((images, 6), np.nan)
+    return Targets(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64), ("",) * images)
+
+
+def _by_name(table: Table, column: str, names: set[str]) -> tuple[dict[str, Row], list[Problem]]:
+    """The row of each image; none where two rows of one image differ."""
+    by_name: dict[str, Row] = {}
+    absent, again, differ = list[Wrong](), list[Wrong](), set[str]()
+    for row in table.rows:
+        name = re.split(r"[/\\]", row.cells[column])[-1]
+        first = by_name.setdefault(name, row)
+        if name not in names:
+            absent.append((row.number, f"there is no image {_shown(name)} in this folder"))
+        elif row.cells != first.cells:
+            again.append((row.number, f"{name} has another row, {first.number}, that differs: neither is used"))
+            differ.add(name)
+        elif row is not first:
+            again.append((row.number, f"{name} has the same row already, {first.number}"))
+    width = len(table.columns)
+    uneven = [
+        (row, f"{cells} cells where the heading has {width}: this row is not used") for row, cells in table.uneven
+    ]
+    problems = [problem for wrong in (uneven, absent, again) for problem in _told(table, wrong)]
+    return {name: row for name, row in by_name.items() if name not in differ}, problems
+
+
+def _told(table: Table, wrong: list[Wrong]) -> list[Problem]:
+    """One problem for all rows that have the same, with the first of them: there may be thousands."""
+    if not wrong:
+        return []
+    row, text = min(wrong)
+    return [Problem.at(table.file, text + (f" ({len(wrong)} such rows)" if len(wrong) > 1 else ""), row)]
+
+
+def _six(
+    table: Table, rows: Sequence[Row | None], choices: tuple[tuple[str, ...], ...], what: str
+) -> tuple[np.ndarray, list[Problem]]:
+    """The six columns (N, 6) of whichever naming the file uses, NaN in rows that have not all of them."""
+    values = np.full((len(rows), 6), np.nan)
+    names = max(choices, key=lambda choice: len(set(table.columns).intersection(choice)))
+    lacking = [name for name in names if name not in table.columns]
+    if lacking:
+        return values, [Problem.at(table.file, f"has no column {', '.join(lacking)}: {what}s are not known")]
+    bad: list[Wrong] = []
+    for i, row in enumerate(rows):
+        if row is None:
+            continue
+        wrong = next((name for name in names if _number(row.cells[name]) is None), None)
+        if wrong is None:
+            values[i] = [float(row.cells[name]) for name in names]
+        else:
+            bad.append((row.number, f"{wrong} is {_shown(row.cells[wrong])}, no usable number: this {what} is unknown"))
+    return values, _told(table, bad)
+
+
+def _ids(table: Table, rows: Sequence[Row | None]) -> tuple[np.ndarray, list[Problem]]:
+    ids, bad = np.full(len(rows), UNKNOWN_ID, np.int64), list[Wrong]()
+    for i, row in enumerate(rows):
+        if row is None or not (cell := row.cells.get("pose_id")):
+            continue
+        number = _number(cell, MOST_POSES)
+        if number is None or number < 0 or number % 1:
+            bad.append((row.number, f"pose_id is {_shown(cell)}, no whole number"))
+        else:
+            ids[i] = int(number)
+    return ids, _told(table, bad)
+
+
+def _number(cell: str, limit: float = FARTHEST) -> float | None:
+    """A finite number within the limit; else None."""
+    try:
+        number = float(cell)
+    except ValueError:
+        return None
+    return number if abs(number) < limit else None
+
+
+def _shown(cell: str) -> str:
+    return ascii(cell[:30]) if cell else "empty"
+
+
+def read_pair_table(file: str | Path) -> list[tuple[str, str]]:
+    """(slide, tap), the names of images that belong together, from a CSV with columns `slide` and `tap`.
+
+    Raises UserError, by file and row, for a table without them, a row of another length or with an empty cell, and a slide that
+    has two taps.
+    """
+    table = read_table(Path(file))
+    for name in ("slide", "tap"):
+        if name not in table.columns:
+            raise _at(table, 1, f"there is no column '{name}': pairs need the columns slide and tap")
+    if table.uneven:
+        number, cells = table.uneven[0]
+        raise _at(table, number, f"{cells} cells where the heading has {len(table.columns)}")
+    if not table.rows:
+        raise _at(table, None, "names no pairs: give a row for each slide, with its tap")
+    first: dict[str, int] = {}
+    for row in table.rows:
+        slide = row.cells["slide"]
+        if not slide or not row.cells["tap"]:
+            raise _at(table, row.number, f"the {'tap' if slide else 'slide'} is not named")
+        if slide in first:
+            raise _at(table, row.number, f"{slide} has a tap already, in row {first[slide]}")
+        first[slide] = row.number
+    return [(row.cells["slide"], row.cells["tap"]) for row in table.rows]
+
+
+def _at(table: Table, row: int | None, text: str) -> UserError:
+    return UserError(Problem.at(table.file, text, row))
