@@ -98,6 +98,11 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
         return
     yield bool(recorded.taps or recorded.slides), "paired.taps", "name your recordings: add --recordings DIR"
     yield recorded.pairing in PAIRINGS, "paired.pairing", f"is unknown: use one of {', '.join(PAIRINGS)}"
+    yield (
+        bool(recorded.pairs) == (recorded.pairing == "file"),
+        "paired.pairs",
+        "a table of pairs goes with pairing file: add both, or neither",
+    )
     yield 0 < recorded.labelled <= 1, "paired.labelled", "use a share above 0, at most 1"
     for field in ("test", "validation"):
         yield 0 < getattr(recorded, field) < 0.5, f"paired.{field}", "use a share between 0 and 0.5"

@@ -42,8 +42,13 @@ def weights_of(distance: np.ndarray) -> np.ndarray:
     return (weight / weight.mean()).astype(np.float32)
 
 
-def same_pose(slides: np.ndarray, slide_ids: np.ndarray, taps: np.ndarray, tap_ids: np.ndarray) -> np.ndarray:
-    """(N,) row of a tap of the same `pose_id` and the same pose; -1 where there is none. The slides of a pose take its taps in turn."""
+def same_pose(
+    slides: np.ndarray, slide_ids: np.ndarray, taps: np.ndarray, tap_ids: np.ndarray, checked: bool = True
+) -> np.ndarray:
+    """(N,) row of a tap of the same `pose_id` and, where that is `checked`, the same pose; -1 where there is none.
+
+    The slides of a pose take its taps in turn.
+    """
     by_id: dict[int, list[int]] = {}
     for row, own in enumerate(tap_ids.tolist()):
         if own >= 0:
@@ -51,10 +56,10 @@ def same_pose(slides: np.ndarray, slide_ids: np.ndarray, taps: np.ndarray, tap_i
     taken: dict[int, int] = {}
     found = np.full(len(slides), -1)
     for row, own in enumerate(slide_ids.tolist()):
-        of_pose = [
-            tap for tap in by_id.get(own, []) if gaps(slides[row : row + 1], taps[tap : tap + 1]).max() <= SAME_POSE
-        ]
-        if of_pose:
+        of_pose = np.array(by_id.get(own, []), int)
+        if checked and len(of_pose):
+            of_pose = of_pose[gaps(slides[row], taps[of_pose]).max(axis=1) <= SAME_POSE]
+        if len(of_pose):
             turn = taken.get(own, 0)
             found[row], taken[own] = of_pose[turn % len(of_pose)], turn + 1
     return found

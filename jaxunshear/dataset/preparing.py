@@ -27,6 +27,7 @@ from jaxunshear.storage import write_bytes
 
 CHUNK = 250  # frames in a file
 LARGEST_PX = 256  # pins are found at the frames' own size, at most this
+NOTHING = np.zeros((0, 1), np.uint8)
 LATTICE_FRAMES = 60  # training frames that the untouched pins are found from
 
 
@@ -130,7 +131,7 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
     return {
         "number": number,
         "images": pack(images),
-        "seen": pack(seen[usable & ~sure]),  # to look at once more
+        "seen": pack(seen[usable & ~sure]) if (usable & ~sure).any() else NOTHING,  # to look at once more
         "pins": np.where(sure[:, None, None], pins, np.nan),
         "sure": sure,
         "usable": usable,
@@ -153,7 +154,7 @@ def _second_pass(path: Path, frame: Frame, usual: Any) -> dict:
         if track.sure:
             chunk["sure"][row] = True
             chunk["pins"][row] = _to_image(frame, lattice.place + track.motion)
-    return chunk | {"tried": np.array(True), "seen": np.zeros((0, 1), np.uint8)}
+    return chunk | {"tried": np.array(True), "seen": NOTHING}
 
 
 def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> Any:

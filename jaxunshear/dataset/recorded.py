@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from jaxunshear.dataset.labels import read_pair_table
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.dataset.shots import SPLITS
@@ -39,6 +40,7 @@ class Contacts(NamedTuple):
     slid: np.ndarray  # (N,) bool
     split: np.ndarray  # (N,) index into SPLITS
     notes: tuple[str, ...]
+    paired: bool = False  # by a table: `pose_id` then numbers its taps
 
     def take(self, rows: np.ndarray) -> "Contacts":
         return Contacts(
@@ -50,28 +52,35 @@ class Contacts(NamedTuple):
             self.slid[rows],
             self.split[rows],
             self.notes,
+            self.paired,
         )
 
 
 def survey(settings: Recorded) -> Contacts:
     """Taps and slides of the recordings, split. Raises UserError where there is nothing, or labels do not part taps from slides."""
-    parts = []
+    contacts = _split(everything(settings), settings)
+    for slid, kind in ((False, "taps"), (True, "slides")):
+        mine = contacts.split[contacts.slid == slid]
+        lacking = [name for index, name in enumerate(SPLITS) if len(mine) and not (mine == index).any()]
+        if lacking:
+            raise UserError(
+                f"of {len(mine)} {kind} none is in the split '{lacking[0]}': record more, or raise its share"
+            )
+    return contacts
+
+
+def everything(settings: Recorded) -> Contacts:
+    """The same in one split, the test's: recordings that a finished run is scored on."""
     if settings.taps == settings.slides:
-        parts.append(_of_one_folder(_read(settings.taps, settings.preprocess), settings))
+        parts = [_of_one_folder(_read(settings.taps, settings.preprocess))]
     else:
-        for folder, slid in ((settings.taps, False), (settings.slides, True)):
-            if folder:
-                parts.append(_of_kind(_read(folder, settings.preprocess), slid, settings))
-    return _joined(parts)
+        folders = ((settings.taps, False), (settings.slides, True))
+        parts = [_of_kind(_read(folder, settings.preprocess), slid) for folder, slid in folders if folder]
+    contacts = _joined(parts)
+    return _paired(contacts, Path(settings.pairs)) if settings.pairs else contacts
 
 
-def whole(settings: Recorded) -> Contacts:
-    """The same, all of it in the test split: recordings that a finished run is scored on."""
-    contacts = survey(settings)
-    return contacts._replace(split=np.full(len(contacts.split), SPLITS.index("test")))
-
-
-def digest_of(folders: tuple[str, ...]) -> str:
+def digest_of(folders: tuple[str, ...], pairs: str = "") -> str:
     """Sixteen hexadecimal digits of what lies there: labels by their bytes, images by name and size."""
     digest = hashlib.sha256()
     for folder in dict.fromkeys(folders):
@@ -81,6 +90,8 @@ def digest_of(folders: tuple[str, ...]) -> str:
             digest.update(f"{name} {file.stat().st_size}\n".encode())
         for table in sorted(root.rglob("*.csv")) if root.is_dir() else []:
             digest.update(table.read_bytes())
+    if pairs and Path(pairs).is_file():
+        digest.update(Path(pairs).read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -150,7 +161,7 @@ def _moved(move: np.ndarray) -> np.ndarray:
     return np.where(known, (np.abs(np.nan_to_num(move)) > MOVED).any(axis=1).astype(int), -1)
 
 
-def _of_one_folder(recordings: Recordings, settings: Recorded) -> Contacts:
+def _of_one_folder(recordings: Recordings) -> Contacts:
     """Taps and slides that lie in one folder: by their labels."""
     contacts = _contacts(recordings, np.zeros(len(recordings), bool))
     moved = _moved(contacts.move)
@@ -162,11 +173,10 @@ def _of_one_folder(recordings: Recordings, settings: Recorded) -> Contacts:
     notes = contacts.notes
     if (moved < 0).any():
         notes = (*notes, f"{int((moved < 0).sum())} contacts without a label of their move are left out")
-    kept = contacts._replace(slid=moved == 1, notes=notes).take(np.flatnonzero(moved >= 0))
-    return _split(kept, settings, recordings.path)
+    return contacts._replace(slid=moved == 1, notes=notes).take(np.flatnonzero(moved >= 0))
 
 
-def _of_kind(recordings: Recordings, slid: bool, settings: Recorded) -> Contacts:
+def _of_kind(recordings: Recordings, slid: bool) -> Contacts:
     contacts = _contacts(recordings, np.full(len(recordings), slid))
     wrong = np.zeros(len(contacts.slid), bool) if slid else _moved(contacts.move) == 1
     if wrong.all():
@@ -174,7 +184,7 @@ def _of_kind(recordings: Recordings, slid: bool, settings: Recorded) -> Contacts
     if wrong.any():
         note = f"{recordings.path}: {int(wrong.sum())} contacts have a move in their labels: no taps, left out"
         contacts = contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~wrong))
-    return _split(contacts, settings, recordings.path)
+    return contacts
 
 
 def _contacts(recordings: Recordings, slid: np.ndarray) -> Contacts:
@@ -186,19 +196,19 @@ def _contacts(recordings: Recordings, slid: np.ndarray) -> Contacts:
         unknown if recordings.moves is None else recordings.moves,
         np.full(len(recordings), -1) if recordings.pose_ids is None else recordings.pose_ids,
         slid,
-        np.zeros(len(recordings), int),
+        np.full(len(recordings), SPLITS.index("test")),
         tuple(recordings.notes),
     )
 
 
-def _split(contacts: Contacts, settings: Recorded, root: Path) -> Contacts:
+def _split(contacts: Contacts, settings: Recorded) -> Contacts:
     """By the folders' names; what they leave open by a hash of the pose, for taps and slides alike."""
-    named = np.array([_named_split(root, name) for name in contacts.names])
+    named = np.array([_named_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)])
     split = np.zeros(len(named), int)
+    drawn = _drawn(contacts, settings.seed)
     for slid in (False, True):
         here = contacts.slid == slid
         there = set(named[here].tolist())
-        drawn = _drawn(contacts, settings.seed)
         test = settings.test if "test" not in there else 0.0
         validation = settings.validation if "validation" not in there else 0.0
         for index, name in enumerate(SPLITS):
@@ -209,9 +219,9 @@ def _split(contacts: Contacts, settings: Recorded, root: Path) -> Contacts:
     return contacts._replace(split=split)
 
 
-def _named_split(root: Path, name: str) -> str:
-    """Of an image's folders, that of the named one too: `csv_train`, `val`, `test_2`."""
-    folders = (root.resolve().name, *name.split("/")[:-1])
+def _named_split(file: Path, name: str) -> str:
+    """Of the folders below the one that was named, and of that one: `csv_train`, `val`, `test_2`."""
+    folders = file.parent.resolve().parts[-1 - name.count("/") :]
     words = [word for folder in reversed(folders) for word in re.split(r"[^a-z]+", folder.lower())]
     return next((SPLIT_NAMES[word] for word in words if word in SPLIT_NAMES), "")
 
@@ -219,8 +229,12 @@ def _named_split(root: Path, name: str) -> str:
 def _drawn(contacts: Contacts, seed: int) -> np.ndarray:
     """(N,) numbers in [0, 1) that depend on the seed and the pose alone; on the file's name where there is no pose."""
     keys = [
-        ",".join(f"{value:.4f}" for value in pose + 0.0) if np.isfinite(pose).all() else name
-        for pose, name in zip(np.round(contacts.pose, 4), contacts.names, strict=True)
+        f"pair {number}"
+        if contacts.paired and number >= 0
+        else ",".join(f"{value:.4f}" for value in pose + 0.0)
+        if np.isfinite(pose).all()
+        else name
+        for pose, name, number in zip(np.round(contacts.pose, 4), contacts.names, contacts.pose_id, strict=True)
     ]
     hashes = (hashlib.blake2b(f"{seed} {key}".encode(), digest_size=8).digest() for key in keys)
     return np.array([int.from_bytes(each, "big") / 2**64 for each in hashes])
@@ -241,11 +255,25 @@ def _joined(parts: list[Contacts]) -> Contacts:
         np.concatenate([part.split for part in parts]),
         tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
-    for slid, kind in ((False, "taps"), (True, "slides")):
-        mine = joined.split[joined.slid == slid]
-        lacking = [name for index, name in enumerate(SPLITS) if len(mine) and not (mine == index).any()]
-        if lacking:
-            raise UserError(
-                f"of {len(mine)} {kind} none is in the split '{lacking[0]}': record more, or raise its share"
-            )
     return joined
+
+
+def _paired(contacts: Contacts, table: Path) -> Contacts:
+    """With `pose_id` by a table of pairs, and the tap's pose for a slide that has none. Raises UserError by file and row."""
+    rows: dict[bool, dict[str, int]] = {False: {}, True: {}}
+    for row, name in enumerate(contacts.names):
+        mine = rows[bool(contacts.slid[row])]
+        mine[name] = mine[name.rpartition("/")[2]] = row
+    pose_id, pose = np.full(len(contacts.names), -1), contacts.pose.copy()
+    for number, (slide, tap) in enumerate(read_pair_table(table), 2):
+        for slid, name in ((True, slide), (False, tap)):
+            if name not in rows[slid]:
+                kind = "slide" if slid else "tap"
+                raise UserError(f"{table}, row {number}: there is no {kind} {name} in these recordings")
+        here, there = rows[True][slide], rows[False][tap]
+        pose_id[here] = pose_id[there] = there
+        if not np.isfinite(pose[here]).all():
+            pose[here] = pose[there]
+    if not (pose_id >= 0).any():
+        raise UserError(f"{table} pairs nothing")
+    return contacts._replace(pose_id=pose_id, pose=pose, paired=True)

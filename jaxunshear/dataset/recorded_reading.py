@@ -105,7 +105,8 @@ class RecordedSet:
             row, distance = pairing.nearest(targets, batch["pose"], taps["pose"])
             weight = pairing.weights_of(distance)
         else:
-            row = pairing.same_pose(batch["pose"], batch["pose_id"], taps["pose"], taps["pose_id"])
+            poses = (batch["pose"], batch["pose_id"], taps["pose"], taps["pose_id"])
+            row = pairing.same_pose(*poses, checked=way == "pose_id")
             batch, row = _taken(batch, row >= 0), row[row >= 0]
             if not len(row):
                 raise UserError(
@@ -120,7 +121,7 @@ class RecordedSet:
             "weight": weight,
         }
         batch = batch | partner
-        return batch if way == "pose_id" else _numbered(batch)
+        return batch if way in ("pose_id", "file") else _numbered(batch)
 
     def _of(self, split: str, slid: bool) -> Batch:
         rows = self.stored.rows(split)

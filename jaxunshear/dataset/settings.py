@@ -52,7 +52,7 @@ class PoseData:
     preprocess: Preprocess = field(default_factory=Preprocess)
 
 
-PAIRINGS = ("rendered", "nearest", "pose_id")
+PAIRINGS = ("rendered", "nearest", "pose_id", "file")
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,8 @@ class Recorded:
     taps: str = ""  # folder of recordings; none: there are no taps
     slides: str = ""
     digest: str = ""  # of what lies there; found when the recordings are named
-    pairing: str = "rendered"  # partner of a slide: what a renderer, learnt from the taps, draws at its pose; or "nearest", "pose_id"
+    pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
+    pairing: str = "rendered"  # a slide's partner: what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"
     labelled: float = 1.0  # share of the training slides whose labels teach
     test: float = 0.1  # share of the poses kept out, where no folder is
     validation: float = 0.1
