@@ -25,7 +25,14 @@ POSENETS = ("posenet", "posenet_sheared", TEACHER)
 
 
 PINS = Training(
-    epochs=100, batch=128, learning_rate=1e-3, beta1=0.9, shift=0.0, validate_every=500, validation_images=10_000
+    epochs=40,
+    batch=64,
+    learning_rate=1e-3,
+    beta1=0.9,
+    averaging=0.999,
+    shift=0.0,
+    validate_every=500,
+    validation_images=10_000,
 )
 
 

@@ -402,7 +402,8 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
     for field in ("hidden", "layers", "pose_code"):
         yield getattr(pins, field) >= 1, f"pins.{field}", "must be at least 1"
     yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"
-    yield 0 <= pins.dropout < 1, "pins.dropout", "use 0 up to, but not, 1"
+    yield pins.noise_px >= 0, "pins.noise_px", "must not be below zero"
+    yield 0 <= pins.hidden_pins < 1, "pins.hidden_pins", "use 0 up to, but not, 1"
 
 
 def _kept_out(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:

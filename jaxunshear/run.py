@@ -137,12 +137,14 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
             )
         check_origin(experiment, network, folder)
         return False
-    from jaxunshear.training.examples import open_examples
+    from jaxunshear.training.examples import FRAME, open_examples, stored_of
     from jaxunshear.training.loop import train
     from jaxunshear.training.start import Start
 
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training, examples = training_of(experiment, network), open_examples(experiment, network, data, folder)
+    if recorded_of(experiment):
+        write_json(folder / FRAME, stored_of(experiment, data).frame)
     task, fields = _task(experiment, network, examples, folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields, training.mirror)
     begin = start_folder(training.start, network)

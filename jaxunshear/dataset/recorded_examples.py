@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, unpack
+from jaxunshear.dataset.chunks import load_chunk, pack, unpack
+from jaxunshear.dataset.pairing import background_of
 from jaxunshear.dataset.preparing import Frame, frame_of, prepare
 from jaxunshear.dataset.recorded import Contacts, survey
 from jaxunshear.dataset.settings import Recorded
@@ -20,6 +21,7 @@ from jaxunshear.image.png import png
 from jaxunshear.scene.sensor import Sensor
 
 PNG_LEVEL = 4
+BACKGROUND_FROM = 300  # frames that tell what the housing looks like
 NAMED = 20  # frames left out that metadata name, at most
 
 
@@ -37,22 +39,10 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[s
         np.concatenate([chunk[name] for chunk in chunks]) for name in ("usable", "sure", "problem")
     )
     white = np.concatenate([np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks])
-    written = {name: int((usable & (contacts.split == index)).sum()) for index, name in enumerate(SPLITS)}
-    for split, count in written.items():
+    counts = counts_of(contacts, usable, sure, problem)
+    for split, count in counts["written"].items():
         if not count:
             raise UserError(f"no frame of split '{split}' can be read; the first: {_left_out(contacts, problem)[:1]}")
-    kinds = {"taps": ~contacts.slid, "slides": contacts.slid}
-    counts = {
-        "contacts": len(usable),
-        "dropped": int((~usable).sum()),
-        "unsure": int((usable & ~sure).sum()),
-        "written": written,
-        **{
-            kind: {name: int((usable & here & (contacts.split == i)).sum()) for i, name in enumerate(SPLITS)}
-            for kind, here in kinds.items()
-        },
-        "dropped_frames": _left_out(contacts, problem)[:NAMED],
-    }
     whole = np.isfinite(np.concatenate([chunk["pins"] for chunk in chunks])).all(axis=(1, 2))
     more = {
         "frame": {
@@ -64,6 +54,7 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[s
             "radius_px": round(frame.radius_px, 4),
             "size": frame.size,
             "pins_px": frame.pins_px,
+            "background": pack(_background(contacts, frame, chunks)[None])[0].tobytes().hex(),
         },
         "pins": {
             "sure": round(float(sure[usable].mean()), 6),
@@ -73,6 +64,30 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[s
         "notes": list(contacts.notes),
     }
     return counts, more
+
+
+def _background(contacts: Contacts, frame: Frame, chunks: list[dict[str, np.ndarray]]) -> np.ndarray:
+    """(S, S) bool: the housing as training frames show it, taps if there are any."""
+    train = contacts.split == SPLITS.index("train")
+    wanted = train & ~contacts.slid if (train & ~contacts.slid).any() else train
+    bits = np.concatenate([chunk["images"][chunk["usable"] & wanted[chunk["number"]]] for chunk in chunks])
+    chosen = bits[np.unique(np.linspace(0, len(bits) - 1, min(BACKGROUND_FROM, len(bits))).round().astype(int))]
+    return background_of(unpack(chosen, frame.size), frame.place, frame.spacing_px)
+
+
+def counts_of(contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray) -> dict[str, Any]:
+    """Of contacts (N,): by split, taps and slides apart, and which could not be read (`problem`)."""
+    kinds = {"written": np.ones(len(usable), bool), "taps": ~contacts.slid, "slides": contacts.slid}
+    return {
+        "contacts": len(usable),
+        "dropped": int((~usable).sum()),
+        "unsure": int((usable & ~sure).sum()),
+        **{
+            kind: {name: int((usable & here & (contacts.split == i)).sum()) for i, name in enumerate(SPLITS)}
+            for kind, here in kinds.items()
+        },
+        "dropped_frames": _left_out(contacts, problem)[:NAMED],
+    }
 
 
 def _left_out(contacts: Contacts, problem: np.ndarray) -> list[str]:

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.dataset import pairing
-from jaxunshear.dataset.chunks import pack, unpack
+from jaxunshear.dataset.chunks import load_chunk, pack, unpack
 from jaxunshear.dataset.configs import RECORDED_SET
 from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
+from jaxunshear.dataset.recorded import Contacts
+from jaxunshear.dataset.recorded_examples import counts_of
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.dataset.shots import SPLITS
 from jaxunshear.errors import UserError
@@ -24,7 +26,6 @@ from jaxunshear.image.preprocess import View
 from jaxunshear.scene.sensor import Sensor
 from jaxunshear.targets import Targets, of_labels
 
-BACKGROUND_FROM = 300  # taps that tell what the housing looks like
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 
 
@@ -33,8 +34,49 @@ def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path) -> "Record
     return RecordedSet(settings, open_set(RECORDED_SET, settings, data_dir, sensor))
 
 
+def view_of(frame: dict[str, Any]) -> View:
+    """Crop and whites of a sensor's frames, from what is stored of them."""
+    return View(tuple(frame["box"]) if frame["box"] else None, tuple((kind, white) for kind, white in frame["whites"]))
+
+
+def background_of(frame: dict[str, Any]) -> np.ndarray:
+    """(S, S) bool: what is white beyond the pins, from what is stored of a sensor's frames."""
+    return unpack(np.frombuffer(bytes.fromhex(frame["background"]), np.uint8), frame["size"]) > 0
+
+
+class UnstoredSet:
+    """Chunks of prepared frames in the place of a stored set: all of them are its test split."""
+
+    def __init__(self, contacts: Contacts, paths: list[Path], frame: dict[str, Any]) -> None:
+        chunks = [load_chunk(path) for path in paths]
+        parts = {
+            name: np.concatenate([chunk[name] for chunk in chunks])
+            for name in ("images", "pins", "sure", "usable", "problem")
+        }
+        kept = parts["usable"]
+        self._test: Batch = {
+            "image": parts["images"][kept],
+            "pins": parts["pins"][kept].astype(np.float32),
+            "sure": parts["sure"][kept].astype(np.int32),
+            "slid": contacts.slid[kept].astype(np.int32),
+            "pose": contacts.pose[kept].astype(np.float32),
+            "move": contacts.move[kept].astype(np.float32),
+            "pose_id": contacts.pose_id[kept].astype(np.int32),
+            "number": np.flatnonzero(kept).astype(np.int32),
+        }
+        self.metadata: dict[str, Any] = {
+            "counts": counts_of(contacts, kept, parts["sure"], parts["problem"]),
+            "frame": frame,
+            "pins": {"sure": round(float(parts["sure"][kept].mean()), 6) if kept.any() else 0.0},
+            "notes": list(contacts.notes),
+        }
+
+    def rows(self, split: str) -> Batch:
+        return self._test if split == "test" else {name: value[:0] for name, value in self._test.items()}
+
+
 class RecordedSet:
-    def __init__(self, settings: Recorded, stored: SetReader) -> None:
+    def __init__(self, settings: Recorded, stored: SetReader | UnstoredSet) -> None:
         self.settings, self.stored, self.metadata = settings, stored, stored.metadata
         self.size = settings.preprocess.size
 
@@ -46,10 +88,6 @@ class RecordedSet:
     def lattice(self) -> Lattice:
         """The untouched pins, px of the prepared image."""
         return make_lattice(np.array(self.frame["place_px"]), np.array(self.frame["shell"]))
-
-    def view(self) -> View:
-        whites = tuple((kind, white) for kind, white in self.frame["whites"])
-        return View(tuple(self.frame["box"]) if self.frame["box"] else None, whites)
 
     def targets(self, wanted: tuple[str, ...]) -> Targets:
         """Pose targets by the labels of training contacts alone. Raises UserError."""
@@ -96,7 +134,7 @@ class RecordedSet:
             if render is None:
                 raise ValueError("pairing 'rendered' takes a renderer")
             pins = render(batch["pose"]).astype(np.float32)
-            images = pairing.drawn(pins, self.frame["radius_px"], self._background())
+            images = pairing.drawn(pins, self.frame["radius_px"], background_of(self.frame))
             partner = {"canonical": pack(images), "canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
             return _numbered(batch | partner | {"weight": np.ones(count, np.float32)})
         taps = self._of(split, False) if split == "train" else _concatenated([self._of(s, False) for s in SPLITS])
@@ -126,13 +164,6 @@ class RecordedSet:
     def _of(self, split: str, slid: bool) -> Batch:
         rows = self.stored.rows(split)
         return _taken(rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid))
-
-    def _background(self) -> np.ndarray:
-        rows = self._of("train", False)["image"]
-        chosen = rows[np.unique(np.linspace(0, len(rows) - 1, min(BACKGROUND_FROM, len(rows))).round().astype(int))]
-        return pairing.background_of(
-            unpack(chosen, self.size), np.array(self.frame["place_px"]), self.frame["spacing_px"]
-        )
 
 
 def _taken(rows: Batch, kept: Any) -> Batch:

@@ -23,7 +23,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.baselines import training_taps
 from jaxunshear.evaluation.gather import FIELDS, IMAGES, PINS, Gathered, gather
-from jaxunshear.evaluation.measurements import BARS
+from jaxunshear.evaluation.measurements import BARS, rounded
 from jaxunshear.evaluation.networks import load
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
@@ -74,7 +74,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         "versions": versions(),
         "command": command,
     }
-    results = _rounded(results)
+    results = rounded(results)
     if gathered is not None:
         write_bytes(run_dir / "scores.npz", every_score(gathered))
         write_bytes(run_dir / "montage.npz", montage(names, gathered))
@@ -224,14 +224,3 @@ def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:
         },
     )
     return buffer.getvalue()
-
-
-def _rounded(value: Any) -> Any:
-    """Six significant digits are more than any figure here deserves; what is not finite is null, as in the file."""
-    if isinstance(value, dict):
-        return {name: _rounded(entry) for name, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(entry) for entry in value]
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if np.isfinite(value) else None
-    return value

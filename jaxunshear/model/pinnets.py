@@ -5,9 +5,9 @@
 >>> outputs = predict(pose_net, pose_variables, canonical)                # -> (B, K), as PoseNet's
 >>> pins = render(renderer, its_variables, outputs)                       # (B, K) in [0, 1] -> the pins of a tap there
 
-Ours, not the paper's, whose networks read images. A pin that is not seen is NaN, and counts as one that has not moved; in training
-some are hidden at random, so that this does little harm. `rest` and `spread` scale what goes in and what comes out; they are
-constants that the variables carry.
+Ours, not the paper's, whose networks read images. A pin that is not seen is NaN, and counts as one that has not moved; with
+`hidden_pins` some are hidden at random in training. `rest` and `spread` scale what goes in and what comes out; they are constants
+that the variables carry.
 """
 
 from typing import Any
@@ -30,22 +30,22 @@ class Trunk(nn.Module):
     net: PinNet
 
     @nn.compact
-    def __call__(self, x: Array, train: bool) -> Array:
+    def __call__(self, x: Array) -> Array:
         for _ in range(self.net.layers):
-            x = nn.relu(nn.LayerNorm()(nn.Dense(self.net.hidden)(x)))
-            x = nn.Dropout(self.net.dropout, deterministic=not train)(x)
+            x = nn.gelu(nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=nn.initializers.he_normal())(x)))
         return x
 
 
 class Dense(nn.Module):
-    """A trunk with a linear output."""
+    """A trunk with a linear output, which starts near zero."""
 
     net: PinNet
     outputs: int
 
     @nn.compact
-    def __call__(self, x: Array, train: bool) -> Array:
-        return nn.Dense(self.outputs)(Trunk(self.net)(x, train))
+    def __call__(self, x: Array) -> Array:
+        small = nn.initializers.variance_scaling(0.01, "fan_in", "truncated_normal")
+        return nn.Dense(self.outputs, kernel_init=small)(Trunk(self.net)(x))
 
 
 class Codes(nn.Module):
@@ -60,19 +60,19 @@ class Codes(nn.Module):
         if net.shear_code:
             self.shear, self.DS = nn.Dense(net.shear_code), Dense(net, self.motions)
 
-    def encode(self, x: Array, train: bool) -> tuple[Array, Array | None]:
-        z = self.E(x, train)
+    def encode(self, x: Array) -> tuple[Array, Array | None]:
+        z = self.E(x)
         return self.pose(z), self.shear(z) if self.net.shear_code else None
 
-    def decode_canonical(self, z_p: Array, train: bool) -> Array:
-        return self.DC(z_p, train)
+    def decode_canonical(self, z_p: Array) -> Array:
+        return self.DC(z_p)
 
-    def decode_sheared(self, z_p: Array, z_s: Array, train: bool) -> Array:
-        return self.DS(jnp.concatenate([z_p, z_s], -1), train)
+    def decode_sheared(self, z_p: Array, z_s: Array) -> Array:
+        return self.DS(jnp.concatenate([z_p, z_s], -1))
 
-    def __call__(self, x: Array, train: bool) -> tuple[Array, Array | None]:
-        z_p, z_s = self.encode(x, train)
-        return self.DC(z_p, train), None if z_s is None else self.decode_sheared(z_p, z_s, train)
+    def __call__(self, x: Array) -> tuple[Array, Array | None]:
+        z_p, z_s = self.encode(x)
+        return self.DC(z_p), None if z_s is None else self.decode_sheared(z_p, z_s)
 
 
 def init(net: PinNet, rest: ArrayLike, spread: float, key: Array, outputs: int = 0) -> Variables:
@@ -80,7 +80,7 @@ def init(net: PinNet, rest: ArrayLike, spread: float, key: Array, outputs: int =
     pose targets together, for all but PinUnshear."""
     motions = int(np.size(rest))
     given = outputs if isinstance(net, PinRenderer) else motions
-    params = _module(net, motions, outputs).init(key, jnp.zeros((1, given)), False)["params"]
+    params = _module(net, motions, outputs).init(key, jnp.zeros((1, given)))["params"]
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
     return {"params": params, "batch_stats": constants}
 
@@ -107,26 +107,19 @@ def decode_sheared(net: PinUnshear, variables: Variables, z_p: Array, z_s: Array
 
 
 def reconstruct(net: PinUnshear, variables: Variables, pins: Array, key: Array) -> tuple[Array, Array | None]:
-    """The training pass over sheared pins: canonical and sheared ones (None without DS), (B, P, 2) px."""
-    hide, drop = jax.random.split(key)
-    x = _motions(variables, hidden(net, pins, hide))
-    module = Codes(net, x.shape[-1])
-    decoded: Any = module.apply({"params": variables["params"]}, x, True, rngs={"dropout": drop})
-    canonical, sheared = decoded
-    return _places(variables, canonical), None if sheared is None else _places(variables, sheared)
+    """The training pass over sheared pins, spoilt a little: canonical and sheared ones (None without DS), (B, P, 2) px."""
+    z_p, z_s = encode(net, variables, spoilt(net, pins, key))
+    return decode_canonical(net, variables, z_p), None if z_s is None else decode_sheared(net, variables, z_p, z_s)
 
 
-def predict(net: PinPoseNet, variables: Variables, pins: Array, key: Array | None = None) -> Array:
-    """Pins (B, P, 2) px -> outputs (B, K), scaled as PoseNet's but not bounded. With a `key`, as in training."""
-    if key is None:
-        return _dense(net, variables, _motions(variables, pins), None)
-    hide, drop = jax.random.split(key)
-    return _dense(net, variables, _motions(variables, hidden(net, pins, hide)), drop)
+def predict(net: PinPoseNet, variables: Variables, pins: Array) -> Array:
+    """Pins (B, P, 2) px -> outputs (B, K), scaled as PoseNet's but not bounded."""
+    return _dense(net, variables, _motions(variables, pins))
 
 
-def render(net: PinRenderer, variables: Variables, outputs: Array, key: Array | None = None) -> Array:
-    """Poses as PoseNet's outputs (B, K) in [0, 1] -> pins (B, P, 2) px of a tap there. With a `key`, as in training."""
-    return _places(variables, _dense(net, variables, 2 * outputs - 1, key))
+def render(net: PinRenderer, variables: Variables, outputs: Array) -> Array:
+    """Poses as PoseNet's outputs (B, K) in [0, 1] -> pins (B, P, 2) px of a tap there."""
+    return _places(variables, _dense(net, variables, 2 * outputs - 1))
 
 
 def distance(pins: Array, target: Array, variables: Variables) -> Array:
@@ -136,9 +129,12 @@ def distance(pins: Array, target: Array, variables: Variables) -> Array:
     return square.sum((1, 2)) / jnp.maximum(seen.sum((1, 2)), 1)
 
 
-def hidden(net: PinNet, pins: Array, key: Array) -> Array:
-    """Pins of which a share, `net.hidden_pins` at most, is hidden at random: NaN."""
-    share_key, pin_key = jax.random.split(key)
+def spoilt(net: PinNet, pins: Array, key: Array) -> Array:
+    """Pins with noise, of which a share, `net.hidden_pins` at most, is hidden at random: NaN."""
+    noise_key, share_key, pin_key = jax.random.split(key, 3)
+    pins = pins + net.noise_px * jax.random.normal(noise_key, pins.shape)
+    if not net.hidden_pins:
+        return pins
     share = net.hidden_pins * jax.random.uniform(share_key, (len(pins), 1, 1))
     return jnp.where(jax.random.uniform(pin_key, (*pins.shape[:2], 1)) < share, jnp.nan, pins)
 
@@ -149,16 +145,14 @@ def _module(net: PinNet, motions: int, outputs: int) -> nn.Module:
     return Dense(net, motions if isinstance(net, PinRenderer) else outputs)
 
 
-def _dense(net: PinNet, variables: Variables, x: Array, key: Array | None) -> Array:
+def _dense(net: PinNet, variables: Variables, x: Array) -> Array:
     params = variables["params"]
-    module = Dense(net, len(params["Dense_0"]["bias"]))
-    rngs = {} if key is None else {"dropout": key}
-    return module.apply({"params": params}, x, key is not None, rngs=rngs)  # type: ignore[return-value]
+    return Dense(net, len(params["Dense_0"]["bias"])).apply({"params": params}, x)  # type: ignore[return-value]
 
 
 def _codes(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -> Any:
     module = Codes(net, variables["batch_stats"]["rest"].size)
-    return module.apply({"params": variables["params"]}, *inputs, False, method=method)
+    return module.apply({"params": variables["params"]}, *inputs, method=method)
 
 
 def _motions(variables: Variables, pins: Array) -> Array:

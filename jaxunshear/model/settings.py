@@ -51,10 +51,10 @@ class PoseNet:
 class PinNet:
     """Networks over pins: dense layers over the motions of all pins."""
 
-    hidden: int = 512
+    hidden: int = 256
     layers: int = 3
-    dropout: float = 0.1
-    hidden_pins: float = 0.05  # share of the pins, at most, that a training example does not show
+    noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
+    hidden_pins: float = 0.0  # share of the pins, at most, that a training example does not show
     pose_code: int = 16  # numbers in z_p
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
 

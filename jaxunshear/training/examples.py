@@ -24,6 +24,7 @@ from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_ta
 
 OF_TAPS = ("posenet", TEACHER, RENDERER)
 POSES_AT_ONCE = 1024
+FRAME = "frame.json"  # in a run's folder: what the frames of its sensor have in common, see `dataset.preparing.Frame`
 
 
 class Pins(NamedTuple):

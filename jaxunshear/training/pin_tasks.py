@@ -45,13 +45,13 @@ def pin_posenet_task(net: PinPoseNet, training: Training, targets: Targets, rest
     weights = posenet.output_weights(targets)
 
     def terms(variables, batch, key):
-        outputs = pinnets.predict(net, variables, batch["pins"], key)
-        loss = losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
+        outputs = pinnets.predict(net, variables, pinnets.spoilt(net, batch["pins"], key))
+        loss = losses.absolute_pose(outputs, posenet.pose_targets(batch, targets), weights)
         return weighed({"pose": loss}, batch), variables["batch_stats"]
 
     def validate(variables, batch):
         outputs = pinnets.predict(net, variables, batch["pins"])
-        loss = losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
+        loss = losses.absolute_pose(outputs, posenet.pose_targets(batch, targets), weights)
         return weighed({"pose": loss} | pose_error_terms(outputs, batch, targets), batch)
 
     init = partial(pinnets.init, net, rest, spread, outputs=posenet.outputs_of(targets))
@@ -62,7 +62,7 @@ def renderer_task(net: PinRenderer, training: Training, targets: Targets, rest: 
     """Of PinRenderer; batches {"pins"} (B, P, 2) px of taps and the fields of the targets."""
 
     def terms(variables, batch, key):
-        drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets), key)
+        drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets))
         return weighed({"pins": pinnets.distance(drawn, batch["pins"], variables)}, batch), variables["batch_stats"]
 
     def validate(variables, batch):
