@@ -332,8 +332,9 @@ def _check_walks(file: Path, walks: "Walks", made: str) -> None:
 def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     import contextlib
 
-    from jaxunshear.applications.sources import frames_of
-    from jaxunshear.applications.stream import step_of, stream
+    from jaxunshear.applications.sources import frames_of, truth_of
+    from jaxunshear.applications.stream import robot_of, stream
+    from jaxunshear.infer import learnt_note
 
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
         raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
@@ -341,17 +342,22 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
         check_beside(Path(arguments.source), arguments.images, "--images")
     check_new_file(arguments.lines, "--lines")
     folder, experiment = model
-    step = step_of(folder, experiment, arguments.precision, arguments.way)
-    frames, live = frames_of(arguments.source, experiment.paired.preprocess, arguments.fps)
+    robot = robot_of(folder, experiment, arguments.precision, arguments.way)
+    frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
+    truth = truth_of(arguments.source, experiment)
     with contextlib.ExitStack() as stack:
         lines = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout
-        summary = stream(frames, live, experiment, step, lines, arguments.images, not arguments.no_images)
+        summary = stream(frames, live, robot, lines, arguments.images, not arguments.no_images, truth)
     latency = summary["latency_ms"]
     times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
     print(
         f"{summary['used']} frames used, {summary['skipped']} skipped, {summary['dropped']} dropped{times}",
         file=sys.stderr,
     )
+    if summary["pose_mae"]:
+        errors = ", ".join(f"{name} {value:.3f}" for name, value in summary["pose_mae"].items())
+        print(f"mean error against the labels: {errors}", file=sys.stderr)
+    print(f"note: {learnt_note(experiment)}", file=sys.stderr)
     for problem, count in list(summary["problems"].items())[:5]:
         print(f"skipped {count}: {problem}", file=sys.stderr)
     if not summary["used"]:

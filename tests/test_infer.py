@@ -110,7 +110,7 @@ def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, 
     for row in (rows[0], rows[5], rows[-1]):
         number = int(row["name"].removeprefix("images/image_").removesuffix(".png"))
         assert (float(row["recorded_pose_x_mm"]), float(row["recorded_pose_rz_deg"])) == (number, -number)
-        recordings = infer._read(folder / "images" / f"image_{number}.png", EXPERIMENT)
+        recordings = infer._read(folder / "images" / f"image_{number}.png", SEEN)
         ((_, _, image),) = recordings.frames()
         alone = image[None, :, :, None] / np.float32(255)
         expected = unshearnet.unshear(NET, variables["disentangled"], alone)

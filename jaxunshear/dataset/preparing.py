@@ -110,7 +110,7 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
     from jaxunshear.image.preprocess import prepare_frame
     from jaxunshear.image.tracking import follow_pins
 
-    lattice = make_lattice(_to_found(frame, frame.place), frame.shell)
+    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
     size, large = preprocess.size, _at(preprocess, frame.pins_px)
     images = np.zeros((len(files), size, size), np.uint8)
     seen = np.zeros((len(files), frame.pins_px, frame.pins_px), np.uint8)
@@ -127,7 +127,7 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
             continue
         track = follow_pins(lattice, look(seen[i]))
         usable[i], sure[i] = True, track.sure
-        pins[i] = _to_image(frame, lattice.place + track.motion)
+        pins[i] = to_image(frame, lattice.place + track.motion)
     return {
         "number": number,
         "images": pack(images),
@@ -147,13 +147,13 @@ def _second_pass(path: Path, frame: Frame, usual: Any) -> dict:
     from jaxunshear.image.tracking import follow_pins
 
     chunk = load_chunk(path)
-    lattice = make_lattice(_to_found(frame, frame.place), frame.shell)
+    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
     rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
     for row, image in zip(rows, unpack(chunk["seen"], frame.pins_px), strict=True):
         track = follow_pins(lattice, look(image), usual)
         if track.sure:
             chunk["sure"][row] = True
-            chunk["pins"][row] = _to_image(frame, lattice.place + track.motion)
+            chunk["pins"][row] = to_image(frame, lattice.place + track.motion)
     return chunk | {"tried": np.array(True), "seen": NOTHING}
 
 
@@ -166,10 +166,10 @@ def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> Any:
     if not any(map(_hard, paths)):
         return None
     chunks = [load_chunk(path) for path in paths]
-    lattice = make_lattice(_to_found(frame, frame.place), frame.shell)
+    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
     train = contacts.split == SPLITS.index("train")
     tracks = [
-        Track(_to_found(frame, pins) - lattice.place, np.zeros(0, int), 0.0, 0, 0, True)
+        Track(to_found(frame, pins) - lattice.place, np.zeros(0, int), 0.0, 0, 0, True)
         for chunk in chunks
         for pins in chunk["pins"][chunk["sure"] & train[chunk["number"]]]
     ]
@@ -182,12 +182,12 @@ def _hard(path: Path) -> bool:
     return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
 
 
-def _to_found(frame: Frame, pins: np.ndarray) -> np.ndarray:
+def to_found(frame: Frame, pins: np.ndarray) -> np.ndarray:
     """From px of the prepared image to px of the one that pins are found in."""
     return (pins + 0.5) * (frame.pins_px / frame.size) - 0.5
 
 
-def _to_image(frame: Frame, pins: np.ndarray) -> np.ndarray:
+def to_image(frame: Frame, pins: np.ndarray) -> np.ndarray:
     return (pins + 0.5) * (frame.size / frame.pins_px) - 0.5
 
 

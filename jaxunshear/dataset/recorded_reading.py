@@ -15,6 +15,7 @@ import numpy as np
 from jaxunshear.dataset import pairing
 from jaxunshear.dataset.chunks import load_chunk, pack, unpack
 from jaxunshear.dataset.configs import RECORDED_SET
+from jaxunshear.dataset.preparing import Frame
 from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
 from jaxunshear.dataset.recorded import Contacts
 from jaxunshear.dataset.recorded_examples import counts_of
@@ -34,9 +35,12 @@ def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path) -> "Record
     return RecordedSet(settings, open_set(RECORDED_SET, settings, data_dir, sensor))
 
 
-def view_of(frame: dict[str, Any]) -> View:
-    """Crop and whites of a sensor's frames, from what is stored of them."""
-    return View(tuple(frame["box"]) if frame["box"] else None, tuple((kind, white) for kind, white in frame["whites"]))
+def frame_from(stored: dict[str, Any]) -> Frame:
+    """The inverse of what metadata keep of a sensor's frames."""
+    box = tuple(stored["box"]) if stored["box"] else None
+    view = View(box, tuple((kind, white) for kind, white in stored["whites"]))
+    place, shell = np.array(stored["place_px"]), np.array(stored["shell"])
+    return Frame(view, place, shell, *(stored[name] for name in ("spacing_px", "radius_px", "size", "pins_px")))
 
 
 def background_of(frame: dict[str, Any]) -> np.ndarray:

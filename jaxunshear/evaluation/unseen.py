@@ -12,11 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from jaxunshear.dataset.preparing import Frame, prepare
+from jaxunshear.dataset.preparing import prepare
 from jaxunshear.dataset.recorded import Contacts, digest_of, everything
-from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet, view_of
+from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet, frame_from
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
@@ -70,15 +68,7 @@ def score_recordings(
 def _prepared(experiment: Experiment, run_dir: Path, contacts: Contacts, settings: Any, folder: Path) -> RecordedSet:
     """The recordings as a set, seen as the run's sensor sees."""
     known = read_json(run_dir / FRAME)
-    frame = Frame(
-        view_of(known),
-        np.array(known["place_px"]),
-        np.array(known["shell"]),
-        known["spacing_px"],
-        known["radius_px"],
-        known["size"],
-        known["pins_px"],
-    )
+    frame = frame_from(known)
     paths = prepare(contacts, settings, frame, folder, f"read {settings.slides}")
     return RecordedSet(settings, UnstoredSet(contacts, paths, known))
 
