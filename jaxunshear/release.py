@@ -85,19 +85,20 @@ def _recorded_card(results: dict[str, Any], name: str) -> str:
         "",
         f"{results['claim']}",
         "",
-        f"Networks for a soft optical tactile sensor of {recordings['pins']} pins; they read {reads} of {metric['image_px']} px. Kernels are "
-        "stored as float16; the figures below are of the networks as trained.",
+        f"Networks for a soft optical tactile sensor of {recordings['pins']} pins; they read {reads} of {metric['image_px']} px. "
+        "Kernels are stored as float16; the figures below are of the networks as trained.",
         "",
         f"    jaxunshear unshear RECORDINGS --model {name} --out unsheared",
         f"    jaxunshear pose RECORDINGS --model {name}",
         "",
         f"* **Learnt from** recordings (digest {recordings['digest']}): {recordings['taps']['train']} taps and "
-        f"{recordings['slides']['train']} slides, {recordings['labelled']:.0%} of the slides' labels; pairing: {results['pairing']['way']}.",
+        f"{recordings['slides']['train']} slides, {recordings['labelled']:.0%} of the slides' labels; "
+        f"pairing: {results['pairing']['way']}.",
         f"* **Poses** {', '.join(targets)}, in the names, the frame and the units of the recorded labels.",
         "* **Not measured**: another sensor, another object, another camera.",
         f"* **Seed** {results['seeds']['experiment']}.",
         "",
-        f"Measured on recorded contacts kept out of training, {counts['test_taps']} taps and {counts['test_poses']} slides (mean absolute error):",
+        f"Mean absolute error on recorded contacts kept out of training, {counts['test_taps']} taps and {counts['test_poses']} slides:",
         "",
         f"| read off | {' | '.join(targets)} |",
         "| --- |" + " --- |" * len(targets),
