@@ -114,7 +114,7 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
     for field in ("unseen", "other_jitters_mm"):
         yield not getattr(experiment, field), field, "is a test of simulated touches: leave it empty"
     yield from _trainings(experiment, LARGEST_PX**2, LARGEST_PX**2)
-    for name in ("train", *_posenets(experiment), "train_pins"):
+    for name in ("train", *_posenets(experiment)):
         yield (
             not getattr(experiment, name).mirror,
             f"{name}.mirror",
@@ -146,10 +146,19 @@ def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
         yield from _without_pair_losses(getattr(experiment, name), name)
     if over_pins(experiment) or RENDERER in trained(experiment):
         yield from _training(experiment.train_pins, "train_pins", min(pairs, taps))
+        for field in ("patch_weight", "label_weight", "mirror"):
+            value = getattr(experiment.train_pins, field)
+            yield not value, f"train_pins.{field}", "is for networks over images: leave it at 0"
+        yield (
+            experiment.train_pins.pose_target in POSE_TARGETS,
+            "train_pins.pose_target",
+            f"use {' or '.join(POSE_TARGETS)}",
+        )
 
 
 def _posenets(experiment: Experiment) -> list[str]:
-    return ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
+    taught = TEACHER in trained(experiment) and not over_pins(experiment)
+    return ["train_posenet", "train_teacher"] if taught else ["train_posenet"]
 
 
 def _without_pair_losses(training: Training, name: str) -> Iterator[Rule]:

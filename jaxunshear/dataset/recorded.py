@@ -221,7 +221,9 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
             if name in named[here]:
                 continue
             chosen = opened & (drawn >= start) & (drawn < start + share)
-            if not chosen.any() and (left := opened & (split == 0)).sum() > len(SPLITS):  # of few contacts chance may take none
+            if not chosen.any() and (left := opened & (split == 0)).sum() > len(
+                SPLITS
+            ):  # of few contacts chance may take none
                 chosen = left & (drawn == drawn[left].min())
             split[chosen] = SPLITS.index(name)
             start += share
