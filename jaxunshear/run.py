@@ -65,7 +65,7 @@ def _run(experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Pa
                 from jaxunshear.evaluation.evaluate import evaluate
 
                 results, worked = evaluate(experiment, folder, data, command), True
-                _tell(results)
+                _tell(results, folder)
             else:
                 from jaxunshear.report.report import write_report
 
@@ -191,7 +191,10 @@ def _keep_time(folder: Path, stage: str, seconds: float) -> None:
     write_json(folder / TIMES, _times(folder) | {stage: round(seconds, 3)})
 
 
-def _tell(results: dict[str, Any]) -> None:
+def _tell(results: dict[str, Any], folder: Path) -> None:
+    if not results["simulated"]:
+        _tell_recorded(results, folder)
+        return
     from jaxunshear.evaluation.measurements import measurements
 
     for row in measurements(results | {"tests": {}})["rows"]:  # those of further tests fill pages: see the report
@@ -201,3 +204,15 @@ def _tell(results: dict[str, Any]) -> None:
             else f"  (bar {row.get('sense', '')} {row['bar']}: {'met' if row['ok'] else 'MISSED'})"
         )
         print(f"{row['name']:<40} {row['value']} {row['unit']}{bar}")
+
+
+def _tell_recorded(results: dict[str, Any], folder: Path) -> None:
+    """Recordings have any targets: a table for a person, and the file that holds the rest."""
+    from jaxunshear.evaluation.score import shown_kind
+    from jaxunshear.evaluation.unseen import table
+
+    print(table(results))
+    if similar := results["ms_ssim"]:
+        felt, unsheared = (similar[kind]["overall"] for kind in ("sheared", shown_kind(similar)))
+        print(f"{results['metric']['ms_ssim']} with the partner: {felt:.3f} as felt, {unsheared:.3f} unsheared")
+    print(f"results: {folder / 'results.json'}")

@@ -5,14 +5,9 @@ from html import escape
 from typing import Any
 
 from jaxunshear.progress import duration
-from jaxunshear.report import figures, page
+from jaxunshear.report import figures, page, words
 from jaxunshear.report.history import History
 
-OVER_TIME = {  # a network's validation figures, drawn over its seconds of training
-    "supervised": "unsheared image, MSE",
-    "edge_mm": "edge distance of taps, mm",
-    "edge_deg": "edge angle of taps, deg",
-}
 SHOWN = ("parameters", "steps", "images_per_second", "train_seconds", "best_step")  # of a training's summary
 
 
@@ -42,7 +37,7 @@ def times(results: dict[str, Any], histories: dict[str, History]) -> str:
     if stages:
         text = "; ".join(f"{name} {value:.0f} s" for name, value in stages.items())
         drawn.append(page.drawing(figures.stage_times(list(stages), list(stages.values())), text))
-    for name, label in OVER_TIME.items():
+    for name, label in _over_time(results).items():
         if any(name in history.validation for history in histories.values()):
             drawn.append(
                 page.drawing(figures.error_over_time(histories, name, label), f"{label} over seconds of training")
@@ -55,11 +50,22 @@ def times(results: dict[str, Any], histories: dict[str, History]) -> str:
         f"{name} {times['median']:.1f} ms (95th percentile {times['p95']:.1f})"
         for name, times in results["ms_per_image"].items()
     )
-    note = f"<p class=soft>One image at a time, compilation apart: {waits}.</p>"
+    note = f"<p class=soft>One image at a time, compilation apart: {waits}.</p>" if waits else ""
     return page.section("Error against run time", lead, f"<div class=row>{''.join(drawn)}</div>", note)
 
 
+def _over_time(results: dict[str, Any]) -> dict[str, str]:
+    """A network's validation figures that are drawn over its seconds of training, with their labels."""
+    what = "pins" if words.over_pins(results) else "image"
+    form = "{} of taps, {}" if words.simulated(results) else "error in {}, {}"
+    chief = {name: form.format(words.word(name), words.unit(name)) for name in words.chief(results)}
+    return {"supervised": f"unsheared {what}, MSE"} | chief
+
+
 def contacts(results: dict[str, Any]) -> str:
+    """Nothing of recorded contacts, which no solver has solved."""
+    if not words.simulated(results):
+        return ""
     names = {
         "residual_mm": "solver residual, mm",
         "iterations": "solver iterations",

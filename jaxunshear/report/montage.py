@@ -3,17 +3,25 @@
 import io
 from html import escape
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import shown_kind
-from jaxunshear.report import page, pictures
+from jaxunshear.report import page, pictures, words
 from jaxunshear.storage import BROKEN_NPZ
 
-HEADS = ("sheared (input)", "unsheared", "tap (truth)", "sheared against tap", "unsheared against tap")
 Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
+
+
+class Terms(NamedTuple):
+    """What stands beside and above the images."""
+
+    heads: tuple[str, ...]  # of the five columns
+    depth: str
+    truth: str
 
 
 def read(path: Path) -> Shown:
@@ -28,36 +36,49 @@ def read(path: Path) -> Shown:
         raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
 
 
-def section(shown: Shown) -> str:
+def terms(results: dict[str, Any]) -> Terms:
+    truth = words.truth(results)
+    shown = "tap (truth)" if truth == "tap" else truth
+    heads = ("sheared (input)", "unsheared", shown, f"sheared against {truth}", f"unsheared against {truth}")
+    return Terms(heads, "depth" if words.simulated(results) else "z", truth)
+
+
+def section(shown: Shown, results: dict[str, Any]) -> str:
     """Of the report: one typical contact of each stimulus, and folded away those that went badly and well."""
     middle, others = _typical(shown)
+    said = terms(results)
     key = "".join(
         f'<span class=key style="background: rgb{colour}"></span>{text}'
         for colour, text in ((pictures.MISSING, "missing from the image"), (pictures.SURPLUS, "should not be there"))
     )
     body = [
-        _table(shown, middle),
-        f"<figcaption>In the differences:{key}. Numbers are likeness to the tap.</figcaption>",
+        _table(shown, middle, said),
+        f"<figcaption>In the differences:{key}. Numbers are likeness to the {said.truth}.</figcaption>",
     ]
     if others:
-        more = f"<details><summary>Contacts that went badly, and well (10th and 90th percentile)</summary>{_table(shown, others)}"
+        more = f"<details><summary>Contacts that went badly, and well (10th and 90th percentile)</summary>{_table(shown, others, said)}"
         body.append(more + "</details>")
     lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
+    if not words.simulated(results):
+        lead = f"A held-out slide that is typical: what was felt, what the network made of it, and its {said.truth}."
+    if words.over_pins(results):
+        lead += " The network reads pins and gives pins: the images are these pins, drawn."
     return page.section("What it does", lead, *body)
 
 
-def drawing(shown: Shown) -> bytes:
+def drawing(shown: Shown, results: dict[str, Any]) -> bytes:
     """The typical contacts as one PNG; the same contacts give the same bytes."""
     rows, _ = _typical(shown)
+    said = terms(results)
     figure = Figure(figsize=(8.2, 1.85 * len(rows)), layout="constrained", dpi=100)
-    for line, row in zip(figure.subplots(len(rows), len(HEADS), squeeze=False), rows, strict=True):
-        for axes, (image, text), head in zip(line, _cells(shown, row), HEADS, strict=True):
+    for line, row in zip(figure.subplots(len(rows), len(said.heads), squeeze=False), rows, strict=True):
+        for axes, (image, text), head in zip(line, _cells(shown, row), said.heads, strict=True):
             axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
             axes.set(xticks=[], yticks=[])
             axes.set_xlabel(text, fontsize=8)
             if row == rows[0]:
                 axes.set_title(head, fontsize=9)
-        line[0].set_ylabel("\n".join(_words(shown, row)), rotation=0, ha="right", va="center", fontsize=8)
+        line[0].set_ylabel("\n".join(_words(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})
     return buffer.getvalue()
@@ -74,7 +95,7 @@ def _typical(shown: Shown) -> tuple[list[int], list[int]]:
 
 
 def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
-    """Images and likenesses under them, in the order of HEADS."""
+    """Images and likenesses under them, in the order of the heads."""
     network = shown_kind(shown)
     sheared, unsheared, tap = (shown[kind][row] for kind in ("sheared", network, "tap"))
     return [
@@ -86,23 +107,25 @@ def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
     ]
 
 
-def _words(shown: Shown, row: int) -> tuple[str, str, str]:
+def _words(shown: Shown, row: int, said: Terms) -> list[str]:
+    """What the contact is; of a recorded one neither slide nor depth need be known."""
     slide, depth = float(np.hypot(*shown["move"][row])), float(shown["pose"][row][3])
-    return str(shown["stimulus"][row]), f"slide {slide:.1f} mm", f"depth {depth:.1f} mm"
+    known = [(f"slide {slide:.1f} mm", slide), (f"{said.depth} {depth:.1f} mm", depth)]
+    return [str(shown["stimulus"][row]), *(text for text, value in known if np.isfinite(value))]
 
 
 def _strong(text: str, title: str) -> str:
     return f"<b>{text}</b>" if title == "unsheared" else text
 
 
-def _table(shown: Shown, rows: list[int]) -> str:
+def _table(shown: Shown, rows: list[int], said: Terms) -> str:
     lines = []
     for row in rows:
-        name, *words = map(escape, _words(shown, row))
+        name, *words = map(escape, _words(shown, row, said))
         pixels = "".join(
             f'<td><img src="{pictures.png_address(image)}" alt="{escape(title)}">{_strong(text, title)}</td>'
-            for (image, text), title in zip(_cells(shown, row), HEADS, strict=True)
+            for (image, text), title in zip(_cells(shown, row), said.heads, strict=True)
         )
         lines.append(f"<tr><th><b>{name}</b><br>{'<br>'.join(words)}</th>{pixels}</tr>")
-    top = "".join(f"<th>{title}</th>" for title in ("", *HEADS))
+    top = "".join(f"<th>{title}</th>" for title in ("", *said.heads))
     return f'<div class=wide><table class="montage"><tr>{top}</tr>\n' + "\n".join(lines) + "</table></div>"

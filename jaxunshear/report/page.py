@@ -17,6 +17,7 @@ p { margin: 0 0 12px; max-width: 76ch; }
 td small { display: block; font-weight: 400; }
 section { background: #fff; border: 1px solid var(--line); border-radius: 10px; padding: 18px 20px; margin-top: 18px; }
 .cards { display: grid; grid-template-columns: repeat(auto-fit, minmax(190px, 1fr)); gap: 12px; margin-top: 18px; }
+.cards.many { grid-template-columns: repeat(auto-fit, minmax(300px, 1fr)); }
 .card { line-height: 1.35; background: #fff; border: 1px solid var(--line); border-radius: 10px; padding: 14px 16px; }
 .card b { display: block; font-size: 1.25rem; line-height: 1.5; font-variant-numeric: tabular-nums; white-space: nowrap; }
 .card b i { font-style: normal; font-weight: 400; color: var(--soft); }
@@ -38,6 +39,8 @@ details { margin-top: 8px; } summary { cursor: pointer; }
 code, pre { font: .85rem/1.45 ui-monospace, Consolas, monospace; } pre { overflow-x: auto; margin: 6px 0; }
 @media print { section, .card { break-inside: avoid; } body { background: #fff; } }
 """
+
+ABREAST = 5  # cards that fit a row
 
 
 def page(title: str, *body: str) -> str:
@@ -67,7 +70,9 @@ def card(label: str, before: str, after: str, note: str, ok: bool | None = None)
 
 
 def cards(*each: str) -> str:
-    return "<div class=cards>\n" + "\n".join(each) + "\n</div>"
+    """In a row if they fit, else three abreast."""
+    kind = '"cards many"' if len(each) > ABREAST else "cards"
+    return f"<div class={kind}>\n" + "\n".join(each) + "\n</div>"
 
 
 def table(
@@ -98,3 +103,10 @@ def drawing(svg: str, text: str) -> str:
 def number(value: float | None, digits: int = 2) -> str:
     """Fixed digits; a dash where there is no value."""
     return "\u2013" if value is None else f"{value:.{digits}f}"
+
+
+def spanned(value: float | None, interval: list[float] | None, digits: int) -> str:
+    """A figure with its interval below, as HTML; without one where there is none."""
+    if value is None or interval is None:
+        return number(value, digits)
+    return f"{number(value, digits)} <small>[{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]</small>"

@@ -9,7 +9,7 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import TRAINABLE
-from jaxunshear.report import applications, making, montage, page, scores
+from jaxunshear.report import applications, headlines, making, montage, page, poses, recordings, scores, words
 from jaxunshear.report.history import read_history
 from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write_text
 
@@ -17,7 +17,8 @@ from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write
 def write_report(run_dir: Path) -> Path:
     """Writes `report.html` and `montage.png` from `results.json`, `montage.npz`, `times.json` and the networks' `log.jsonl` in `run_dir`.
 
-    Raises `UserError` where the run has not been evaluated or its files are damaged. Missing logs leave out their curves.
+    Raises `UserError` where the run has not been evaluated or its files are damaged. Missing logs leave out their curves; recorded runs
+    in which nothing is unsheared have no montage.
     """
     run_dir = Path(run_dir)
     results = read_json(run_dir / "results.json")
@@ -26,17 +27,18 @@ def write_report(run_dir: Path) -> Path:
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
     summaries = {name: _ending(path) for name, path in endings.items() if path.exists()}
-    shown = montage.read(run_dir / "montage.npz")
     try:
         results["time_s"] |= grown
+        shown = montage.read(run_dir / "montage.npz") if words.simulated(results) or results["ms_ssim"] else None
         parts = [
             _heading(results),
-            scores.headlines(results),
-            montage.section(shown),
+            headlines.headlines(results),
+            montage.section(shown, results) if shown else "",
             scores.similarity(results),
-            scores.poses(results),
+            poses.poses(results),
             scores.further(results),
             scores.pins(results),
+            *([] if words.simulated(results) else [recordings.recordings(results), recordings.pairing(results)]),
             scores.swap(results),
             *applications.sections(run_dir),
             making.training(histories, summaries),
@@ -46,9 +48,10 @@ def write_report(run_dir: Path) -> Path:
         ]
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
-    write_bytes(run_dir / "montage.png", montage.drawing(shown))
+    if shown:
+        write_bytes(run_dir / "montage.png", montage.drawing(shown, results))
     path = run_dir / "report.html"
-    write_text(path, page.page(f"jaxunshear: {results['experiment']}", *parts))
+    write_text(path, page.page(f"jaxunshear: {results['experiment']}", *filter(None, parts)))
     return path
 
 
@@ -64,10 +67,35 @@ def _ending(path: Path) -> dict[str, Any]:
 
 
 def _heading(results: dict[str, Any]) -> str:
-    return (
+    top = (
         f"<h1>Taking the slide out of touch: {escape(results['experiment'])}</h1>\n<p>{escape(results['claim'])}</p>\n"
-        "<p class=soft>A soft dome that slides over an edge feels its own shear on top of the shape. The networks of this run "
+    )
+    if not words.simulated(results):
+        return f"{top}<p class=soft>{_of_recordings(results)}</p>"
+    return (
+        f"{top}<p class=soft>A soft dome that slides over an edge feels its own shear on top of the shape. The networks of this run "
         "turn such an image into the one a plain tap would have given. Every figure of ours is measured on "
         "<b>simulated</b> contacts at poses kept out of training; the paper's, in "
         "<span class=real>tinted columns</span>, are from a <b>real</b> sensor.</p>"
+    )
+
+
+def _of_recordings(results: dict[str, Any]) -> str:
+    counts = results["counts"]
+    if results["ms_ssim"]:
+        what = "pins" if words.over_pins(results) else "an image"
+        about = f"The networks of this run turn {what} of a slide into what a plain tap would have given."
+    else:
+        about = "Nothing is unsheared here, for which it takes taps and slides: the networks of this run read poses."
+    counted = " and ".join(
+        f"{count} {kind}" for kind, count in (("taps", counts["test_taps"]), ("slides", counts["test_poses"])) if count
+    )
+    paper = (
+        " The paper's, in <span class=real>tinted columns</span>, are from another real sensor."
+        if results["ms_ssim"] and words.comparable(results)
+        else ""
+    )
+    return (
+        f"A soft dome that slides feels its own shear on top of what it touches. {about} Every figure is measured on <b>recorded</b> "
+        f"contacts of a <b>real</b> sensor that were kept out of training: {counted}.{paper}"
     )

@@ -1,0 +1,151 @@
+"""The section on poses: what a PoseNet reads of every kind of contact, and how much of the slide's damage is undone."""
+
+from html import escape
+from typing import Any
+
+from jaxunshear.evaluation.score import shown_kind
+from jaxunshear.report import page, scores, words
+from jaxunshear.report.page import number, spanned
+
+TITLE = "What a pose network reads"
+ALIAS = "unsheared"  # in recorded results: the network that the run is about, once more
+
+
+def poses(results: dict[str, Any]) -> str:
+    ours, spread = results["pose_mae"], results["spread"]["pose_mae"]
+    if not ours:
+        return page.section(TITLE, "This run has no PoseNet.")
+    names, paper = words.targets(results), results["paper"]["pose_mae"]
+    known = [name for name in paper["tap"] if name in names and words.simulated(results)]
+    given = "what PoseNet is given" if words.over_pins(results) else "image given to PoseNet"
+    head = [given, *map(words.heading, names), *(f"{words.heading(q)}<br>paper" for q in known)]
+    rows = [
+        [
+            words.kind_of(results, kind),
+            *(spanned(ours[kind][q], spread[kind][q], 2) for q in names),
+            *(number(paper.get(kind, {}).get(q)) for q in known),
+        ]
+        for kind in ours
+        if kind != ALIAS
+    ]
+    strong, chance = [len(rows) - 1], results["baselines"]["pose_chance"]
+    rows.append(["<i>one answer to every image</i>", *(number(chance[q]) for q in names), *("" for _ in known)])
+    return page.section(
+        TITLE,
+        _lead(results, names),
+        page.table(head, rows, range(1 + len(names), len(head)), strong),
+        _recovery(results),
+        _by_part(results, "pose_by_stimulus", "shape"),
+        _by_part(results, "pose_by_depth", "depth"),
+        *_apart(results),
+    )
+
+
+def _lead(results: dict[str, Any], names: list[str]) -> str:
+    if words.simulated(results):
+        lead = "Mean absolute error of a PoseNet that has only learned from taps."
+        if "edge_mm" in names:
+            lead += (
+                " x and yaw are ambiguous along a smooth edge; the distance to the edge and its local angle are not."
+            )
+        return lead
+    ours = results["pose_mae"]
+    lead = (
+        "Mean absolute errors on held-out contacts, in the labels' own frame, of a PoseNet that has only learned from "
+    )
+    if set(ours) == {"sheared_learnt"}:
+        lead += "labelled slides."
+    else:
+        lead += (
+            "taps; one row is of a PoseNet that learned from labelled slides." if "sheared_learnt" in ours else "taps."
+        )
+    return f"{lead} Brackets: {results['spread']['what']}."
+
+
+def _recovery(results: dict[str, Any]) -> str:
+    """The sentence; nothing where no network unshears, or nothing is known of taps."""
+    kind = shown_kind(results["pose_recovery"])
+    if kind == "sheared":
+        return ""
+    found, spread = results["pose_recovery"][kind], results["spread"]["pose_recovery"][kind]
+    if words.simulated(results):
+        undone = [f"{words.word(q)} {x:.0%}{_span(spread[q], '.0%')}" for q, x in found.items() if x is not None]
+        return (
+            f"<p class=soft>Recovery, the part of the slide's damage that is undone, by the {kind} network: "
+            f"{', '.join(undone) or 'none'}.</p>"
+        )
+    told = "; ".join(f"{words.word(q)} {_recovered(found[q], spread[q])}" for q in words.targets(results))
+    return (
+        f"<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {kind} network: {told}. 1 is read as well as taps, 0 as badly as "
+        f"felt.</p><p class=soft>{_of_paper(results)}</p>"
+    )
+
+
+def _recovered(value: float | None, interval: list[float] | None) -> str:
+    return "none, as slides do no harm" if value is None else f"{value:.2f}{_span(interval, '.2f')}"
+
+
+def _of_paper(results: dict[str, Any]) -> str:
+    """Its recoveries: of another sensor and other quantities, they give the scale."""
+    error = results["paper"]["pose_mae"]
+    told = [
+        f"{(felt - error['disentangled'][q]) / (felt - error['tap'][q]):.2f} of {words.word(q)}"
+        for q, felt in error["sheared"].items()
+    ]
+    return f"The paper's disentangled network, on another sensor and task, has a recovery of {' and '.join(told)}."
+
+
+def _span(interval: list[float] | None, form: str) -> str:
+    return "" if interval is None else f" [{interval[0]:{form}}, {interval[1]:{form}}]"
+
+
+def _by_part(results: dict[str, Any], table: str, by: str) -> str:
+    """Each part of `table`, for the network that `poses` names; folded away. Recovery, or where nothing is known of taps errors.
+    Nothing of runs evaluated by an earlier version."""
+    names, kind = words.targets(results), shown_kind(results["pose_mae"])
+    recovered, rows = False, []
+    for part, found in results.get(table, {}).items():
+        if not found:
+            continue
+        if kind in found["pose_recovery"] and kind != "sheared":
+            recovered, spread = True, found["spread"]["pose_recovery"][kind]
+            rows.append([escape(part), *(spanned(found["pose_recovery"][kind][q], spread[q], 2) for q in names)])
+        elif not words.simulated(results) and {"sheared", kind} <= set(found["pose_mae"]) and kind != "sheared":
+            felt, unsheared = found["pose_mae"]["sheared"], found["pose_mae"][kind]
+            rows.append([escape(part), *(f"{number(felt[q])} &rarr; {number(unsheared[q])}" for q in names)])
+    if not rows:
+        return ""
+    head = (
+        [f"recovery, by {by}", *map(words.word, names)]
+        if recovered
+        else [f"error, by {by}", *map(words.heading, names)]
+    )
+    return f"<details><summary>By {by}</summary>{page.table(head, rows)}</details>"
+
+
+def _apart(results: dict[str, Any]) -> list[str]:
+    """The disentangled network less each other one, contact by contact, a sentence each."""
+    if words.simulated(results):
+        units = {
+            q: "mm from the edge" if q == "edge_mm" else f"{words.unit(q)} of {words.word(q)}"
+            for q in words.chief(results)
+        }
+        shown = ["edge_mm"] if "edge_mm" in units else list(units)
+        return [scores.apart(results, q, units[q], 3, -1) for q in shown]
+    return [_against(results, kind) for kind, columns in results["difference"].items() if set(columns) != {"ms_ssim"}]
+
+
+def _against(results: dict[str, Any], kind: str) -> str:
+    found, spread = results["difference"][kind], results["spread"]["difference"][kind]
+    told = []
+    for name in words.targets(results):
+        low, high = spread[name]
+        verdict = "within chance" if low <= 0 <= high else "better" if high < 0 else "worse"
+        figure = f"{found[name]:+.2f}{_span(spread[name], '+.2f')} {words.unit(name)}"
+        told.append(f"{words.word(name)} <b>{verdict}</b> ({figure})")
+    other = (
+        "a PoseNet that learnt from slides directly"
+        if kind == "sheared_learnt"
+        else escape(words.kind_of(results, kind))
+    )
+    return f"<p>Slide by slide, the disentangled network's slides against {other}: {'; '.join(told)}.</p>"

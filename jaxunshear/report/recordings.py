@@ -1,0 +1,76 @@
+"""Sections of a recorded run's page: which recordings it learnt from and was scored on, and how its slides got their partners."""
+
+from html import escape
+from typing import Any
+
+from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.report import page, words
+from jaxunshear.report.page import number
+
+WAYS = {
+    "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap need be "
+    "recorded there, so no pose is off.",
+    "nearest": "A slide's partner is the recorded tap whose pose is nearest, in units of the labels' ranges. In training, a pair counts "
+    "the less the further the two poses are apart.",
+    "pose_id": "A slide's partner is the tap that was recorded at the same pose, under the same pose_id.",
+    "file": "A slide's partner is the tap that a table of pairs names.",
+}
+
+
+def recordings(results: dict[str, Any]) -> str:
+    told = results["recordings"]
+    rows = [
+        [kind, *(str(told[kind][split]) for split in SPLITS)] for kind in ("taps", "slides") if any(told[kind].values())
+    ]
+    folders = dict.fromkeys(results["settings"]["paired"][kind] for kind in ("taps", "slides"))
+    named = ", ".join(f"<code>{escape(folder)}</code>" for folder in folders if folder)
+    facts = [
+        f"Folder: {named} (digest {escape(told['digest'])}); sensor {escape(told['sensor'])}, {told['pins']} pins.",
+        f"Of {told['contacts']} contacts {told['dropped']} were left out. Pins are followed for sure in {told['pins_sure']:.1%} of the "
+        f"others; in {told['unsure']} they are not.",
+        f"Labels used, by their range in training: {'; '.join(map(_range, results['targets'])) or 'none'}.",
+    ]
+    if told["labelled"] < 1:
+        facts.append(f"Labels of {told['labelled']:.0%} of the training slides teach.")
+    lead = "Frames of a real sensor. Networks are trained and chosen on the first two columns; every figure of this page is of the third."
+    return page.section(
+        "The recordings",
+        lead,
+        page.table(["contacts", *SPLITS], rows),
+        *(f"<p class=soft>{fact}</p>" for fact in facts),
+        _listed(f"Frames left out ({told['dropped']})", told["dropped_frames"], told["dropped"]),
+        _listed("Notes from reading them", told["notes"], len(told["notes"])),
+    )
+
+
+def _range(target: dict[str, Any]) -> str:
+    name = target["name"]
+    if target["circle"]:
+        return f"{words.word(name)} over the full circle"
+    low, high = target["middle"] - target["reach"], target["middle"] + target["reach"]
+    return f"{words.word(name)} {low:.2f} to {high:.2f} {words.unit(name)}"
+
+
+def _listed(heading: str, lines: list[str], count: int) -> str:
+    """Folded away; nothing of no lines."""
+    if not lines:
+        return ""
+    more = f"<li>and {count - len(lines)} more</li>" if count > len(lines) else ""
+    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+    return f"<details><summary>{escape(heading)}</summary><ul>{items}{more}</ul></details>"
+
+
+def pairing(results: dict[str, Any]) -> str:
+    """Nothing where there are no pairs."""
+    way, gaps = results["pairing"]["way"], results["pairing"]["gaps"]
+    if way not in WAYS:
+        return ""
+    names = words.targets(results)
+    rows = [[split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)] for split, gap in gaps.items()]
+    head = ["pose of the partner off by", "pairs", *map(words.heading, names)]
+    note = "<p class=soft>Median, and in brackets the 95th percentile.</p>"
+    return page.section("How slides are paired", WAYS[way], page.table(head, rows), note)
+
+
+def _gap(gap: dict[str, float | None]) -> str:
+    return f"{number(gap['median'])} ({number(gap['p95'])})"

@@ -1,0 +1,92 @@
+"""What the page of a run calls things, told from its `results.json`: kinds of contacts, quantities, what a network should have drawn."""
+
+from html import escape
+from typing import Any
+
+KINDS = {
+    "tap": "tap (no slide)",
+    "sheared": "sheared, as felt",
+    "sheared_learnt": "sheared, PoseNet that learnt slides",
+    "code_learnt": "sheared, head on the pose code",
+    "both_learnt": "mean of the head's and the unsheared image's",
+    "mean_tap": "mean of the training taps",
+    "nearest_tap": "training tap nearest to the sheared",
+    "translated": "sheared, best translation (knows the tap)",
+    "entangled": "unsheared, entangled",
+    "entangled_large": "unsheared, entangled, as many parameters",
+    "unet": "unsheared, U-Net",
+    "disentangled": "unsheared, disentangled",
+    "true_slide": "sheared, pins known by name",
+}
+OF_RECORDINGS = {
+    "tap": "taps (no slide)",
+    "partner": "partners of the slides",
+    "sheared": "slides, as felt",
+    "sheared_learnt": "slides, learnt from slides directly",
+    **{kind: f"slides, {KINDS[kind]}" for kind in ("entangled", "entangled_large", "unet", "disentangled")},
+}
+QUANTITIES = {
+    "x_mm": "x",
+    "y_mm": "y",
+    "z_mm": "z",
+    "yaw_deg": "yaw",
+    "depth_mm": "depth",
+    "edge_mm": "edge distance",
+    "edge_deg": "edge angle",
+    "Rx_deg": "Rx",
+    "Ry_deg": "Ry",
+    "Rz_deg": "Rz",
+}
+EDGE = ("edge_mm", "edge_deg")  # what an edge does not leave open
+CARDS = 3  # quantities that have a card, at most
+
+
+def simulated(results: dict[str, Any]) -> bool:
+    return results.get("simulated", True)
+
+
+def over_pins(results: dict[str, Any]) -> bool:
+    """Whether the networks read pins: images are then pins, drawn."""
+    return results["settings"]["unshear"].get("input") == "pins"
+
+
+def truth(results: dict[str, Any]) -> str:
+    """What an unsheared slide should be: a tap of the same pose, or whatever stands for one."""
+    return "partner" if not simulated(results) and results["pairing"]["way"] in ("rendered", "nearest") else "tap"
+
+
+def comparable(results: dict[str, Any]) -> bool:
+    """Whether the paper's likenesses are of the same quantity: images, held against taps."""
+    return simulated(results) or (truth(results) == "tap" and not over_pins(results))
+
+
+def kind_of(results: dict[str, Any], kind: str) -> str:
+    """A kind of contact in words, plain text."""
+    return KINDS[kind] if simulated(results) else OF_RECORDINGS.get(kind) or KINDS[kind]
+
+
+def targets(results: dict[str, Any]) -> list[str]:
+    """The quantities that the run's PoseNets read, in its order."""
+    if "targets" in results:
+        return [target["name"] for target in results["targets"]]
+    return list(results["baselines"]["pose_chance"])
+
+
+def chief(results: dict[str, Any]) -> list[str]:
+    """Those that the page opens with."""
+    names = targets(results)
+    return [name for name in EDGE if name in names] or names[:CARDS]
+
+
+def word(name: str) -> str:
+    """A quantity without its unit, as HTML."""
+    return escape(QUANTITIES.get(name, name.rpartition("_")[0]))
+
+
+def unit(name: str) -> str:
+    return escape(name.rpartition("_")[2])
+
+
+def heading(name: str) -> str:
+    """Of a column, as HTML."""
+    return f"{word(name)}<br>{unit(name)}"
