@@ -124,6 +124,16 @@ def _targets(experiment: Experiment) -> Iterator[Rule]:
         yield len(names) > 0, "targets", "there is none: the ranges of the poses leave nothing to predict"
 
 
+def _same_targets(experiment: Experiment) -> Iterator[Rule]:
+    """PoseNet, which learns from taps, is judged by the poses of pairs; a teacher's outputs are compared one by one."""
+    pairs, taps = (of_ranges(experiment.targets, part.ranges) for part in (experiment.paired, experiment.pose))
+    remedy = f"pairs vary {', '.join(names_of(pairs))} and taps {', '.join(names_of(taps))}: name those that both vary"
+    yield names_of(pairs) == names_of(taps), "targets", remedy
+    for pair, tap in zip(pairs, taps, strict=False):
+        remedy = f"{pair.name} goes round a circle in taps alone, and a teacher reads both: write {pair.name}:circle"
+        yield TEACHER not in trained(experiment) or pair.circle == tap.circle, "targets", remedy
+
+
 def _train_poses(data: PairedData | PoseData) -> int:
     """Per stimulus, as `dataset.shots` splits them."""
     return data.poses - 2 * max(1, round(0.2 * data.poses))
@@ -312,6 +322,7 @@ def _networks(experiment: Experiment) -> Iterator[Rule]:
         yield from _seen_alike(experiment.paired, experiment.pose)
         yield from _kept_out(experiment)
         yield from _covered(experiment.paired.ranges, experiment.pose.ranges)
+        yield from _same_targets(experiment)
 
 
 def _kept_out(experiment: Experiment) -> Iterator[Rule]:

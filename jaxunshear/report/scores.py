@@ -29,7 +29,7 @@ QUANTITY = {
     "yaw_deg": "yaw<br>deg",
     "edge_mm": "edge distance<br>mm",
     "edge_deg": "edge angle<br>deg",
-}
+}  # others are shown by their own names
 
 
 def headlines(results: dict[str, Any]) -> str:
@@ -47,7 +47,7 @@ def headlines(results: dict[str, Any]) -> str:
         ("edge_deg", "Error in edge angle", "deg"),
     ):
         row = rows.get(f"pose_ratio.{kind}.{quantity}", {"bar": None, "ok": None})
-        if kind not in pose:
+        if quantity not in pose.get(kind, {}):
             continue
         digits = 2 if unit == "mm" else 1
         before, after = (number(pose[image][quantity], digits) for image in ("sheared", kind))
@@ -118,21 +118,24 @@ def poses(results: dict[str, Any]) -> str:
     ours, spread, paper = results["pose_mae"], results["spread"]["pose_mae"], results["paper"]["pose_mae"]
     if not ours:
         return page.section("What a pose network reads", "This run has no PoseNet.")
-    known = list(paper["tap"])
-    head = ["image given to PoseNet", *QUANTITY.values(), *(f"{QUANTITY[q]}<br>paper" for q in known)]
+    quantities = _quantities(ours)
+    known = [q for q in paper["tap"] if q in quantities]
+    head = ["image given to PoseNet", *map(_label, quantities), *(f"{_label(q)}<br>paper" for q in known)]
     rows = [
         [
             LABELS[kind],
-            *(_with_interval(ours[kind][q], spread[kind][q], 2) for q in QUANTITY),
+            *(_with_interval(ours[kind].get(q), spread[kind].get(q), 2) for q in quantities),
             *(number(paper.get(kind, {}).get(q)) for q in known),
         ]
         for kind in ours
     ]
     chance = results["baselines"]["pose_chance"]
-    rows.append(["<i>one answer to every image</i>", *(number(chance[q]) for q in QUANTITY), *("" for _ in known)])
+    rows.append(
+        ["<i>one answer to every image</i>", *(number(chance.get(q)) for q in quantities), *("" for _ in known)]
+    )
     kind = shown_kind(results["pose_recovery"])
     undone = ", ".join(
-        f"{QUANTITY[q].replace('<br>', ' ').rpartition(' ')[0]} {recovery:.0%}{_span(results['spread']['pose_recovery'][kind][q])}"
+        f"{_label(q).partition('<br>')[0]} {recovery:.0%}{_span(results['spread']['pose_recovery'][kind][q])}"
         for q, recovery in results["pose_recovery"].get(kind, {}).items()
         if recovery is not None
     )
@@ -148,7 +151,7 @@ def poses(results: dict[str, Any]) -> str:
     return page.section(
         "What a pose network reads",
         lead,
-        page.table(head, rows, range(1 + len(QUANTITY), len(head)), [len(ours) - 1]),
+        page.table(head, rows, range(1 + len(quantities), len(head)), [len(ours) - 1]),
         note,
         _won_back(results, "pose_by_stimulus", "shape"),
         _won_back(results, "pose_by_depth", "depth"),
@@ -156,18 +159,29 @@ def poses(results: dict[str, Any]) -> str:
     )
 
 
+def _quantities(errors: dict[str, dict[str, float]]) -> list[str]:
+    """All that any kind of image is read for: those of QUANTITY in its order, then others in theirs."""
+    read = dict.fromkeys(name for kind in errors.values() for name in kind)
+    return sorted(read, key=lambda name: [*QUANTITY, name].index(name))
+
+
+def _label(quantity: str) -> str:
+    name, _, unit = quantity.rpartition("_")
+    return QUANTITY.get(quantity, f"{name}<br>{unit}")
+
+
 def _won_back(results: dict[str, Any], table: str, by: str) -> str:
     """What is won back in each part of `table`, by the network that `poses` names; folded away. Nothing of runs evaluated by an
     earlier version."""
     kind = shown_kind(results["pose_recovery"])
-    rows = []
+    rows, quantities = [], _quantities(results["pose_mae"])
     for part, found in results.get(table, {}).items():
         if found and kind in found["pose_recovery"]:
             won, spread = found["pose_recovery"][kind], found["spread"]["pose_recovery"][kind]
-            rows.append([escape(part), *(_with_interval(won[q], spread[q], 2) for q in QUANTITY)])
+            rows.append([escape(part), *(_with_interval(won.get(q), spread.get(q), 2) for q in quantities)])
     if not rows:
         return ""
-    head = [f"won back, by {by}", *(name.partition("<br>")[0] for name in QUANTITY.values())]
+    head = [f"won back, by {by}", *(_label(q).partition("<br>")[0] for q in quantities)]
     return f"<details><summary>By {by}</summary>{page.table(head, rows)}</details>"
 
 
@@ -176,13 +190,17 @@ def further(results: dict[str, Any]) -> str:
     parts = []
     for name, test in results["tests"].items():
         ours, pose, spread = test["ms_ssim"], test["pose_mae"], test["spread"]
-        groups = list(next(iter(ours.values())))
-        head = ["image", *groups, *(QUANTITY[q] for q in QUANTITY if pose)]
+        groups, quantities = list(next(iter(ours.values()))), _quantities(pose)
+        head = ["image", *groups, *map(_label, quantities)]
         rows = [
             [
                 LABELS[kind],
                 *(_with_interval(ours.get(kind, {}).get(g), spread["ms_ssim"].get(kind, {}).get(g), 3) for g in groups),
-                *(_with_interval(pose[kind][q], spread["pose_mae"][kind][q], 2) for q in QUANTITY if kind in pose),
+                *(
+                    _with_interval(pose[kind].get(q), spread["pose_mae"][kind].get(q), 2)
+                    for q in quantities
+                    if kind in pose
+                ),
             ]
             for kind in LABELS
             if kind in pose or kind in ours
