@@ -10,6 +10,7 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.storage import read_json, write_json, write_text
+from jaxunshear.targets import to_json
 
 PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none is named
     "disentangled": ("E", "pose", "DC", "head"),
@@ -27,7 +28,15 @@ def release(run_dir: Path, out: Path) -> Path:
     The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
     Raises `UserError` where the run is not finished or evaluated.
     """
-    from jaxunshear.training.checkpoint import MODEL, check_finished, holds_model, load_best, read_net, write_weights
+    from jaxunshear.training.checkpoint import (
+        MODEL,
+        check_finished,
+        holds_model,
+        load_best,
+        read_net,
+        read_targets,
+        write_weights,
+    )
     from jaxunshear.training.examples import FRAME
 
     run_dir, out = Path(run_dir), Path(out)
@@ -45,16 +54,18 @@ def release(run_dir: Path, out: Path) -> Path:
     names = [name for name in PARTS if name in needed or holds_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
+    targets = {}
     for name in names:
         check_finished(run_dir / name)
         read_net(run_dir / name)  # refuses a damaged one
+        targets[name] = read_targets(run_dir / name)
     variables = {name: load_best(run_dir / name) for name in names}
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     for name in names:
         write_weights(part / name, variables[name], PARTS[name])
         model = read_json(run_dir / name / MODEL)
-        write_json(part / name / MODEL, {known: model[known] for known in ("kind", "net", "targets")})
+        write_json(part / name / MODEL, {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])})
     if not results["simulated"]:
         write_json(part / FRAME, read_json(run_dir / FRAME))
         settings["paired"] |= {
