@@ -1,0 +1,155 @@
+"""Which commands can use examined recordings, with the command line; and what the recordings lack."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jaxunshear.applications.halves import Pairing
+from jaxunshear.applications.sampled import LEAST_PINS, SENSORS
+from jaxunshear.dataset.recordings import IMAGE_FOLDERS
+from jaxunshear.dataset.targets import table_of
+from jaxunshear.scene.sensor import TACTIP_331
+
+if TYPE_CHECKING:
+    from jaxunshear.applications.doctor import Part
+
+FEW = 0.1  # of a folder's contacts: taps among slides, or slides among taps, that make it neither
+
+
+SIMULATED = "the released networks learnt from simulated touches: compare with your labels before you rely on them"
+
+
+@dataclass(frozen=True)
+class Use:
+    """A command line that works, or one that does not and why."""
+
+    command: str
+    why_not: str = ""
+    note: str = ""
+
+    @property
+    def works(self) -> bool:
+        return not self.why_not
+
+
+def lacks_of(parts: tuple[Part, ...], pairs: Pairing) -> tuple[str, ...]:
+    """What recordings lack, in a line each."""
+    lacks = []
+    if not any(part.posed for part in parts):
+        beside = next((home for part in parts if (home := _beside(part)) is not None), None)
+        where = f"; those of these images lie above, in {beside}: examine that folder" if beside else ""
+        lacks.append(f"no labels: no image's pose is known{where}")
+    elif not any(part.moved for part in parts):
+        lacks.append("no moves: whether a contact is a tap or a slide is not known")
+    elif not pairs.slides:
+        lacks.append("no slides: every known move is 0")
+    elif not pairs.taps:
+        lacks.append("no taps: no known move is 0")
+    return (*lacks, *(line for part in parts for line in _sensor_lacks(part)))
+
+
+def _beside(part: Part) -> Path | None:
+    """The folder of the labels, where only that of the images was named."""
+    above = part.path.absolute().parent
+    return above if part.path.name in IMAGE_FOLDERS and table_of(above) else None
+
+
+def _sensor_lacks(part: Part) -> list[str]:
+    if part.seen is None:
+        return [f"no usable images in {part.name}"]
+    pins, lacks = part.seen.pins, []
+    if part.seen.pixels.negative:
+        lacks.append(f"negatives in {part.name}: dark pins on a light ground; invert these images first")
+    if pins.median < LEAST_PINS:
+        lacks.append(f"no pins in {part.name}: {pins.median:.0f} are found in an image")
+    elif pins.sensor is None:
+        known = " and ".join(f"the {sensor.pins} of {sensor.name}" for sensor in SENSORS)
+        lacks.append(f"no known sensor in {part.name}: about {pins.median:.0f} pins, which do not match {known}")
+    return lacks
+
+
+def uses_of(path: Path, parts: tuple[Part, ...], pairs: Pairing) -> tuple[Use, ...]:
+    """Of recordings at `path`, the command lines to give next."""
+    ready = [part for part in parts if part.seen and not part.seen.pixels.negative]
+    cameras = {(part.size, part.seen.pins.sensor) for part in ready if part.seen}
+    places = [path] if len(cameras) < 2 and len(ready) == len(parts) else [part.path for part in ready]
+    shown = [next(part for part in ready if place in (path, part.path)) for place in places if ready]
+    uses = [_pins(place, part) for place, part in zip(places, shown, strict=False)]
+    uses += [use for place, part in zip(places, shown, strict=False) for use in _released(place, part)]
+    if not ready:
+        why = "the pins are dark: invert the images first" if any(part.seen for part in parts) else "no usable images"
+        uses = [Use(_line("pins", path), why), Use(_line("unshear", path, "--out", "unsheared"), why)]
+    return (*uses, *_trained(path, ready, pairs))
+
+
+def _line(*words: str | Path) -> str:
+    return shlex.join(["jaxunshear", *map(str, words)])
+
+
+def _pins(place: Path, part: Part) -> Use:
+    assert part.seen is not None
+    pins = part.seen.pins
+    if pins.median < LEAST_PINS:
+        return Use(_line("pins", place), "no pins are found")
+    if pins.sensor is None:
+        return Use(_line("pins", place, "--layout", "FILE"), note="FILE: x and y of each pin, a line each")
+    return Use(_line("pins", place, *([] if pins.sensor == TACTIP_331.name else ["--sensor", pins.sensor])))
+
+
+def _released(place: Path, part: Part) -> tuple[Use, ...]:
+    """What the released networks, of 331 pins, can do."""
+    assert part.seen is not None
+    other = part.seen.pins.sensor != TACTIP_331.name
+    why = f"the released networks know {TACTIP_331.pins} pins; train a --model of this sensor" if other else ""
+    lines = _line("unshear", place, "--out", "unsheared"), _line("pose", place)
+    return tuple(Use(line, why, "" if why else SIMULATED) for line in lines)
+
+
+def _trained(path: Path, parts: list[Part], pairs: Pairing) -> tuple[Use, ...]:
+    """What learns from taps and slides with poses."""
+    found = _halves(parts)
+    if found is None:
+        why = _no_halves(parts, pairs)
+        fit, run = (
+            ("fit", "--taps", "DIR", "--slides", "DIR"),
+            ("run", "experiments/recorded.py", "--recordings", "DIR"),
+        )
+        return Use(_line(*fit), why), Use(_line(*run), why)
+    return (
+        Use(_line("fit", "--taps", found[0].path, "--slides", found[1].path)),
+        Use(_line("run", "experiments/recorded.py", "--recordings", path)),
+    )
+
+
+def _halves(parts: list[Part]) -> tuple[Part, Part] | None:
+    """A folder of taps and one of slides that go together: for training where there is a choice, and large."""
+    taps = [part for part in parts if part.posed and part.taps and part.slides <= FEW * part.taps]
+    slides = [part for part in parts if part.posed and part.slides and part.taps <= FEW * part.slides]
+    pairs = [(tap, slide) for tap in taps for slide in slides if _camera(tap) == _camera(slide)]
+    return max(pairs, key=_worth, default=None)
+
+
+def _camera(part: Part) -> tuple[object, ...]:
+    return part.size, part.seen and part.seen.pins.sensor
+
+
+def _worth(pair: tuple[Part, Part]) -> tuple[bool, bool, int]:
+    tap, slide = pair
+    alike = tap.path.name == slide.path.name
+    return alike, "train" in tap.path.name and "train" in slide.path.name, min(tap.taps, slide.slides)
+
+
+def _no_halves(parts: list[Part], pairs: Pairing) -> str:
+    if not parts:
+        return "no usable images"
+    if not any(part.posed for part in parts):
+        return "no poses are known"
+    if not pairs.taps or not pairs.slides:
+        lacking = "taps" if not pairs.taps else "slides"
+        return f"there are no {lacking} here: name the folder above, if these lie beside it"
+    if any(part.taps and part.slides for part in parts):
+        return "taps and slides share a folder: give each a folder of its own"
+    return "taps and slides are of different sensors or sizes"
