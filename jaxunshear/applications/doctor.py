@@ -15,15 +15,16 @@ import numpy as np
 
 from jaxunshear.applications.halves import Column, Pairing, column, pairing, taps_and_slides
 from jaxunshear.applications.sampled import Seen, seen
-from jaxunshear.applications.uses import Use, lacks_of, uses_of
+from jaxunshear.applications.uses import Use, halves_of, lacks_of, uses_of
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.dataset.targets import MOVE_COLUMNS, POSE_COLUMNS, Problem, columns_of, read_table, table_of
 from jaxunshear.errors import UserError
+from jaxunshear.image.grey import check_frame
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.progress import Progress
 
 SAMPLED = 40  # images whose pins are found, shared by the folders
-LEAST_SAMPLED = 8  # of a folder
+LEAST_SAMPLED = 8  # in each of many folders
 UNITS = ("mm",) * 3 + ("deg",) * 3
 MOST_TOLD = 20  # images that cannot be read, by name
 
@@ -35,7 +36,7 @@ class Part:
     path: Path
     name: str  # below the examined path
     layout: str
-    images: int  # that can be read
+    images: int  # that can be used
     size: tuple[int, int]  # px, width and height of most
     posed: int  # images whose pose is known
     moved: int  # and whose move is
@@ -49,7 +50,7 @@ class Part:
 class Diagnosis:
     path: Path
     parts: tuple[Part, ...]
-    pairing: Pairing
+    pairing: Pairing  # of the folder of taps and that of slides which go together, or of all contacts
     problems: tuple[Problem, ...]  # what is broken, and where
     lacks: tuple[str, ...]  # what is not there, a line each
     uses: tuple[Use, ...]
@@ -82,9 +83,9 @@ def examine(path: str | Path) -> Diagnosis:
             problems += broken
             parts.append(_part(recordings, folder, np.array(own), sizes, share, problems))
     if not any(part.images for part in parts):
-        raise UserError(f"none of {len(recordings)} images in {path} can be read; the last: {problems[-1]}")
-    pairs = pairing(recordings.poses, recordings.moves, recordings.pose_ids, len(recordings))
+        raise UserError(f"none of {len(recordings)} images in {path} can be used; the last: {problems[-1]}")
     found = tuple(parts)
+    pairs = _pairs(recordings, list(rows.values()), found)
     return Diagnosis(path, found, pairs, tuple(problems), lacks_of(found, pairs), uses_of(path, found, pairs))
 
 
@@ -110,17 +111,33 @@ def _row(part: Part) -> dict[str, Any]:
     return row
 
 
+def _pairs(recordings: Recordings, rows: list[list[int]], parts: tuple[Part, ...]) -> Pairing:
+    """Of the two folders that go together; of all contacts where there are no such two."""
+    halves = halves_of(parts)
+    kept = [
+        row
+        for own, part in zip(rows, parts, strict=True)
+        if not halves or any(part is half for half in halves)
+        for row in own
+    ]
+    labels = (
+        None if each is None else each[kept] for each in (recordings.poses, recordings.moves, recordings.pose_ids)
+    )
+    return pairing(*labels, len(kept))
+
+
 def _sizes(
     recordings: Recordings, rows: list[int], progress: Progress
 ) -> tuple[dict[int, tuple[int, int]], list[Problem]]:
-    """(width, height) px by row of the images that can be read, and what is wrong with the others."""
+    """(width, height) px by row of the images that can be used, and what is wrong with the others."""
     sizes: dict[int, tuple[int, int]] = {}
     problems: list[Problem] = []
     for row in rows:
         file = recordings.files[row]
         try:
-            height, width = read_image(file).shape[:2]
-            sizes[row] = (width, height)
+            raw = read_image(file)
+            check_frame(raw)
+            sizes[row] = (raw.shape[1], raw.shape[0])
         except UserError as error:
             problems.append(Problem.at(file, str(error)))
         progress.advance()
@@ -157,13 +174,16 @@ def _part(
     except UserError as error:
         problems.append(Problem.at(folder, f"{error} ({len(chosen)} of the images were examined)"))
     root, single = recordings.path, recordings.path.is_file()
-    home = folder.parent if folder.name in IMAGE_FOLDERS and folder != root else folder
+    home = root if single else folder.parent if folder.name in IMAGE_FOLDERS and folder != root else folder
     poses, moves = (None if labels is None else labels[rows] for labels in (recordings.poses, recordings.moves))
-    taps, slides = taps_and_slides(moves, len(rows))
+    taps, slides = (int(each.sum()) for each in taps_and_slides(moves, len(rows)))
     layout, columns = ("one image", ()) if single else _table(home, folder, poses, moves)
-    name = root.name if single else home.relative_to(root).as_posix()
-    known = (int(np.isfinite(labels).all(axis=1).sum()) if labels is not None else 0 for labels in (poses, moves))
-    return Part(home, name, layout, len(sizes), usual, *known, int(taps.sum()), int(slides.sum()), columns, shown)
+    name = root.absolute().name if home == root else home.relative_to(root).as_posix()
+    return Part(home, name, layout, len(sizes), usual, _known(poses), _known(moves), taps, slides, columns, shown)
+
+
+def _known(labels: np.ndarray | None) -> int:
+    return 0 if labels is None else int(np.isfinite(labels).all(axis=1).sum())
 
 
 def _table(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,9 +19,9 @@ if TYPE_CHECKING:
     from jaxunshear.applications.doctor import Part
 
 FEW = 0.1  # of a folder's contacts: taps among slides, or slides among taps, that make it neither
-
-
-SIMULATED = "the released networks learnt from simulated touches: compare with your labels before you rely on them"
+SIMULATED = (
+    "`unshear` and `pose` use released networks that learnt from simulated touches: compare with your labels first"
+)
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def uses_of(path: Path, parts: tuple[Part, ...], pairs: Pairing) -> tuple[Use, .
     if not ready:
         why = "the pins are dark: invert the images first" if any(part.seen for part in parts) else "no usable images"
         uses = [Use(_line("pins", path), why), Use(_line("unshear", path, "--out", "unsheared"), why)]
-    return (*uses, *_trained(path, ready, pairs))
+    return (*uses, *_trained(ready, pairs))
 
 
 def _line(*words: str | Path) -> str:
@@ -108,9 +110,9 @@ def _released(place: Path, part: Part) -> tuple[Use, ...]:
     return tuple(Use(line, why, "" if why else SIMULATED) for line in lines)
 
 
-def _trained(path: Path, parts: list[Part], pairs: Pairing) -> tuple[Use, ...]:
+def _trained(parts: list[Part], pairs: Pairing) -> tuple[Use, ...]:
     """What learns from taps and slides with poses."""
-    found = _halves(parts)
+    found = halves_of(parts)
     if found is None:
         why = _no_halves(parts, pairs)
         fit, run = (
@@ -120,12 +122,13 @@ def _trained(path: Path, parts: list[Part], pairs: Pairing) -> tuple[Use, ...]:
         return Use(_line(*fit), why), Use(_line(*run), why)
     return (
         Use(_line("fit", "--taps", found[0].path, "--slides", found[1].path)),
-        Use(_line("run", "experiments/recorded.py", "--recordings", path)),
+        Use(_line("run", "experiments/recorded.py", "--recordings", os.path.commonpath([part.path for part in found]))),
     )
 
 
-def _halves(parts: list[Part]) -> tuple[Part, Part] | None:
+def halves_of(parts: Sequence[Part]) -> tuple[Part, Part] | None:
     """A folder of taps and one of slides that go together: for training where there is a choice, and large."""
+    parts = [part for part in parts if part.seen and not part.seen.pixels.negative]
     taps = [part for part in parts if part.posed and part.taps and part.slides <= FEW * part.taps]
     slides = [part for part in parts if part.posed and part.slides and part.taps <= FEW * part.slides]
     pairs = [(tap, slide) for tap in taps for slide in slides if _camera(tap) == _camera(slide)]

@@ -22,9 +22,9 @@ def doctor_figure(diagnosis: Diagnosis) -> bytes | None:
         samples = part.seen.samples if part.seen else ()
         rows = np.unique(np.linspace(0, len(samples) - 1, share).round().astype(int))
         shown += [(part.name, samples[row]) for row in rows]
-    height = -(-len(shown) // COLUMNS)
-    figure = Figure(figsize=(3.6 * COLUMNS, 3.9 * height), layout="constrained", dpi=110)
-    panels = figure.subplots(height, COLUMNS, squeeze=False).ravel()
+    width, height = min(COLUMNS, len(shown)), -(-len(shown) // COLUMNS)
+    figure = Figure(figsize=(3.6 * width, 4.0 * height), layout="constrained", dpi=110)
+    panels = figure.subplots(height, width, squeeze=False).ravel()
     for axes in panels:
         axes.set_axis_off()
     for axes, (name, sample) in zip(panels, shown, strict=False):

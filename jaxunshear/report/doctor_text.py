@@ -24,7 +24,8 @@ def text_of(diagnosis: Diagnosis) -> list[str]:
         lines.append(f"broken: {len(diagnosis.problems) - MOST_TOLD} more problems, listed by --json")
     if not diagnosis.problems:
         lines.append("broken: nothing")
-    lines += ["", *(f"works: {use.command}{use.note and f' ({use.note})'}" for use in diagnosis.uses if use.works)]
+    lines += ["", *(f"works: {use.command}" for use in diagnosis.uses if use.works)]
+    lines += [f"note: {note}" for note in dict.fromkeys(use.note for use in diagnosis.uses if use.note)]
     return lines + [f"does not work: {use.command} ({use.why_not})" for use in diagnosis.uses if not use.works]
 
 
