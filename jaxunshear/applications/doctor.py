@@ -120,10 +120,10 @@ def _pairs(recordings: Recordings, rows: list[list[int]], parts: tuple[Part, ...
         if not halves or any(part is half for half in halves)
         for row in own
     ]
-    labels = (
-        None if each is None else each[kept] for each in (recordings.poses, recordings.moves, recordings.pose_ids)
+    poses, moves, ids = (
+        None if labels is None else labels[kept] for labels in (recordings.poses, recordings.moves, recordings.pose_ids)
     )
-    return pairing(*labels, len(kept))
+    return pairing(poses, moves, ids, len(kept))
 
 
 def _sizes(
@@ -167,12 +167,7 @@ def _part(
     """Of the images in `folder`; what is wrong with them as images is added to `problems`."""
     usual = _usual(sizes)
     alike = [row for row in rows if sizes.get(row) == usual]
-    chosen = [alike[i] for i in np.unique(np.linspace(0, len(alike) - 1, share).round().astype(int))] if alike else []
-    shown = None
-    try:
-        shown = seen([(recordings.files[row].name, read_image(recordings.files[row])) for row in chosen])
-    except UserError as error:
-        problems.append(Problem.at(folder, f"{error} ({len(chosen)} of the images were examined)"))
+    shown = _seen(recordings, alike, share, problems)
     root, single = recordings.path, recordings.path.is_file()
     home = root if single else folder.parent if folder.name in IMAGE_FOLDERS and folder != root else folder
     poses, moves = (None if labels is None else labels[rows] for labels in (recordings.poses, recordings.moves))
@@ -180,6 +175,18 @@ def _part(
     layout, columns = ("one image", ()) if single else _table(home, folder, poses, moves)
     name = root.absolute().name if home == root else home.relative_to(root).as_posix()
     return Part(home, name, layout, len(sizes), usual, _known(poses), _known(moves), taps, slides, columns, shown)
+
+
+def _seen(recordings: Recordings, rows: list[int], share: int, problems: list[Problem]) -> Seen | None:
+    """What some of these images show; None, and a problem, where that cannot be found out."""
+    if not rows:
+        return None
+    files = [recordings.files[rows[i]] for i in np.unique(np.linspace(0, len(rows) - 1, share).round().astype(int))]
+    try:
+        return seen([(file.name, read_image(file)) for file in files])
+    except UserError as error:
+        problems.append(Problem.at(files[0].parent, f"{error} ({len(files)} of the images were examined)"))
+        return None
 
 
 def _known(labels: np.ndarray | None) -> int:
