@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxunshear.applications.halves import Pairing
-from jaxunshear.applications.sampled import LEAST_PINS, SENSORS
+from jaxunshear.applications.sampled import LEAST_PINS, SENSORS, Pins
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS
 from jaxunshear.dataset.targets import table_of
 from jaxunshear.scene.sensor import TACTIP_331
@@ -76,12 +76,11 @@ def _sensor_lacks(part: Part) -> list[str]:
 def uses_of(path: Path, parts: tuple[Part, ...], pairs: Pairing) -> tuple[Use, ...]:
     """Of recordings at `path`, the command lines to give next."""
     ready = [part for part in parts if part.seen and not part.seen.pixels.negative]
-    cameras = {(part.size, part.seen.pins.sensor) for part in ready if part.seen}
-    places = [path] if len(cameras) < 2 and len(ready) == len(parts) else [part.path for part in ready]
-    shown = [next(part for part in ready if place in (path, part.path)) for place in places if ready]
-    uses = [_pins(place, part) for place, part in zip(places, shown, strict=False)]
-    uses += [use for place, part in zip(places, shown, strict=False) for use in _released(place, part)]
-    if not ready:
+    alike = len(ready) == len(parts) and len({_camera(part) for part in ready}) == 1
+    places = [(path if alike else part.path, part.seen.pins) for part in (ready[:1] if alike else ready) if part.seen]
+    if places:
+        uses = [_pins(*place) for place in places] + [use for place in places for use in _released(*place)]
+    else:
         why = "the pins are dark: invert the images first" if any(part.seen for part in parts) else "no usable images"
         uses = [Use(_line("pins", path), why), Use(_line("unshear", path, "--out", "unsheared"), why)]
     return (*uses, *_trained(ready, pairs))
@@ -91,9 +90,7 @@ def _line(*words: str | Path) -> str:
     return shlex.join(["jaxunshear", *map(str, words)])
 
 
-def _pins(place: Path, part: Part) -> Use:
-    assert part.seen is not None
-    pins = part.seen.pins
+def _pins(place: Path, pins: Pins) -> Use:
     if pins.median < LEAST_PINS:
         return Use(_line("pins", place), "no pins are found")
     if pins.sensor is None:
@@ -101,28 +98,23 @@ def _pins(place: Path, part: Part) -> Use:
     return Use(_line("pins", place, *([] if pins.sensor == TACTIP_331.name else ["--sensor", pins.sensor])))
 
 
-def _released(place: Path, part: Part) -> tuple[Use, ...]:
+def _released(place: Path, pins: Pins) -> tuple[Use, ...]:
     """What the released networks, of 331 pins, can do."""
-    assert part.seen is not None
-    other = part.seen.pins.sensor != TACTIP_331.name
+    other = pins.sensor != TACTIP_331.name
     why = f"the released networks know {TACTIP_331.pins} pins; train a --model of this sensor" if other else ""
     lines = _line("unshear", place, "--out", "unsheared"), _line("pose", place)
     return tuple(Use(line, why, "" if why else SIMULATED) for line in lines)
 
 
-def _trained(parts: list[Part], pairs: Pairing) -> tuple[Use, ...]:
+def _trained(parts: Sequence[Part], pairs: Pairing) -> tuple[Use, ...]:
     """What learns from taps and slides with poses."""
     found = halves_of(parts)
-    if found is None:
-        why = _no_halves(parts, pairs)
-        fit, run = (
-            ("fit", "--taps", "DIR", "--slides", "DIR"),
-            ("run", "experiments/recorded.py", "--recordings", "DIR"),
-        )
-        return Use(_line(*fit), why), Use(_line(*run), why)
+    why = "" if found else _no_halves(parts, pairs)
+    tap, slide = (part.path for part in found) if found else ("DIR", "DIR")
+    both = os.path.commonpath([tap, slide])
     return (
-        Use(_line("fit", "--taps", found[0].path, "--slides", found[1].path)),
-        Use(_line("run", "experiments/recorded.py", "--recordings", os.path.commonpath([part.path for part in found]))),
+        Use(_line("fit", "--taps", tap, "--slides", slide), why),
+        Use(_line("run", "experiments/recorded.py", "--recordings", both), why),
     )
 
 
@@ -145,11 +137,13 @@ def _worth(pair: tuple[Part, Part]) -> tuple[bool, bool, int]:
     return alike, "train" in tap.path.name and "train" in slide.path.name, min(tap.taps, slide.slides)
 
 
-def _no_halves(parts: list[Part], pairs: Pairing) -> str:
+def _no_halves(parts: Sequence[Part], pairs: Pairing) -> str:
     if not parts:
         return "no usable images"
     if not any(part.posed for part in parts):
         return "no poses are known"
+    if not any(part.moved for part in parts):
+        return "which contacts are taps is not known: name the folders of both yourself"
     if not pairs.taps or not pairs.slides:
         lacking = "taps" if not pairs.taps else "slides"
         return f"there are no {lacking} here: name the folder above, if these lie beside it"

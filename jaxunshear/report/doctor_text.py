@@ -37,10 +37,9 @@ def _part(part: Part) -> list[str]:
     lines = [f"{part.name}: {part.layout}", f"  images: {_images(part)}"]
     if part.seen:
         lines.append(f"  pins: {_pins(part.seen)}")
-    if part.moved:
-        lines.append(
-            f"  contacts: {_count(part.taps, 'tap')}, {_count(part.slides, 'slide')}, {part.posed} with a pose"
-        )
+    if part.posed or part.moved:
+        kinds = f"{_count(part.taps, 'tap')}, {_count(part.slides, 'slide')}" if part.moved else "moves not known"
+        lines.append(f"  contacts: {kinds}, {part.posed} with a pose")
     if part.columns:
         lines.append(f"  labels: {', '.join(_column(each) for each in part.columns if each.varies) or 'none varies'}")
         fixed = [f"{_named(each)} {each.low:.4g} {each.unit}" for each in part.columns if not each.varies and each.low]

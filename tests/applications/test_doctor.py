@@ -40,7 +40,7 @@ def recorded(root, sensor=TACTIP_331, slide=0.0, columns=OLDER, images="images",
     for i in range(count):
         Image.fromarray(turn(picture(sensor, i))).save(root / images / f"image_{i + 1}.png")
         labels = [0, i - 1, 3 + i, 0, 0, 120 * i - 100, slide, 0, 0, 0, 0, 0]
-        lines.append(",".join([f"image_{i + 1}.png", str(i), *map(str, labels)]))
+        lines.append(",".join([f"image_{i + 1}.png", str(i), *map(str, labels[: len(columns)])]))
     (root / "targets.csv").write_text("\n".join(lines))
     return root
 
@@ -101,6 +101,25 @@ def test_one_half_alone_does_not_train(tmp_path):
     assert "no slides here" in refused["fit"]
     recorded(tmp_path / "slide", slide=1.0)
     assert examine(tmp_path / "slide").lacks == ("no taps: no known move is 0",)
+
+
+def test_poses_without_moves(tmp_path):
+    root = recorded(tmp_path / "set", columns=OLDER[:6])
+    (fit,) = (use for use in examine(root).uses if " fit " in use.command)
+    assert fit.why_not == "which contacts are taps is not known: name the folders of both yourself"
+    lines = text_of(examine(root))
+    assert "lacking: no moves: whether a contact is a tap or a slide is not known" in lines
+    assert "  contacts: moves not known, 3 with a pose" in lines
+
+
+def test_taps_and_slides_in_one_folder(tmp_path):
+    root = recorded(tmp_path / "set", slide=1.0)
+    file = root / "targets.csv"
+    file.write_text(file.read_text().replace("-100,1.0", "-100,0.0"))
+    diagnosis = examine(root)
+    assert (diagnosis.parts[0].taps, diagnosis.parts[0].slides) == (1, 2)
+    (fit,) = (use for use in diagnosis.uses if " fit " in use.command)
+    assert fit.why_not == "taps and slides share a folder: give each a folder of its own"
 
 
 def test_halves_of_different_sensors_are_not_put_together(tmp_path):
