@@ -22,9 +22,10 @@ STAGES = {
     "train": (NETWORKS,),
     "evaluate": ("evaluate",),
     "run": ("data", NETWORKS, "evaluate", "report"),
+    "fit": ("data", NETWORKS, "evaluate", "report"),
 }
 DRAWN = ("sensors", "stimuli")
-OWN_OPTIONS = ("--help", "--out", "--data", "--json", "--network")
+OWN_OPTIONS = ("--help", "--out", "--data", "--json", "--network", "--recordings", "--taps", "--slides", "--pairs")
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1:
 """
@@ -104,10 +105,30 @@ def _parser() -> _Parser:
         command.add_argument("file", metavar="FILE", type=Path, help="a Python file, such as experiments/demo.py")
         command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
         command.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+        command.add_argument(
+            "--recordings",
+            metavar="DIR",
+            type=Path,
+            help="taps and slides that an experiment such as experiments/recorded.py is about",
+        )
         if name in ("run", "evaluate"):
             _add_json(command)
         if name == "train":
             command.add_argument("--network", metavar="NAME", help="only this one of the experiment's (default: all)")
+
+    text = "fit networks to your own recordings: writes an experiment about them, and runs it"
+    command = commands.add_parser(
+        "fit", help=text, description=text, usage="jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]"
+    )
+    command.takes_fields = True
+    command.add_argument("--taps", metavar="DIR", type=Path, help="recorded taps")
+    command.add_argument("--slides", metavar="DIR", type=Path, help="recorded slides")
+    command.add_argument(
+        "--pairs", metavar="FILE", type=Path, help="CSV with columns slide and tap: which belong together"
+    )
+    command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
+    command.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+    _add_json(command)
 
     text = "write the HTML page of a finished run"
     command = commands.add_parser("report", help=text, description=text)
@@ -206,7 +227,15 @@ def _run(argv: list[str]) -> int:
 def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> None:
     from jaxunshear.experiment import trained
 
-    experiment = _experiment(arguments.file, fields)
+    if arguments.command == "fit":
+        experiment = _fitted(arguments, fields)
+    elif arguments.command == "evaluate" and arguments.file.is_dir():
+        experiment = _finished(arguments, fields)
+        if arguments.recordings:
+            _score(experiment, arguments, command)
+            return
+    else:
+        experiment = _experiment(arguments.file, fields, str(arguments.recordings or ""))
     networks = trained(experiment)
     if getattr(arguments, "network", None):
         if arguments.network not in networks:
@@ -225,12 +254,60 @@ def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> N
         write_json(arguments.json, measurements(results))
 
 
-def _experiment(file: Path, fields: list[str]) -> "Experiment":
+def _experiment(file: Path, fields: list[str], recordings: str = "") -> "Experiment":
     from jaxunshear.config import load_experiment, override, validate
 
     experiment = override(load_experiment(file), fields)
+    if recordings:
+        from jaxunshear.fit import with_recordings
+
+        experiment = with_recordings(experiment, recordings, recordings)
     validate(experiment)
     return experiment
+
+
+def _fitted(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
+    """The experiment that `fit` writes beside its results."""
+    from jaxunshear.config import override, validate
+    from jaxunshear.fit import BASE, with_recordings, write_experiment
+
+    if not (arguments.taps or arguments.slides):
+        raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
+    experiment = override(BASE, ["--name", "fit", *fields])
+    words = (str(folder or "") for folder in (arguments.taps, arguments.slides, arguments.pairs))
+    experiment = with_recordings(experiment, *words)
+    validate(experiment)
+    file = arguments.out / f"{experiment.name}.py"
+    write_experiment(experiment, file)
+    print(f"experiment: {file}")
+    return experiment
+
+
+def _finished(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
+    """The experiment of a finished run, which is named by its folder."""
+    from dataclasses import replace
+
+    from jaxunshear.infer import load_settings
+
+    if fields:
+        raise UserError(
+            f"{fields[0]}: the settings of a finished run stay as they are; name its experiment file to change them"
+        )
+    experiment = load_settings(arguments.file)
+    folder = arguments.file.resolve()
+    arguments.out = folder.parent
+    return replace(experiment, name=folder.name)
+
+
+def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str) -> None:
+    from jaxunshear.evaluation.measurements import measurements
+    from jaxunshear.evaluation.unseen import score_recordings, table
+    from jaxunshear.storage import write_json
+
+    results = score_recordings(experiment, arguments.file, arguments.recordings, arguments.data, command)
+    print(table(results))
+    if arguments.json:
+        write_json(arguments.json, measurements(results))
 
 
 def _report(run: Path) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
+from jaxunshear.experiment import simulated_of
 from jaxunshear.storage import check_beside, check_new_file, check_new_folder
 
 if TYPE_CHECKING:
@@ -172,10 +173,11 @@ def _pins(arguments: argparse.Namespace, out: Path, model: "Model | None") -> di
         from jaxunshear.image.framing import undeformed
 
         experiment = model[1]
+        paired, _ = simulated_of(experiment, "pins --model")
         if arguments.size or arguments.rest:
             raise UserError("--model knows the images' size and the untouched pins: leave --size and --rest out")
-        preprocess = experiment.paired.preprocess
-        lattice = undeformed(experiment.sensor, experiment.paired.camera, preprocess)
+        preprocess = paired.preprocess
+        lattice = undeformed(experiment.sensor, paired.camera, preprocess)
     else:
         lattice = read_layout(arguments.layout) if arguments.layout else layout_of(sensor_named(arguments.sensor))
         preprocess = replace(preprocess, size=arguments.size or pins.prepared_size(arguments.path))
@@ -205,15 +207,16 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
         read_recordings(arguments.path, Preprocess())  # refuses a place without images before there is work to lose
         check_beside(arguments.path, out, "--out")
     folder, experiment = model
+    paired, _ = simulated_of(experiment, "geometry")
     networks = unshearers(folder, unshearing_of(folder))
     if not networks:
         raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
-    lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
+    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     mm = mm_of_growth(lattice, fresh_contacts(experiment, KNOWN, seed=1))
     contacts = fresh_contacts(experiment, arguments.contacts)
     geometry = geometry_of(lattice, contacts, mm, networks)
-    rows = geometry_rows(experiment.paired.stimuli, contacts, geometry)
-    figure = geometry_figure.of_contacts(lattice, experiment.paired.stimuli, contacts, geometry)
+    rows = geometry_rows(paired.stimuli, contacts, geometry)
+    figure = geometry_figure.of_contacts(lattice, paired.stimuli, contacts, geometry)
     write_bytes(out / "geometry.png", figure)
     print(plain_table(rows, ("name", "contacts", "unmatched", "correlation", "rmse_mm", "ms_per_image")))
     print(out / "geometry.png")
@@ -251,6 +254,7 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
     if arguments.seed < 0:
         raise UserError(f"--seed {arguments.seed}: use 0 or more")
     folder, experiment = model
+    paired, _ = simulated_of(experiment, "servo")
     deepest = deepest_mm(experiment.sensor)
     if not 0 < arguments.depth <= deepest:
         raise UserError(f"--depth {arguments.depth:g}: use more than 0, up to {deepest:.1f} mm")
@@ -259,14 +263,12 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
             f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE}"
         )
     chosen = arguments.ways.split(",") if arguments.ways else (perception.TRUE, *perception.ways_of(folder))
-    known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
+    known = perception.perceptions(folder, tuple(way for way in chosen if way != perception.TRUE))
     ways, digests = {way: known.get(way) for way in chosen}, perception.digests(folder, chosen)
     rows: list[dict[str, Any]] = []
     for name in names:
         course = servo.Course(name, arguments.starts, arguments.depth, seed=arguments.seed)
-        walks, line = servo.follow_contour(
-            course, experiment.sensor, experiment.paired, ways, out / f"{name}.npz", digests
-        )
+        walks, line = servo.follow_contour(course, experiment.sensor, paired, ways, out / f"{name}.npz", digests)
         rows += walk_rows(walks, line, name)
         write_bytes(out / f"{name}.png", walk_figure(walks, line, name))
         print(plain_table(rows[-len(ways) :], ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")))
@@ -284,6 +286,7 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     from jaxunshear.storage import write_bytes
 
     folder, experiment = model
+    paired, _ = simulated_of(experiment, "reconstruct")
     asked = _stimuli(arguments.stimulus)
     names = [name for name in asked if (out / f"{name}.npz").is_file()]
     if not names:
@@ -301,7 +304,7 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
         walked = stored_walks(out / f"{name}.npz")
         ways = tuple(dict.fromkeys(walked[1].way.tolist()))
         if ways not in made:
-            made[ways] = made_with(experiment.sensor, experiment.paired, perception.digests(folder, ways))
+            made[ways] = made_with(experiment.sensor, paired, perception.digests(folder, ways))
         _check_walks(out / f"{name}.npz", walked[1], made[ways])
         depth = walked[0].depth_mm
         if depth not in occupancies:
@@ -329,8 +332,9 @@ def _check_walks(file: Path, walks: "Walks", made: str) -> None:
 def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     import contextlib
 
-    from jaxunshear.applications.sources import frames_of
-    from jaxunshear.applications.stream import step_of, stream
+    from jaxunshear.applications.sources import frames_of, truth_of
+    from jaxunshear.applications.stream import robot_of, stream
+    from jaxunshear.infer import learnt_note
 
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
         raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
@@ -338,17 +342,22 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
         check_beside(Path(arguments.source), arguments.images, "--images")
     check_new_file(arguments.lines, "--lines")
     folder, experiment = model
-    step = step_of(folder, experiment, arguments.precision, arguments.way)
-    frames, live = frames_of(arguments.source, experiment.paired.preprocess, arguments.fps)
+    robot = robot_of(folder, experiment, arguments.precision, arguments.way)
+    frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
+    truth = truth_of(arguments.source, experiment)
     with contextlib.ExitStack() as stack:
         lines = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout
-        summary = stream(frames, live, experiment, step, lines, arguments.images, not arguments.no_images)
+        summary = stream(frames, live, robot, lines, arguments.images, not arguments.no_images, truth)
     latency = summary["latency_ms"]
     times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
     print(
         f"{summary['used']} frames used, {summary['skipped']} skipped, {summary['dropped']} dropped{times}",
         file=sys.stderr,
     )
+    if summary["pose_mae"]:
+        errors = ", ".join(f"{name} {value:.3f}" for name, value in summary["pose_mae"].items())
+        print(f"mean error against the labels: {errors}", file=sys.stderr)
+    print(f"note: {learnt_note(experiment)}", file=sys.stderr)
     for problem, count in list(summary["problems"].items())[:5]:
         print(f"skipped {count}: {problem}", file=sys.stderr)
     if not summary["used"]:

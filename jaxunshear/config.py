@@ -21,6 +21,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.scene.sensor import Sensor, sensor_named
 
+NOT_SET = ("config", "digest")
+
 
 def load_experiment(path: str | Path) -> Experiment:
     """The variable `experiment` of the Python file `path`, of the right types but not yet validated."""
@@ -117,16 +119,19 @@ def from_json(data: Any, source: str = "experiment.json") -> Experiment:
 def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Dotted names and types of all fields that can be overridden; `sensor` itself takes a name.
 
-    No `config`: it names settings and sets none.
+    No `config` and no `digest`: they name settings and set none. A group that may be of several kinds has the fields of all.
     """
     for field in dataclasses.fields(kind):
-        if field.name == "config":
+        if field.name in NOT_SET:
             continue
         hint = _hints(kind)[field.name]
-        if not dataclasses.is_dataclass(hint) or hint is Sensor:
+        groups = _groups(hint)
+        if not groups or hint is Sensor:
             yield prefix + field.name, hint
-        if dataclasses.is_dataclass(hint):
-            yield from field_types(typing.cast(type, hint), f"{prefix}{field.name}.")
+        known: dict[str, Any] = {}
+        for group in groups:
+            known |= dict(field_types(group, f"{prefix}{field.name}."))
+        yield from known.items()
 
 
 def check_types(experiment: Experiment) -> None:
@@ -179,14 +184,22 @@ def _suggestion(name: str, kinds: Iterable[str]) -> str:
 
 
 def _replaced(node: Any, path: list[str], value: Any) -> Any:
+    if not hasattr(node, path[0]):
+        raise UserError(f"this experiment has no field {path[0]} there: its {type(node).__name__} has other fields")
     if len(path) > 1:
         value = _replaced(getattr(node, path[0]), path[1:], value)
     return dataclasses.replace(node, **{path[0]: value})
 
 
+def _groups(kind: Any) -> list[type]:
+    """The dataclasses that a field may hold: none, one, or those of a union."""
+    kinds = typing.get_args(kind) if typing.get_origin(kind) in (types.UnionType, typing.Union) else (kind,)
+    return [typing.cast(type, each) for each in kinds if dataclasses.is_dataclass(each)]
+
+
 def _optional(kind: Any) -> Any:
     """The X of `X | None`, else None."""
-    if typing.get_origin(kind) in (types.UnionType, typing.Union):
+    if typing.get_origin(kind) in (types.UnionType, typing.Union) and not _groups(kind):
         (inner,) = [arg for arg in typing.get_args(kind) if arg is not types.NoneType]
         return inner
     return None
@@ -234,10 +247,12 @@ def _refuse() -> typing.NoReturn:
 
 
 def _check(value: Any, kind: Any, name: str) -> None:
-    if dataclasses.is_dataclass(kind):
-        if not isinstance(value, typing.cast(type, kind)):
-            raise UserError(f"{name or 'experiment'} is of type {type(value).__name__}, not {kind.__name__}")  # type: ignore[union-attr]
-        for field, hint in _hints(typing.cast(type, kind)).items():
+    if groups := _groups(kind):
+        own = next((group for group in groups if isinstance(value, group)), None)
+        if own is None:
+            wanted = " or ".join(group.__name__ for group in groups)
+            raise UserError(f"{name or 'experiment'} is of type {type(value).__name__}, not {wanted}")
+        for field, hint in _hints(own).items():
             _check(getattr(value, field), hint, f"{name}.{field}".lstrip("."))
     elif isinstance(value, float) and not math.isfinite(value):
         raise UserError(f"--{name} must be a finite number, not {value}")
@@ -260,8 +275,10 @@ def _fits(value: Any, kind: Any) -> bool:
 
 
 def _build(data: Any, kind: Any, source: str, name: str) -> Any:
-    if dataclasses.is_dataclass(kind):
-        hints = _hints(typing.cast(type, kind))
+    if groups := _groups(kind):
+        given = set(data) if isinstance(data, dict) else set()
+        own = next((group for group in groups if set(_hints(group)) == given), groups[0])
+        hints = _hints(own)
         if not isinstance(data, dict) or set(data) != set(hints):
             odd = sorted(set(data) ^ set(hints)) if isinstance(data, dict) else ["all of it"]
             raise UserError(
@@ -270,7 +287,7 @@ def _build(data: Any, kind: Any, source: str, name: str) -> Any:
         parts = {
             field: _build(data[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in hints.items()
         }
-        return typing.cast(type, kind)(**parts)
+        return own(**parts)
     value = _tupled(data)
     if not _fits(value, kind):
         raise UserError(f"{source}: {name} takes {_describe(kind)}, not {data!r}")

@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field, replace
 
-from jaxunshear.dataset.settings import PairedData, PoseData
-from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.dataset.settings import PairedData, PoseData, Recorded, RecordedTaps
+from jaxunshear.errors import UserError
+from jaxunshear.model.settings import PinNet, PoseNet, UnshearNet
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 from jaxunshear.training.settings import Training
 
@@ -12,8 +13,27 @@ RIVALS = ("entangled_large", "unet", "posenet_sheared")  # entangled with as man
 TEACHER = "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
 ALL_NETWORKS = (*NETWORKS, *RIVALS)
 UNSHEARING = ("entangled", "entangled_large", "unet", "disentangled")  # the last that a run has is the one it is about
-TRAINABLE = (TEACHER, *ALL_NETWORKS)
+PIN_NETWORKS = (
+    "entangled",
+    "disentangled",
+    "posenet",
+    "posenet_sheared",
+)  # those that may read pins in the place of images
+RENDERER = "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
+TRAINABLE = (RENDERER, TEACHER, *ALL_NETWORKS)
 POSENETS = ("posenet", "posenet_sheared", TEACHER)
+
+
+PINS = Training(
+    epochs=40,
+    batch=64,
+    learning_rate=1e-3,
+    beta1=0.9,
+    averaging=0.999,
+    shift=0.0,
+    validate_every=500,
+    validation_images=10_000,
+)
 
 
 @dataclass(frozen=True)
@@ -27,35 +47,66 @@ class Experiment:
     unseen: tuple[str, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
     other_jitters_mm: tuple[float, ...] = ()  # tests of their own, with taps that miss the slide's depth by up to this
     sensor: Sensor = TACTIP_331
-    paired: PairedData = field(default_factory=PairedData)
-    pose: PoseData = field(default_factory=PoseData)
+    targets: tuple[str, ...] = ()  # of a pose, as targets.py writes them; none: all usual ones that the data vary
+    paired: PairedData | Recorded = field(default_factory=PairedData)
+    pose: PoseData | RecordedTaps = field(default_factory=PoseData)
     unshear: UnshearNet = field(default_factory=UnshearNet)
     posenet: PoseNet = field(default_factory=PoseNet)
+    pins: PinNet = field(
+        default_factory=PinNet
+    )  # all networks over pins: those of `unshear.input` "pins", and the renderer
     train: Training = field(default_factory=Training)  # UnshearNets, and the U-Net of the same widths
     train_posenet: Training = field(default_factory=Training)  # both PoseNets that are evaluated
     train_teacher: Training = field(default_factory=Training)  # the PoseNet of `train.pose_weight`
+    train_pins: Training = PINS  # networks over pins, in the place of the first two
+
+
+def recorded_of(experiment: Experiment) -> Recorded | None:
+    """The recordings that an experiment is about; None for a simulated one."""
+    return experiment.paired if isinstance(experiment.paired, Recorded) else None
+
+
+def simulated_of(experiment: Experiment, what: str) -> tuple[PairedData, PoseData]:
+    """The simulated sets of an experiment. Raises UserError where it is about recordings, which `what` cannot use."""
+    if isinstance(experiment.paired, Recorded) or isinstance(experiment.pose, RecordedTaps):
+        raise UserError(f"{what} needs a model of simulated touches: '{experiment.name}' learnt from recordings")
+    return experiment.paired, experiment.pose
+
+
+def over_pins(experiment: Experiment) -> bool:
+    """Whether the networks that are evaluated read pins, not images."""
+    return experiment.unshear.input == "pins"
 
 
 def trained(experiment: Experiment) -> tuple[str, ...]:
-    """The networks to train, in this order: those of the results, after a teacher where one of them is taught."""
-    taught = experiment.train.pose_weight and set(experiment.networks) - set(POSENETS)
-    return (TEACHER, *experiment.networks) if taught else experiment.networks
+    """The networks to train, in this order: those of the results, after a renderer and a teacher where one of them needs these."""
+    unshears = set(experiment.networks) - set(POSENETS)
+    recorded = recorded_of(experiment)
+    rendered = (RENDERER,) if recorded and recorded.pairing == "rendered" and unshears else ()
+    taught = (TEACHER,) if experiment.train.pose_weight and unshears and not over_pins(experiment) else ()
+    return (*rendered, *taught, *experiment.networks)
 
 
-def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData:
+def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:
     """The data set that `network` learns from."""
-    return experiment.pose if network in ("posenet", TEACHER) else experiment.paired
+    if isinstance(experiment.pose, PoseData) and network in ("posenet", TEACHER):
+        return experiment.pose
+    return experiment.paired
 
 
 def training_of(experiment: Experiment, network: str) -> Training:
     """How `network` is trained."""
     if network == TEACHER:
         return experiment.train_teacher
+    if network == RENDERER or over_pins(experiment):
+        return experiment.train_pins
     return experiment.train_posenet if network in POSENETS else experiment.train
 
 
 def further_tests(experiment: Experiment) -> dict[str, PairedData]:
     """Data sets that are for tests alone, all of their splits: a fifth of the poses, as the test split has."""
+    if not isinstance(experiment.paired, PairedData):
+        return {}
     paired = experiment.paired
     fifth = replace(paired, poses=max(5, round(0.2 * paired.poses)), seed=paired.seed + 1000)
     tests = {}

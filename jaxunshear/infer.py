@@ -7,43 +7,50 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxunshear.config import from_json
-from jaxunshear.dataset.settings import Ranges
+from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.png import eight_bit, png
+from jaxunshear.image.settings import Preprocess
 from jaxunshear.progress import Progress
 from jaxunshear.storage import check_beside, csv_text, read_json, write_bytes, write_text
+from jaxunshear.targets import RECORDED
 
 if TYPE_CHECKING:
+    from jaxunshear.applications.perceiver import Answers, Perceiver
     from jaxunshear.dataset.recordings import Recordings
 
 BATCH = 32
 LABELS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
-SIMULATION_ONLY = (
-    "These networks have seen simulated touches only. On real recordings their images and poses are untested: "
-    "take them for a first look, not for measurements."
-)
 FRAMES = (
     "x_mm and yaw_deg are relative to the simulated stimulus' target point, edge_mm (negative inside) and edge_deg "
-    "tell the nearest edge in the sensor frame; recorded_* are the labels that came with the images, in their own work frame."
+    "give the nearest edge in the sensor frame; recorded_* are the labels that came with the images, in their own work frame."
 )
-
+OWN_FRAME = "Poses have the names, the frame and the units of the recorded labels that the networks learnt from."
 RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card
 
 Log = Callable[[str], None]
 
 
-class Answers(NamedTuple):
-    """Of one batch: `unsheared` (B, S, S) in [0, 1], and poses by quantity, each (B,), of the image as it is and unsheared."""
-
-    unsheared: np.ndarray
-    as_recorded: dict[str, np.ndarray]
-    after: dict[str, np.ndarray]
+def learnt_note(experiment: Experiment) -> str:
+    """What the networks of a model have seen, and what that means for recordings: one line, from its own settings."""
+    if isinstance(experiment.paired, Recorded):
+        share = (
+            f", with {experiment.paired.labelled:.0%} of the slides' labels" if experiment.paired.labelled < 1 else ""
+        )
+        return (
+            f"These networks learnt from recordings of one sensor of {experiment.sensor.pins} pins{share}: another sensor, another "
+            "object or another camera is another matter; score them with `jaxunshear evaluate RUN_DIR --recordings DIR`."
+        )
+    return (
+        f"These networks have seen simulated touches only (sensor {experiment.sensor.name}, {', '.join(experiment.paired.stimuli)}). On "
+        "real recordings their images and poses are untested: take them for a first impression, not for measurements."
+    )
 
 
 def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> dict[str, Any]:
@@ -55,29 +62,37 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
     model = model_folder(model)
     experiment = _settings_for(path, model)
     check_beside(path, out, "--out")
-    recordings = _read(path, experiment)
-    network = load_networks(model, experiment.pose.ranges, pose_needed=False)
+    network = _perceiver(model, experiment, recorded_too=isinstance(experiment.paired, Recorded))
+    recordings = _read(path, network.preprocess)
     targets = _targets(recordings.names)
     table: list[dict[str, Any]] = []
     seconds: list[float] = []
+    errors = _Errors(network.names, recordings)
     for rows, names, answers, spent in _answers(recordings, network, "unshear"):
+        if answers.unsheared is None:
+            raise UserError(f"{model} has no network that unshears: it learnt poses alone; use `jaxunshear pose`")
         seconds.append(spent / BATCH)
+        errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
             write_bytes(out / targets[row], png(eight_bit(answers.unsheared[i])))
-            poses = {quantity: f"{values[i]:.4f}" for quantity, values in answers.after.items()}
+            poses = {quantity: f"{values[i]:.4f}" for quantity, values in answers.poses.get("unsheared", {}).items()}
             table.append({"name": name, "image": targets[row]} | poses | _recorded(recordings, row))
     write_text(out / "poses.csv", csv_text(table))
     notes = list(recordings.notes)
-    if not answers.after:
+    if not network.names:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
-    write_text(out / "NOTE.txt", "\n".join([SIMULATION_ONLY, FRAMES, f"Networks: {model.name}", *notes]) + "\n")
+    frames = OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES
+    note = learnt_note(experiment)
+    write_text(out / "NOTE.txt", "\n".join([note, frames, f"Networks: {model.name}", *notes]) + "\n")
     log(f"{len(table)} images unsheared, {len(recordings) - len(table)} left out; see {out / 'poses.csv'}")
-    _tell(notes, log)
+    errors.report(log)
+    _tell([*notes, *([note] if note else [])], log)
     return _measured(
         [
             _row("unshear.images", len(table), "1"),
             _row("unshear.left_out", len(recordings) - len(table), "1"),
             _row("unshear.time_per_image", float(np.median(seconds)), "s"),
+            *errors.rows(),
         ]
     )
 
@@ -85,26 +100,35 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
 def pose_of_recordings(path: Path, model: Path, log: Log = print, note: Log | None = None) -> dict[str, Any]:
     """Logs, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
 
-    Notes go to `note` (stderr), so that the CSV can be piped on. Returns the same as rows. Raises as `unshear_recordings`.
+    Notes and errors against the labels go to `note` (stderr), so that the CSV can be piped on. Returns the same as rows. Raises as
+    `unshear_recordings`.
     """
     model = model_folder(model)
     experiment = _settings_for(path, model)
-    recordings = _read(path, experiment)
-    network = load_networks(model, experiment.pose.ranges, pose_needed=True)
+    network = _perceiver(model, experiment, recorded_too=True)
+    if not network.names:
+        raise UserError(
+            f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
+        )
+    recordings = _read(path, network.preprocess)
     table: list[dict[str, Any]] = []
     rows_out: list[dict[str, Any]] = []
+    errors = _Errors(network.names, recordings)
     for rows, names, answers, _ in _answers(recordings, network, "pose"):
+        errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
             line: dict[str, Any] = {"name": name}
-            for kind, poses in (("as_recorded", answers.as_recorded), ("unsheared", answers.after)):
+            for way, poses in answers.poses.items():
                 for quantity, values in poses.items():
-                    line[f"{kind}_{quantity}"] = f"{values[i]:.4f}"
+                    line[f"{way}_{quantity}"] = f"{values[i]:.4f}"
                     unit = quantity.split("_")[-1]
-                    rows_out.append(_row(f"{name}.{kind}.{quantity}", float(values[i]), unit))
+                    rows_out.append(_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
             table.append(line | _recorded(recordings, row))
     log(csv_text(table).rstrip("\n"))
-    _tell(recordings.notes, note or (lambda text: print(text, file=sys.stderr)))
-    return _measured(rows_out)
+    note = note or (lambda text: print(text, file=sys.stderr))
+    errors.report(note)
+    _tell([*recordings.notes, learnt_note(experiment)], note)
+    return _measured([*rows_out, *errors.rows()])
 
 
 def model_folder(model: Path) -> Path:
@@ -127,39 +151,44 @@ def load_settings(model: Path) -> Experiment:
     return from_json(read_json(file), str(file))
 
 
-def load_networks(model: Path, ranges: Ranges, pose_needed: bool) -> Callable[[np.ndarray], Answers]:
-    """A function of images (B, S, S) uint8 of {0, 255}; `ranges` are those that PoseNet was trained on.
+class _Errors:
+    """Errors of what a model reads against the labels that came with the images, where these are of the same names."""
 
-    Without a trained PoseNet the answers hold no poses; where `pose_needed` that is a `UserError`, as are damaged files. The
-    poses of images as they were recorded are read only where `pose_needed`.
-    """
-    import jax
+    def __init__(self, names: tuple[str, ...], recordings: "Recordings") -> None:
+        known = recordings.poses if set(names) <= set(RECORDED) else None
+        self._true = None if known is None else {name: known[:, RECORDED[name][1]] for name in names}
+        self._found: dict[str, list[np.ndarray]] = {}
 
-    from jaxunshear.memory import keep_freed_memory
-    from jaxunshear.model import posenet, unshearnet
-    from jaxunshear.model.ready import ready
-    from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net
+    def add(self, rows: list[int], answers: "Answers") -> None:
+        if self._true is None:
+            return
+        from jaxunshear.metrics.pose import pose_errors
 
-    keep_freed_memory()
-    wanted = ["disentangled"]
-    if pose_needed or holds_model(model / "posenet"):
-        wanted.append("posenet")
-    for name in wanted:
-        check_finished(model / name)
-    nets: dict[str, Any] = {name: read_net(model / name) for name in wanted}
-    variables = {name: load_best(model / name) for name in wanted}
+        true = {name: values[rows] for name, values in self._true.items()}
+        for way, poses in answers.poses.items():
+            for name, error in pose_errors({n: v[: len(rows)] for n, v in poses.items()}, true).items():
+                self._found.setdefault(f"{way}.{name}", []).append(error[np.isfinite(error)])
 
-    def look(variables: dict[str, Any], images: jax.Array) -> tuple[jax.Array, dict[str, Any], dict[str, Any]]:
-        recorded = images[..., None].astype(np.float32) / 255
-        after = unshearnet.unshear(nets["disentangled"], variables["disentangled"], recorded)
+    def means(self) -> dict[str, float]:
+        found = {name: np.concatenate(parts) for name, parts in self._found.items()}
+        return {name: float(errors.mean(dtype=np.float64)) for name, errors in found.items() if len(errors)}
 
-        def pose(image: jax.Array) -> dict[str, Any]:
-            return posenet.pose_from_outputs(posenet.predict(nets["posenet"], variables["posenet"], image), ranges)
+    def rows(self) -> list[dict[str, Any]]:
+        return [_row(f"pose_mae.{name}", value, name.rpartition("_")[2]) for name, value in self.means().items()]
 
-        return after[..., 0], pose(recorded) if pose_needed else {}, pose(after) if "posenet" in nets else {}
+    def report(self, log: Log) -> None:
+        by_way: dict[str, list[str]] = {}
+        for name, value in self.means().items():
+            way, target = name.split(".")
+            by_way.setdefault(way, []).append(f"{target} {value:.3f}")
+        for way, parts in by_way.items():
+            log(f"mean error against the labels, {way}: {', '.join(parts)}")
 
-    run = ready(look, variables)
-    return lambda images: Answers(*jax.device_get(run(images)))
+
+def _perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> "Perceiver":
+    from jaxunshear.applications.perceiver import perceiver
+
+    return perceiver(model, experiment, recorded_too)
 
 
 def _settings_for(path: Path, model: Path) -> Experiment:
@@ -168,10 +197,10 @@ def _settings_for(path: Path, model: Path) -> Experiment:
     return load_settings(model)
 
 
-def _read(path: Path, experiment: Experiment) -> "Recordings":
+def _read(path: Path, preprocess: Preprocess) -> "Recordings":
     from jaxunshear.dataset.recordings import read_recordings
 
-    return read_recordings(path, experiment.paired.preprocess)
+    return read_recordings(path, preprocess)
 
 
 def _targets(names: tuple[str, ...]) -> list[str]:
@@ -187,19 +216,19 @@ def _targets(names: tuple[str, ...]) -> list[str]:
 
 
 def _answers(
-    recordings: "Recordings", network: Callable[[np.ndarray], Answers], label: str
-) -> Iterator[tuple[list[int], list[str], Answers, float]]:
+    recordings: "Recordings", network: "Perceiver", label: str
+) -> "Iterator[tuple[list[int], list[str], Answers, float]]":
     """Batches of rows, names and answers, and the seconds the networks took for the whole BATCH, compilation apart."""
     size = recordings.preprocess.size
-    network(np.zeros((BATCH, size, size), np.uint8))
+    network.answer(np.zeros((BATCH, size, size), np.uint8))
     with Progress(label, len(recordings)) as progress:
         seen = 0
-        for batch in _batches(recordings.frames()):
+        for batch in _batches(recordings.frames(network.view)):
             rows, names, images = zip(*batch, strict=True)
             padded = np.zeros((BATCH, size, size), np.uint8)  # one shape to compile
             padded[: len(images)] = images
             start = time.perf_counter()
-            answers = network(padded)
+            answers = network.answer(padded)
             yield list(rows), list(names), answers, time.perf_counter() - start
             progress.advance(rows[-1] + 1 - seen)
             seen = rows[-1] + 1
@@ -228,11 +257,10 @@ def _recorded(recordings: "Recordings", row: int) -> dict[str, str]:
 
 
 def _tell(notes: list[str], log: Log) -> None:
-    for note in notes[:10]:
+    for note in (*notes[:9], *notes[9:][-1:]):
         log(f"note: {note}")
     if len(notes) > 10:
         log(f"note: and {len(notes) - 10} more")
-    log(f"note: {SIMULATION_ONLY}")
 
 
 def _row(name: str, value: float, unit: str) -> dict[str, Any]:

@@ -4,15 +4,26 @@ A rule is (holds, dotted field name, what is wrong and what to do instead). Late
 """
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, replace
 
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
-from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, further_tests, trained
+from jaxunshear.dataset.settings import PAIRINGS, PairedData, PoseData, Ranges, Recorded, RecordedTaps
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import (
+    ALL_NETWORKS,
+    PIN_NETWORKS,
+    RENDERER,
+    TEACHER,
+    Experiment,
+    further_tests,
+    over_pins,
+    trained,
+)
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import Sensor, sensor_rules
+from jaxunshear.targets import RECORDED, SIMULATED, of_ranges, parsed
 from jaxunshear.training.settings import Training
 
 Rule = tuple[bool, str, str]
@@ -24,6 +35,7 @@ SCHEDULES = ("cosine", "steps")
 OPTIMISERS = ("adam", "muon")
 POSE_TARGETS = ("tap", "label")
 PRECISIONS = ("float32", "bfloat16")
+INPUTS = ("images", "pins")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
 # Fields of `Training` that no PoseNet's training reads.
@@ -44,12 +56,74 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
     yield _name(experiment.name), "name", "use letters, digits, '-', '_' and '.'; it names the folder of the results"
     yield _seed(experiment.seed), "seed", "use a whole number from 0 to 2147483647"
     yield from _sensor(experiment.sensor)
-    yield from _paired(experiment.paired, experiment.sensor)
-    yield from _pose(experiment.pose, experiment.sensor)
-    yield from _networks(experiment)
-    yield from _tests(experiment)
-    paired, pose = experiment.paired, experiment.pose
+    if isinstance(experiment.paired, PairedData) and isinstance(experiment.pose, PoseData):
+        yield from _simulated(experiment, experiment.paired, experiment.pose)
+    else:
+        yield from _recorded(experiment)
+
+
+def _simulated(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    yield from _paired(paired, experiment.sensor)
+    yield from _pose(pose, experiment.sensor)
+    yield from _targets(experiment, paired, pose)
+    yield from _networks(experiment, paired.preprocess, pose.preprocess)
+    if {"posenet", TEACHER} & set(trained(experiment)):
+        yield from _seen_alike(paired, pose)
+        yield from _kept_out(experiment, paired, pose)
+        yield from _covered(paired.ranges, pose.ranges)
+    yield from _tests(experiment, paired, pose)
     pairs = _train_poses(paired) * len(paired.stimuli) * paired.slides
+    taps = _train_poses(pose) * len(pose.stimuli)
+    yield from _trainings(experiment, pairs, taps)
+    yield (
+        experiment.train.pose_target != "label" or paired.ranges == pose.ranges,
+        "train.pose_target",
+        "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
+    )
+    yield from _mirror(experiment.train, "train", paired.stimuli)
+    seen = {*pose.stimuli, *(paired.stimuli if "posenet_sheared" in experiment.networks else ())}
+    for name in _posenets(experiment):
+        yield from _mirror(getattr(experiment, name), name, seen)
+
+
+def _recorded(experiment: Experiment) -> Iterator[Rule]:
+    """Of an experiment about recordings; what only they can tell is refused when they are read."""
+    recorded = experiment.paired
+    if not isinstance(recorded, Recorded) or not isinstance(experiment.pose, RecordedTaps):
+        yield (
+            False,
+            "name",
+            "paired and pose are both simulated (PairedData, PoseData) or both recorded (Recorded, RecordedTaps)",
+        )
+        return
+    yield bool(recorded.taps or recorded.slides), "paired.taps", "name your recordings: add --recordings DIR"
+    yield recorded.pairing in PAIRINGS, "paired.pairing", f"is unknown: use one of {', '.join(PAIRINGS)}"
+    yield (
+        bool(recorded.pairs) == (recorded.pairing == "file"),
+        "paired.pairs",
+        "a table of pairs goes with pairing file: add both, or neither",
+    )
+    yield 0 < recorded.labelled <= 1, "paired.labelled", "use a share above 0, at most 1"
+    for field in ("test", "validation"):
+        yield 0 < getattr(recorded, field) < 0.5, f"paired.{field}", "use a share between 0 and 0.5"
+    yield _seed(recorded.seed), "paired.seed", "use a whole number from 0 to 2147483647"
+    yield from _preprocess(recorded.preprocess, "paired.preprocess")
+    yield from _target_texts(experiment.targets, RECORDED)
+    yield from _networks(experiment, recorded.preprocess, recorded.preprocess)
+    yield from _known_networks(experiment)
+    for field in ("unseen", "other_jitters_mm"):
+        yield not getattr(experiment, field), field, "is a test of simulated touches: leave it empty"
+    yield from _trainings(experiment, LARGEST_PX**2, LARGEST_PX**2)
+    for name in ("train", *_posenets(experiment), "train_pins"):
+        yield (
+            not getattr(experiment, name).mirror,
+            f"{name}.mirror",
+            "recorded labels have no mirror image: leave it at false",
+        )
+
+
+def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
+    """Of `pairs` and `taps` to learn from."""
     yield from _training(experiment.train, "train", pairs)
     yield from _pair_losses(experiment.train, experiment.unshear.size)
     yield (
@@ -58,55 +132,86 @@ def limits(experiment: Experiment) -> Iterator[Rule]:
         "asks for a code to read the pose off, and the network unet has none: leave one of the two out",
     )
     yield (
-        experiment.train.pose_target != "label" or paired.ranges == pose.ranges,
-        "train.pose_target",
-        "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
-    )
-    yield from _mirror(experiment.train, "train", paired.stimuli)
-    yield (
         experiment.train.mirror or not experiment.unshear.both_sides,
         "unshear.both_sides",
         "asks for networks that have seen mirror images: add --train.mirror true, or leave it at false",
     )
-    taps = _train_poses(pose) * len(pose.stimuli)
-    posenets = ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
     yield (
         not experiment.train_teacher.start,
         "train_teacher.start",
         "leave it empty: what marks a network must not teach it",
     )
-    for name in posenets:
-        training = getattr(experiment, name)
-        yield from _training(training, name, taps)
-        yield from _mirror(
-            training, name, {*pose.stimuli, *(paired.stimuli if "posenet_sheared" in experiment.networks else ())}
-        )
-        for field in PAIR_LOSSES:
-            value, unused = getattr(training, field), getattr(Training(), field)
-            yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {_plain(unused)}"
+    for name in _posenets(experiment):
+        yield from _training(getattr(experiment, name), name, taps)
+        yield from _without_pair_losses(getattr(experiment, name), name)
+    if over_pins(experiment) or RENDERER in trained(experiment):
+        yield from _training(experiment.train_pins, "train_pins", min(pairs, taps))
+
+
+def _posenets(experiment: Experiment) -> list[str]:
+    return ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
+
+
+def _without_pair_losses(training: Training, name: str) -> Iterator[Rule]:
+    for field in PAIR_LOSSES:
+        value, unused = getattr(training, field), getattr(Training(), field)
+        yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {_plain(unused)}"
 
 
 def _plain(value: float | str) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def _tests(experiment: Experiment) -> Iterator[Rule]:
+def _known_networks(experiment: Experiment) -> Iterator[Rule]:
     unknown = ", ".join(name for name in experiment.networks if name not in ALL_NETWORKS)
     yield not unknown, "networks", f"network {unknown} is unknown: use {', '.join(ALL_NETWORKS)}"
     yield len(experiment.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
     yield len(set(experiment.networks)) == len(experiment.networks), "networks", "name each network once"
+    over = ", ".join(name for name in experiment.networks if name not in PIN_NETWORKS)
+    yield (
+        not over_pins(experiment) or not over,
+        "networks",
+        f"{over} reads images alone: with unshear.input pins use {', '.join(PIN_NETWORKS)}",
+    )
+
+
+def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    yield from _known_networks(experiment)
     unknown = ", ".join(name for name in experiment.unseen if name not in STIMULUS_NAMES)
     yield not unknown, "unseen", f"stimulus {unknown} is unknown: use {', '.join(STIMULUS_NAMES)}"
-    known = {*experiment.paired.stimuli, *experiment.pose.stimuli}
+    known = {*paired.stimuli, *pose.stimuli}
     seen = ", ".join(name for name in experiment.unseen if name in known)
     yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
     yield len(set(experiment.unseen)) == len(experiment.unseen), "unseen", "name each stimulus once"
     jitters = [f"{jitter:g}" for jitter in experiment.other_jitters_mm]  # they name their tests
     yield len(set(jitters)) == len(jitters), "other_jitters_mm", "name each once"
     for jitter in experiment.other_jitters_mm:
-        data = replace(experiment.paired, tap_depth_jitter_mm=jitter)
+        data = replace(paired, tap_depth_jitter_mm=jitter)
         for holds, _, remedy in _jitter(data, experiment.sensor):
             yield holds, "other_jitters_mm", remedy
+
+
+def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    yield from _target_texts(experiment.targets, SIMULATED)
+    for ranges in (paired.ranges, pose.ranges):
+        try:
+            known, wrong = of_ranges(experiment.targets, ranges), ""
+        except UserError as error:
+            known, wrong = (), str(error)
+        yield not wrong, "targets", wrong
+        yield len(known) > 0, "targets", "there is none: the ranges of the poses leave nothing to predict"
+
+
+def _target_texts(targets: tuple[str, ...], known: Mapping[str, object]) -> Iterator[Rule]:
+    names = []
+    for text in targets:
+        try:
+            wrong = ""
+            names.append(parsed(text, known)[0])
+        except UserError as error:
+            wrong = str(error)
+        yield not wrong, "targets", wrong
+    yield len(set(names)) == len(names), "targets", "name each once"
 
 
 def _train_poses(data: PairedData | PoseData) -> int:
@@ -231,12 +336,12 @@ def _nuisance(nuisance: Nuisance, group: str, camera: Camera) -> Iterator[Rule]:
         yield 0 <= getattr(nuisance, field) < 1, f"{group}.{field}", "use 0 up to, but not, 1 (fractions of full scale)"
 
 
-def _preprocess(preprocess: Preprocess, group: str, camera: Camera) -> Iterator[Rule]:
-    yield preprocess.size >= SMALLEST_PX, f"{group}.size", f"use at least {SMALLEST_PX} px"
+def _preprocess(preprocess: Preprocess, group: str, camera: Camera | None = None) -> Iterator[Rule]:
+    yield SMALLEST_PX <= preprocess.size <= LARGEST_PX, f"{group}.size", f"use {SMALLEST_PX} to {LARGEST_PX} px"
     yield (
-        preprocess.size <= camera.frame_px,
+        camera is None or preprocess.size <= camera.frame_px,
         f"{group}.size",
-        f"larger than the camera's frame of {camera.frame_px} px: use a smaller size or a larger camera.frame_px",
+        f"larger than the camera's frame of {camera.frame_px if camera else 0} px: use a smaller size or a larger camera.frame_px",
     )
     yield 0 < preprocess.block <= 1, f"{group}.block", "use a fraction of the image above 0, at most 1"
     yield -1 < preprocess.offset < 1, f"{group}.offset", "use a fraction of full scale between -1 and 1"
@@ -244,9 +349,10 @@ def _preprocess(preprocess: Preprocess, group: str, camera: Camera) -> Iterator[
     yield 0 < preprocess.mask_radius <= 1, f"{group}.mask_radius", "use a fraction of the image above 0, at most 1"
 
 
-def _networks(experiment: Experiment) -> Iterator[Rule]:
-    unshear, posenet = experiment.unshear, experiment.posenet
-    paired, pose = experiment.paired.preprocess, experiment.pose.preprocess
+def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> Iterator[Rule]:
+    """`paired` and `pose`: how the images of the two sets are prepared."""
+    unshear, posenet, pins = experiment.unshear, experiment.posenet, experiment.pins
+    yield unshear.input in INPUTS, "unshear.input", f"is unknown: use one of {', '.join(INPUTS)}"
     yield (
         unshear.size == paired.size,
         "unshear.size",
@@ -293,16 +399,16 @@ def _networks(experiment: Experiment) -> Iterator[Rule]:
         "unshear.shear_channels",
         "must not be below zero; 0 builds no shear code",
     )
-    if {"posenet", TEACHER} & set(trained(experiment)):
-        yield from _seen_alike(experiment.paired, experiment.pose)
-        yield from _kept_out(experiment)
-        yield from _covered(experiment.paired.ranges, experiment.pose.ranges)
+    for field in ("hidden", "layers", "pose_code"):
+        yield getattr(pins, field) >= 1, f"pins.{field}", "must be at least 1"
+    yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"
+    yield pins.noise_px >= 0, "pins.noise_px", "must not be below zero"
+    yield 0 <= pins.hidden_pins < 1, "pins.hidden_pins", "use 0 up to, but not, 1"
 
 
-def _kept_out(experiment: Experiment) -> Iterator[Rule]:
+def _kept_out(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     """Sets of one seed hold the same poses: a test's would be among PoseNet's taps."""
-    pose = experiment.pose
-    for settings in (experiment.paired, *further_tests(experiment).values()):
+    for settings in (paired, *further_tests(experiment).values()):
         yield (
             settings.seed != pose.seed or not set(settings.stimuli) & set(pose.stimuli),
             "pose.seed",

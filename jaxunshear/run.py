@@ -7,26 +7,36 @@ knows their order.
 import dataclasses
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, TEACHER, TRAINABLE, Experiment, learnt_from, training_of
+from jaxunshear.experiment import (
+    POSENETS,
+    RENDERER,
+    TEACHER,
+    TRAINABLE,
+    Experiment,
+    over_pins,
+    recorded_of,
+    training_of,
+)
 from jaxunshear.infer import model_folder
 from jaxunshear.locks import locked
-from jaxunshear.model.settings import UNet, UnshearNet, without_codes
+from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, UNet, UnshearNet, without_codes
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
+from jaxunshear.targets import fields_of
 from jaxunshear.training.origin import check_origin, origin_of
 from jaxunshear.training.settings import labelled
 
-FIELDS = {  # what a training reads; others the pair
-    "posenet": ("image", "pose", "edge"),
-    TEACHER: ("image", "pose", "edge"),
-    "posenet_sheared": ("sheared", "pose", "edge"),
-}
+if TYPE_CHECKING:
+    from jaxunshear.training.examples import Examples
+    from jaxunshear.training.tasks import Task
+
 TEACHER_SEED = 1000  # beyond the run's own
 TIMES = "times.json"
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
@@ -118,7 +128,6 @@ def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -
 
 def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bool:
     """Train one network, or find it trained. Returns whether there was anything to do."""
-    settings: Any = learnt_from(experiment, network)
     from jaxunshear.training.checkpoint import SUMMARY, digest_of, holds_model, load_best
 
     if (folder / network / SUMMARY).exists():
@@ -128,34 +137,28 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
             )
         check_origin(experiment, network, folder)
         return False
-    from jaxunshear.dataset.reading import open_set
-    from jaxunshear.training.loop import train_posenet, train_unshear
+    from jaxunshear.training.examples import FRAME, open_examples, stored_of
+    from jaxunshear.training.loop import train
     from jaxunshear.training.start import Start
 
-    pose = network in POSENETS
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
-    training = training_of(experiment, network)
-    examples = open_set(configs.set_name(settings), settings, data, experiment.sensor)
-    fields = FIELDS.get(network, ("canonical", "sheared", *(("pose", "edge") if labelled(training) else ())))
-    batches = examples.train_batches(training.batch, seed, training.shift, fields, training.mirror)
-    common: dict[str, Any] = {
-        "training": training,
-        "batches": lambda start: map(_as_image, batches(start)),
-        "validation": _first(examples.split, training.validation_images, fields),
-        "seed": seed,
-        "folder": folder / network,
-        "epoch_images": examples.length("train"),
-        "origin": origin_of(experiment, network),
-    }
-    if begin := start_folder(training.start, network):
-        common["start"] = Start(load_best(begin), digest_of(begin))
-    if pose:
-        summary = train_posenet(experiment.posenet, ranges=settings.ranges, **common)
-    else:
-        teacher = _teacher(experiment, folder) if training.pose_weight else None
-        summary = train_unshear(
-            unshear_net(experiment.unshear, network), teacher=teacher, ranges=settings.ranges, **common
-        )
+    training, examples = training_of(experiment, network), open_examples(experiment, network, data, folder)
+    if recorded_of(experiment):
+        write_json(folder / FRAME, stored_of(experiment, data).frame)
+    task, fields = _task(experiment, network, examples, folder)
+    batches = examples.reader.train_batches(training.batch, seed, training.shift, fields, training.mirror)
+    begin = start_folder(training.start, network)
+    summary = train(
+        task,
+        training,
+        lambda start: map(_renamed, batches(start)),
+        _first(examples.reader.split, training.validation_images, fields),
+        seed,
+        folder / network,
+        epoch_images=examples.reader.length("train"),
+        origin=origin_of(experiment, network),
+        start=Start(load_best(begin), digest_of(begin)) if begin else None,
+    )
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
@@ -200,9 +203,36 @@ def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
     return dataclasses.replace(net, disentangled=True)
 
 
-def _as_image(batch: dict[str, Any]) -> dict[str, Any]:
-    """PoseNet's training names whatever it looks at "image"."""
-    return {"image" if name == "sheared" and "canonical" not in batch else name: x for name, x in batch.items()}
+def _task(experiment: Experiment, network: str, examples: "Examples", folder: Path) -> tuple["Task", tuple[str, ...]]:
+    """What `network` learns, and the fields of a batch that this takes."""
+    from jaxunshear.training import pin_tasks, tasks
+    from jaxunshear.training.examples import spread_of
+
+    training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
+    weighed = ("weight",) if recorded_of(experiment) and network not in POSENETS and network != RENDERER else ()
+    if network == RENDERER or over_pins(experiment):
+        field = {"posenet": "pins", RENDERER: "pins"}.get(network, "sheared_pins")
+        known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
+        net = asdict(experiment.pins)
+        if network == RENDERER:
+            return pin_tasks.renderer_task(PinRenderer(**net), training, *known), ("pins", *labels)
+        if network in POSENETS:
+            return pin_tasks.pin_posenet_task(PinPoseNet(**net), training, *known), (field, *labels)
+        codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
+        return pin_tasks.pin_unshear_task(codes, training, *known), ("canonical_pins", "sheared_pins", *weighed)
+    if network in POSENETS:
+        seen = "sheared" if network == "posenet_sheared" else "image"
+        return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
+    teacher = _teacher(experiment, folder) if training.pose_weight else None
+    task = tasks.unshear_task(unshear_net(experiment.unshear, network), training, teacher, targets)
+    return task, ("canonical", "sheared", *weighed, *(labels if labelled(training) else ()))
+
+
+def _renamed(batch: dict[str, Any]) -> dict[str, Any]:
+    """Trainings that read poses name whatever they look at "image", or "pins"."""
+    if "canonical" in batch or "canonical_pins" in batch:
+        return batch
+    return {{"sheared": "image", "sheared_pins": "pins"}.get(name, name): x for name, x in batch.items()}
 
 
 def _first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Any]]:
@@ -214,7 +244,7 @@ def _first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, .
         for examples in split("validation", batch, fields):
             examples = {name: values[: count - taken] for name, values in examples.items()}
             taken += len(examples[fields[0]])
-            yield _as_image(examples)
+            yield _renamed(examples)
             if taken >= count:
                 return
 

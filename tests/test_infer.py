@@ -5,6 +5,7 @@ import itertools
 import json
 import subprocess
 import sys
+from functools import partial
 from types import SimpleNamespace
 
 import jax
@@ -12,9 +13,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import infer
+from jaxunshear import infer, targets
 from jaxunshear.config import to_json
-from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.model import posenet, unshearnet
@@ -27,17 +28,21 @@ SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 SEEN = Preprocess(size=SIZE)
+TARGETS = targets.of_ranges((), Ranges())
 EXPERIMENT = Experiment(
     "small", "none", unshear=NET, posenet=POSENET, paired=PairedData(preprocess=SEEN), pose=PoseData(preprocess=SEEN)
 )
 
 
 def init(module, net, seed):
-    return jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(seed))
+    shape = (posenet.outputs_of(TARGETS),) if module is posenet else ()
+    fresh = jax.jit(partial(module.init, net, *shape), compiler_options=run_once())
+    return fresh(jax.random.key(seed))
 
 
 def trained(folder, kind, net, variables):
-    checkpoint.write_settings(folder, json.loads(json.dumps({"kind": kind, "net": vars(net)})))
+    settings = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
+    checkpoint.write_settings(folder, json.loads(json.dumps(settings)))
     checkpoint.save(folder, 1, {"average": variables}, {"history": [], "best_step": 1})
     write_json(folder / checkpoint.SUMMARY, {})
 
@@ -105,15 +110,14 @@ def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, 
     for row in (rows[0], rows[5], rows[-1]):
         number = int(row["name"].removeprefix("images/image_").removesuffix(".png"))
         assert (float(row["recorded_pose_x_mm"]), float(row["recorded_pose_rz_deg"])) == (number, -number)
-        recordings = infer._read(folder / "images" / f"image_{number}.png", EXPERIMENT)
+        recordings = infer._read(folder / "images" / f"image_{number}.png", SEEN)
         ((_, _, image),) = recordings.frames()
         alone = image[None, :, :, None] / np.float32(255)
         expected = unshearnet.unshear(NET, variables["disentangled"], alone)
         written = np.asarray(Image.open(out / row["image"]))
         np.testing.assert_allclose(written, 255 * np.asarray(expected)[0, ..., 0], atol=0.6)
-        poses = posenet.pose_from_outputs(
-            posenet.predict(POSENET, variables["posenet"], expected), EXPERIMENT.pose.ranges
-        )
+        poses = posenet.pose_from_outputs(posenet.predict(POSENET, variables["posenet"], expected), TARGETS)
+        assert set(poses) == {"x_mm", "yaw_deg", "edge_mm", "edge_deg"}
         for quantity, value in poses.items():
             assert float(row[quantity]) == pytest.approx(float(value[0]), abs=2e-3)
 

@@ -2,15 +2,16 @@
 
 import shutil
 from dataclasses import asdict
+from functools import partial
 
 import jax
 import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import infer
+from jaxunshear import infer, targets
 from jaxunshear.config import from_json, to_json, validate
-from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Preprocess
@@ -25,6 +26,7 @@ SIZE = 32
 NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 SEEN = Preprocess(size=SIZE)
+TARGETS = targets.of_ranges((), Ranges())
 EXPERIMENT = Experiment(
     "small",
     "A claim.",
@@ -50,13 +52,20 @@ RESULTS = {
 @pytest.fixture
 def run(tmp_path):
     folder = tmp_path / "runs" / "small"
-    for name, kind, module, net in (
-        ("disentangled", "unshear", unshearnet, NET),
-        ("posenet", "posenet", posenet, POSENET),
+    for name, kind, init, net in (
+        ("disentangled", "unshear", partial(unshearnet.init, NET), NET),
+        ("posenet", "posenet", partial(posenet.init, POSENET, posenet.outputs_of(TARGETS)), POSENET),
     ):
-        variables = jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(1))
+        variables = jax.jit(init, compiler_options=run_once())(jax.random.key(1))
         variables["params"] = jax.tree.map(lambda x: 8 * x, variables["params"])
-        checkpoint.write_settings(folder / name, {"kind": kind, "net": asdict(net), "training": "long", "seed": 0})
+        settings = {
+            "kind": kind,
+            "net": asdict(net),
+            "targets": targets.to_json(TARGETS),
+            "training": "long",
+            "seed": 0,
+        }
+        checkpoint.write_settings(folder / name, settings)
         checkpoint.save(folder / name, 1, {"average": variables}, {"history": [], "best_step": 1})
         write_json(folder / name / "summary.json", {"steps": 1})
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
@@ -75,7 +84,7 @@ def image_in(folder):
 def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head):
     if head:
         variables = checkpoint.load_best(run / "disentangled")
-        variables["params"]["head"] = pose_head.init(unshearnet.code_shape(NET), jax.random.key(2))
+        variables["params"]["head"] = pose_head.init(unshearnet.code_shape(NET), 5, jax.random.key(2))
         checkpoint.save(run / "disentangled", 2, {"average": variables}, {"history": [], "best_step": 2})
         errors = RESULTS["pose_mae"] | {"code_learnt": RESULTS["pose_mae"]["tap"]}
         write_json(run / "results.json", RESULTS | {"pose_mae": errors})
@@ -174,6 +183,7 @@ def test_what_is_released_with_the_package_can_be_used(folder):
     for name in ("disentangled", "posenet"):
         assert checkpoint.load_best(folder / name)["params"]
         checkpoint.read_net(folder / name)
+        assert checkpoint.read_targets(folder / name) == TARGETS
     assert (folder / "README.md").read_text().startswith(f"# {folder.name}\n")
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import tensorflow_datasets as tfds
 
-from data_specs.simulated_set import SimulatedSet, standard_configs
+from data_specs.stored_set import SimulatedSet, standard_configs
 from jaxunshear.dataset import examples
 from jaxunshear.dataset.configs import POSE_SET
 

@@ -16,8 +16,8 @@ import numpy as np
 from jaxunshear.applications.halves import Column, Pairing, column, pairing, taps_and_slides
 from jaxunshear.applications.sampled import Seen, seen
 from jaxunshear.applications.uses import Use, halves_of, lacks_of, uses_of
+from jaxunshear.dataset.labels import MOVE_COLUMNS, POSE_COLUMNS, Problem, columns_of, read_table, table_of
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
-from jaxunshear.dataset.targets import MOVE_COLUMNS, POSE_COLUMNS, Problem, columns_of, read_table, table_of
 from jaxunshear.errors import UserError
 from jaxunshear.image.grey import check_frame
 from jaxunshear.image.settings import Preprocess

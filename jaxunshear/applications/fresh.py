@@ -12,7 +12,7 @@ from jaxunshear.contact.indentation import indentation
 from jaxunshear.contact.simulate import follow
 from jaxunshear.dataset.chunks import look
 from jaxunshear.dataset.shots import draw_paired
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import Experiment, simulated_of
 from jaxunshear.scene.paths import path_of
 
 SEED = 1_000_003  # added to the data's
@@ -33,10 +33,11 @@ class FreshContacts(NamedTuple):
 
 def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: float | None = None) -> FreshContacts:
     """About `count` slides, as many of each stimulus, at the experiment's depths or all at one; the same seed gives the same."""
-    names = experiment.paired.stimuli
+    paired, _ = simulated_of(experiment, "this")
+    names = paired.stimuli
     poses = max(3, -(-count // len(names)))
-    new = experiment.paired.seed + SEED + seed
-    settings = replace(experiment.paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
+    new = paired.seed + SEED + seed
+    settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
     if depth_mm is not None:
         settings = replace(settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm))
     shots = draw_paired(settings)

@@ -24,7 +24,7 @@ from jaxunshear.applications.reconstruct import (
 )
 from jaxunshear.applications.servo import CLOSED, Course, Walks
 from jaxunshear.dataset.chunks import unpack
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import Experiment, simulated_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.progress import Progress
@@ -45,11 +45,12 @@ class Solid(NamedTuple):
 
 def occupancy_of(experiment: Experiment, known: FreshContacts) -> Occupancy:
     """What parts skin over the object from skin beside it, learnt from taps whose poses are known."""
-    lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
+    paired, _ = simulated_of(experiment, "reconstruct")
+    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     place = skin_places(experiment.sensor)
     xy = to_target(known.pose[:, :3], place)
     distance = np.zeros(xy.shape[:2])
-    for index, name in enumerate(experiment.paired.stimuli):
+    for index, name in enumerate(paired.stimuli):
         rows = known.stimulus == index
         distance[rows] = _distance(stimulus_named(name), xy[rows])
     return learn(lattice, place, known_growths(lattice, known), distance)
@@ -90,7 +91,8 @@ def objects_of(
     course, walks = walked
     stimulus = stimulus_named(course.stimulus)
     line = outline(stimulus)
-    lattice = undeformed(experiment.sensor, experiment.paired.camera, experiment.paired.preprocess)
+    paired, _ = simulated_of(experiment, "reconstruct")
+    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     found = {}
     ways = list(dict.fromkeys(walks.way.tolist()))
     with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:

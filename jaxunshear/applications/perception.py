@@ -1,11 +1,11 @@
 """What a robot takes an image for: ways from a binary image to the edge's distance and direction, each with its own networks only.
 
->>> perceive = perceptions(Path("runs/standard"), experiment, ("sheared", "disentangled"))["disentangled"]
+>>> perceive = perceptions(Path("runs/standard"), ("sheared", "disentangled"))["disentangled"]
 >>> edge_mm, edge_deg = perceive(images)                       # (B, S, S) uint8 of {0, 255} -> (B,) each
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import reduce
+from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +13,15 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import UNSHEARING, Experiment
+from jaxunshear.experiment import UNSHEARING
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
 from jaxunshear.model.settings import PoseNet
 from jaxunshear.model.unshearing import unshear
-from jaxunshear.training.checkpoint import check_finished, digest_of, holds_model, load_best, read_net
+from jaxunshear.targets import Targets, names_of
+from jaxunshear.training.checkpoint import check_finished, digest_of, holds_model, load_best, read_net, read_targets
 
 TRUE = "true"  # the pose that the simulator knows
 WAYS = {  # name: the networks it runs, in this order
@@ -54,12 +54,12 @@ def unshearing_of(model: Path) -> tuple[str, ...]:
     return tuple(name for name in UNSHEARING if holds_model(model / name))
 
 
-def perceptions(model: Path, experiment: Experiment, ways: tuple[str, ...]) -> dict[str, Perceive]:
+def perceptions(model: Path, ways: tuple[str, ...]) -> dict[str, Perceive]:
     """A function for each of `ways`. Raises `UserError` for an unknown way, or where a network is missing."""
     unknown = [way for way in ways if way not in WAYS]
     if unknown:
         raise UserError(f"perception '{unknown[0]}' is unknown: use {TRUE}, {', '.join(WAYS)}")
-    return {way: _perception(model, experiment, way) for way in ways}
+    return {way: _perception(model, way) for way in ways}
 
 
 def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
@@ -89,44 +89,47 @@ def in_batches(unshear: Unshear, images: np.ndarray) -> np.ndarray:
 
 
 def look_of(
-    nets: Mapping[str, Any], ranges: Ranges, precision: str = "float32", head_ranges: Ranges | None = None
+    nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32", by_head: bool = False
 ) -> Look:
-    """Of networks by name, in the order in which they look. PoseNet was trained on poses in `ranges`. With `head_ranges`, those of the
-    poses that the head of a network that unshears was told, its answer counts, too: alone, or in a mean with PoseNet's."""
+    """Of networks by name, in the order in which they look; `targets` by network. With `by_head` the answer of the head of a network
+    that unshears counts, too: alone, or in a mean with PoseNet's."""
 
     def look(variables, images):
         seen, answers = _unit(images), []
+        known: Targets = ()
         for name, net in nets.items():
             if isinstance(net, PoseNet):
-                answers.append(posenet.pose_from_outputs(posenet.predict(net, variables[name], seen), ranges))
+                known = targets[name]
+                answers.append(posenet.pose_from_outputs(posenet.predict(net, variables[name], seen), known))
                 continue
             given = in_precision(seen, precision)
-            if head_ranges is not None:
+            if by_head:
+                known = targets[name]
                 z_p = unshearnet.encode_pose(net, variables[name], given)
                 outputs = pose_head.predict(pose_head.of(variables[name]), z_p)
-                answers.append(posenet.pose_from_outputs(outputs, head_ranges))
+                answers.append(posenet.pose_from_outputs(outputs, known))
             seen = unshear(net, variables[name], given)
-        return seen, reduce(posenet.mean_pose, answers)
+        return seen, reduce(partial(posenet.mean_pose, targets=known), answers)
 
     return look
 
 
-def read_look(model: Path, experiment: Experiment, way: str, precision: str = "float32") -> tuple[Look, Any]:
-    """A way of looking and its networks' variables, from the folder of a run. Raises `UserError`."""
+def read_look(model: Path, way: str, precision: str = "float32") -> tuple[Look, Any, Targets]:
+    """A way of looking, its networks' variables and the poses that it reads, from the folder of a run. Raises `UserError`."""
     names = WAYS[way]
     for name in names:
         check_finished(model / name)
-    ranges = (experiment.paired if names[-1] == "posenet_sheared" else experiment.pose).ranges
+    targets = {name: read_targets(model / name) for name in names}
     nets = {name: read_net(model / name) for name in names}
     variables = {name: load_best(model / name) for name in names}
     if way not in OF_CODE:
-        return look_of(nets, ranges, precision), variables
+        return look_of(nets, targets, precision), variables, targets[names[-1]]
     if pose_head.of(variables["disentangled"]) is None:
         raise UserError(
             f"{model / 'disentangled'} has no head that reads the pose code: train with --train.label_weight above zero, "
             "or perceive another way"
         )
-    return look_of(nets, ranges, precision, experiment.paired.ranges), variables
+    return look_of(nets, targets, precision, by_head=True), variables, targets["disentangled"]
 
 
 def _unshearer(model: Path, name: str) -> Unshear:
@@ -136,8 +139,10 @@ def _unshearer(model: Path, name: str) -> Unshear:
     return lambda images: jax.device_get(run(images))
 
 
-def _perception(model: Path, experiment: Experiment, way: str) -> Perceive:
-    look, variables = read_look(model, experiment, way)
+def _perception(model: Path, way: str) -> Perceive:
+    look, variables, targets = read_look(model, way)
+    if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
+        raise UserError(f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg")
 
     def edge(variables, images):
         _, pose = look(variables, images)

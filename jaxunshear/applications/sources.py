@@ -7,16 +7,19 @@
 import functools
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from jaxunshear.dataset.recordings import read_image, read_recordings
+from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
 from jaxunshear.image.preprocess import View
 from jaxunshear.image.settings import Preprocess
+from jaxunshear.targets import RECORDED
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
 CAMERA = "camera"
@@ -43,6 +46,14 @@ def frames_of(source: str, preprocess: Preprocess, fps: float | None) -> tuple[I
         raise UserError(f"{source} does not exist: name a folder, an image, a video file, or camera:0")
     frames = _video(path) if path.is_file() and path.suffix.lower() in VIDEOS else _folder(path, preprocess)
     return (_latest(_at_pace(frames, fps)), True) if fps else (frames, False)
+
+
+def truth_of(source: str, experiment: Experiment) -> Callable[[int], Mapping[str, float]] | None:
+    """The labels of a folder's frames by their number, for a model that learnt from labels of the same names; None elsewhere."""
+    if not Path(source).is_dir() or not isinstance(experiment.paired, Recorded):
+        return None
+    poses = read_recordings(source, Preprocess()).poses
+    return None if poses is None else lambda number: dict(zip(RECORDED, poses[number].tolist(), strict=True))
 
 
 def _folder(path: Path, preprocess: Preprocess) -> Iterator[Frame]:

@@ -7,53 +7,85 @@ code) with their weights: no shear code, no DS. A frame that cannot be used is t
 import base64
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxunshear.applications.perceiver import UNSHEARED, perceiver
 from jaxunshear.applications.perception import Look, read_look
 from jaxunshear.applications.sources import Frame
 from jaxunshear.dataset.recordings import PROBES
+from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
 from jaxunshear.image.settings import Preprocess
-from jaxunshear.metrics import QUANTITIES
+from jaxunshear.metrics import pose_errors
 from jaxunshear.model.ready import ready
 from jaxunshear.storage import write_bytes
+from jaxunshear.targets import names_of
 
 FAST = 1  # zlib's level: a frame has milliseconds
-Step = Callable[[np.ndarray], tuple[np.ndarray, dict[str, float], float]]
+Step = Callable[[np.ndarray], tuple[np.ndarray | None, dict[str, float], float]]
+Truth = Callable[[int], Mapping[str, float]]  # labels of a frame by its number, those that are known
+
+
+class Robot(NamedTuple):
+    """What a stream needs of a model."""
+
+    step: Step
+    preprocess: Preprocess  # how frames are prepared for it
+    view: View | None  # crop of the frames that it learnt from; None: the stream's own
+
+
+def robot_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Robot:
+    """A model made ready for a stream, compiled already. `way` is one of perception's that unshear; of a model that learnt from recordings
+    it is its own. Raises UserError."""
+    if not isinstance(experiment.paired, Recorded):
+        return Robot(step_of(model, experiment, precision, way), experiment.paired.preprocess, None)
+    perceive = perceiver(model, experiment, recorded_too=False)
+    size = perceive.preprocess.size
+
+    def step(image: np.ndarray) -> tuple[np.ndarray | None, dict[str, float], float]:
+        answers = perceive.answer(image[None])
+        after = None if answers.unsheared is None else answers.unsheared[0]
+        poses = answers.poses.get(UNSHEARED) or next(iter(answers.poses.values()), {})
+        crisp = 1.0 if after is None else float(confidence(after[..., None]))
+        return after, {name: float(value[0]) for name, value in poses.items()}, crisp if answers.sure[0] else 0.0
+
+    step(np.zeros((size, size), np.uint8))  # compiles
+    return Robot(step, perceive.preprocess, perceive.view)
 
 
 def step_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Step:
     """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already.
     `way` is one of perception's that unshear."""
-    look, variables = read_look(model, experiment, way, precision)
-    run = ready(perceive_of(look), variables)
+    look, variables, targets = read_look(model, way, precision)
+    names = names_of(targets)
+    run = ready(perceive_of(look, names), variables)
     size = experiment.paired.preprocess.size
 
     def step(image: np.ndarray) -> tuple[np.ndarray, dict[str, float], float]:
         after, (*pose, sure) = jax.device_get(run(image))
-        return after, dict(zip(QUANTITIES, map(float, pose), strict=True)), float(sure)
+        return after, dict(zip(names, map(float, pose), strict=True)), float(sure)
 
     step(np.zeros((size, size), np.uint8))  # compiles
     return step
 
 
-def perceive_of(look: Look) -> Callable[[Any, Array], tuple[Array, Array]]:
+def perceive_of(look: Look, names: tuple[str, ...]) -> Callable[[Any, Array], tuple[Array, Array]]:
     """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
     the quantities of the pose and the confidence."""
 
     def perceive(variables, image):
         seen, pose = look(variables, image[None])
-        return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in QUANTITIES), confidence(seen[0])])
+        return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in names), confidence(seen[0])])
 
     return perceive
 
@@ -68,19 +100,20 @@ def confidence(image: Array) -> Array:
 def stream(
     frames: Iterator[Frame],
     live: bool,
-    experiment: Experiment,
-    step: Step,
+    robot: Robot,
     out: TextIO,
     images: Path | None,
     inline: bool,
+    truth: Truth | None = None,
 ) -> dict[str, Any]:
     """Writes a line for each frame to `out`, and returns a summary: frames used, skipped and dropped, latencies.
 
-    `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. A live source also ends by Ctrl-C, or
-    when its camera is lost.
+    `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. With `truth`
+    the errors, too. A live source also ends by Ctrl-C, or when its camera is lost.
     """
-    preprocess = experiment.paired.preprocess
+    preprocess = robot.preprocess
     seen = steady_view(preprocess)
+    errors: dict[str, list[float]] = {}
     whole, networks, confident, skipped, last, missed = [], [], [], 0, -1, 0
     problems: dict[str, int] = {}
     began = time.perf_counter()
@@ -93,11 +126,11 @@ def stream(
             try:
                 if frame.pixels is None:
                     raise UserError(frame.problem)
-                image = prepare_frame(preprocess, frame.pixels, frame.view or seen(frame.pixels))
+                image = prepare_frame(preprocess, frame.pixels, robot.view or frame.view or seen(frame.pixels))
                 if not image.any():
                     raise UserError("nothing white is left of this frame: no pins to see")
                 asked = time.perf_counter()
-                after, pose, sure = step(image)
+                after, pose, sure = robot.step(image)
                 answered = time.perf_counter()
             except UserError as error:
                 skipped += 1
@@ -105,9 +138,12 @@ def stream(
                 _write(out, line | {"error": str(error)})
                 continue
             line |= {name: round(value, 4) for name, value in pose.items()} | {"confidence": round(sure, 4)}
-            if images is not None:
+            for name, off in _errors(pose, truth(frame.number) if truth else {}).items():
+                line[f"error_{name}"] = round(off, 4)
+                errors.setdefault(name, []).append(off)
+            if images is not None and after is not None:
                 line["image"] = _save(images, frame, after)
-            elif inline:
+            elif inline and after is not None:
                 line["image_png"] = base64.b64encode(png(eight_bit(after), FAST)).decode()
             networks.append(1e3 * (answered - asked))
             whole.append(1e3 * (time.perf_counter() - came))
@@ -126,9 +162,17 @@ def stream(
         "live": live,
         "frames_per_s": used / max(time.perf_counter() - began, 1e-9),
         "confidence": float(np.mean(confident)) if used else None,
+        "pose_mae": {name: float(np.mean(values)) for name, values in errors.items()},
         "latency_ms": _spread(whole),
         "networks_ms": _spread(networks),
     }
+
+
+def _errors(pose: dict[str, float], true: Mapping[str, float]) -> dict[str, float]:
+    """Absolute errors of what has a label."""
+    known = {name: np.array([true[name]]) for name in pose if np.isfinite(true.get(name, np.nan))}
+    found = pose_errors({name: np.array([pose[name]]) for name in known}, known)
+    return {name: float(error[0]) for name, error in found.items()}
 
 
 def steady_view(preprocess: Preprocess) -> Callable[[np.ndarray], View]:

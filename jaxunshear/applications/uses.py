@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 from jaxunshear.applications.halves import Pairing
 from jaxunshear.applications.sampled import LEAST_PINS, SENSORS, Pins
+from jaxunshear.dataset.labels import table_of
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS
-from jaxunshear.dataset.targets import table_of
 from jaxunshear.scene.sensor import TACTIP_331
 
 if TYPE_CHECKING:

@@ -23,6 +23,7 @@ from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import native, posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
+from jaxunshear.targets import of_ranges
 from jaxunshear.training.loop import run_once
 from jaxunshear.training.settings import Training
 from jaxunshear.training.step import fresh, make_step, optimiser_of
@@ -115,6 +116,11 @@ def _fresh(module: Any, net: Any, seed: int) -> Any:
     return jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(seed))
 
 
+def _fresh_posenet(net: PoseNet, outputs: int) -> Any:
+    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
+    return init(net, outputs, jax.random.key(2))
+
+
 def _step(net: UnshearNet, training: Training) -> Way:
     task, optimiser = unshear_task(net, training), optimiser_of(training, 1000, 100)
     state = fresh(_fresh(unshearnet, net, 0), optimiser)
@@ -126,15 +132,16 @@ def _step(net: UnshearNet, training: Training) -> Way:
 def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
     entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
     nets = {"entangled": entangled, "disentangled": net, "posenet": pose}
+    targets = of_ranges((), Ranges())
     values = {
         "entangled": _fresh(unshearnet, entangled, 1),
         "disentangled": variables,
-        "posenet": _fresh(posenet, pose, 2),
+        "posenet": _fresh_posenet(pose, posenet.outputs_of(targets)),
     }
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 
     def way(names: tuple[str, ...]) -> Way:
-        run = run_of({name: nets[name] for name in names}, Ranges(), Ranges())
+        run = run_of({name: nets[name] for name in names}, dict.fromkeys(names, targets))
         return Way(run, ({name: values[name] for name in names}, None, images, images))
 
     return "evaluation of a batch", "networks that are not asked for", way(tuple(nets)), way(("entangled",))

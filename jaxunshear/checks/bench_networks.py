@@ -25,6 +25,7 @@ from jaxunshear.model import native, posenet, unshearnet
 from jaxunshear.model.ready import ready
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
+from jaxunshear.targets import names_of, of_ranges
 from jaxunshear.training.loop import run_once
 from jaxunshear.training.settings import Training
 from jaxunshear.training.step import fresh, make_step, optimiser_of
@@ -35,6 +36,7 @@ INFERRED = (256, 128)
 ROUNDS = 7
 FROZEN: dict[str, Any] = {"freezing": True}  # PyTorch's weights as constants too
 ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
+TARGETS = of_ranges((), Ranges())
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
 
@@ -170,16 +172,18 @@ def _stream_sides(size: int, batch: int) -> Sides:
         key = jax.random.key(0)
         variables = {
             "disentangled": jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())(net, key),
-            "posenet": jax.jit(posenet.init, static_argnums=0, compiler_options=run_once())(pose_net, key),
+            "posenet": jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())(
+                pose_net, posenet.outputs_of(TARGETS), key
+            ),
         }
-        look = look_of({"disentangled": net, "posenet": pose_net}, Ranges())
-        run = ready(perceive_of(look), variables)
+        look = look_of({"disentangled": net, "posenet": pose_net}, {"posenet": TARGETS})
+        run = ready(perceive_of(look, names_of(TARGETS)), variables)
         return lambda: jax.device_get(run(image)) is None
 
     def theirs(compiled: bool) -> Work:
         torch, torch_twin = _twins()
         twin = torch_twin.channels_last(torch_twin.Twin(net)).eval()
-        pose = torch_twin.channels_last(torch_twin.PoseTwin(pose_net)).eval()
+        pose = torch_twin.channels_last(torch_twin.PoseTwin(pose_net, posenet.outputs_of(TARGETS))).eval()
 
         def perceive(image: Any) -> tuple[Any, Any]:
             after = twin.unshear(image[None, None].float() / 255)
@@ -283,7 +287,7 @@ def pose_multiplications(net: PoseNet) -> int:
     side = net.size // 4
     count = 16 * first * (2 * side) ** 2 + 16 * first * second * side**2
     count += 9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2 + 9 * rest[1] * rest[2] * (side // 4) ** 2
-    return count + (side // 4) ** 2 * rest[2] * net.hidden + net.hidden * len(posenet.OUTPUTS)
+    return count + (side // 4) ** 2 * rest[2] * net.hidden + net.hidden * posenet.outputs_of(TARGETS)
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:

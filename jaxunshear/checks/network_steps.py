@@ -19,6 +19,7 @@ from jaxunshear.checks.stability_networks import Found
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
+from jaxunshear.targets import of_ranges
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.loop import run_once
@@ -27,7 +28,7 @@ from jaxunshear.training.step import State, fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Task, posenet_task, unshear_task
 
 STEPS, SAVED_EVERY = 8, 4
-RANGES = Ranges()
+TARGETS = of_ranges((), Ranges())
 Net = UnshearNet | UNet | PoseNet
 
 
@@ -40,7 +41,7 @@ class Programs(NamedTuple):
 
 
 def task_of(net: Net, training: Training) -> Task:
-    return posenet_task(net, training, RANGES) if isinstance(net, PoseNet) else unshear_task(net, training)
+    return posenet_task(net, training, TARGETS) if isinstance(net, PoseNet) else unshear_task(net, training)
 
 
 def programs(net: Net, training: Training) -> Programs:
@@ -103,7 +104,7 @@ def infer(net: Net, variables: Any, images: Any) -> dict[str, Any]:
     """Images (B, S, S, 1) in [0, 1] -> all that the network tells of them, each (B, ...)."""
     if isinstance(net, PoseNet):
         outputs = posenet.predict(net, variables, images)
-        return {"outputs": outputs, **posenet.pose_from_outputs(outputs, RANGES)}
+        return {"outputs": outputs, **posenet.pose_from_outputs(outputs, TARGETS)}
     if isinstance(net, UNet):
         return {"unsheared": unet.unshear(net, variables, images)}
     z_p, z_s = unshearnet.encode(net, variables, images)

@@ -11,25 +11,24 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from jaxunshear.checks.network_images import KINDS, Batch, as_floats, pairs, poses, spoilt, with_nan
 from jaxunshear.checks.network_steps import (
-    RANGES,
     SAVED_EVERY,
     STEPS,
     Net,
     found_of,
     images_of,
     programs,
+    task_of,
     walk,
 )
 from jaxunshear.checks.stability_networks import FINITE, REFUSED, SAYS_WHERE, STOPPED, Found, NetworkCase
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
 from jaxunshear.training import checkpoint
-from jaxunshear.training.loop import train_posenet, train_unshear
+from jaxunshear.training.loop import train as train_network
 from jaxunshear.training.settings import Training
 
 NET = UnshearNet(size=64, widths=(6, 8, 8), pose_channels=8, shear_channels=8)
@@ -172,17 +171,8 @@ def train(net: Net, training: Training, folder: Path) -> Found:
         return (batch_of(net, step, training.batch) for step in itertools.count(start))
 
     checked = batch_of(net, VALIDATION, 4)
-    common: dict[str, Any] = {
-        "training": training,
-        "batches": batches,
-        "validation": lambda: iter([checked]),
-        "seed": 0,
-        "folder": folder,
-        "epoch_images": training.batch,
-    }
-    if isinstance(net, PoseNet):
-        common["ranges"] = RANGES
-    summary = train_posenet(net, **common) if isinstance(net, PoseNet) else train_unshear(net, **common)
+    task = task_of(net, training)
+    summary = train_network(task, training, batches, lambda: iter([checked]), 0, folder, epoch_images=training.batch)
     log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     terms = [{part: _numbers(line[part]) for part in ("train", "validation")} for line in log]
     variables = checkpoint.load_best(folder)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.checks.network_images import KINDS, as_floats, pairs, spoilt, with_nan
-from jaxunshear.checks.network_steps import Net, images_of, infer, programs, walk
+from jaxunshear.checks.network_steps import TARGETS, Net, images_of, infer, programs, walk
 from jaxunshear.checks.network_trainings import NET, POSENET, TRAINING, batch_of, kind_of
 from jaxunshear.checks.stability_networks import Found, NetworkCase
 from jaxunshear.metrics import images as metrics
@@ -68,7 +68,7 @@ def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> Found:
         "supervised": lambda x: losses.supervised(x, target),
         "reconstruction": lambda x: losses.reconstruction(x, target),
         "patch": lambda x: losses.patch(x, target, counts),
-        "pose": lambda x: losses.pose(x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.WEIGHTS),
+        "pose": lambda x: losses.pose(x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.output_weights(TARGETS)),
     }
     arrays = {}
     for name, term in terms.items():

@@ -17,7 +17,6 @@ from torch import Tensor, nn
 
 from jaxunshear.model.layers import MOMENTUM
 from jaxunshear.model.norm import EPSILON
-from jaxunshear.model.posenet import OUTPUTS
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.training.settings import Training
 
@@ -108,9 +107,9 @@ class Twin(nn.Module):
 
 
 class PoseTwin(nn.Module):
-    """`posenet.Network`, images (B, 1, S, S) in [0, 1] -> (B, 5)."""
+    """`posenet.Network`, images (B, 1, S, S) in [0, 1] -> (B, outputs)."""
 
-    def __init__(self, net: PoseNet) -> None:
+    def __init__(self, net: PoseNet, outputs: int) -> None:
         super().__init__()
         first, second, *rest = net.widths
         self.layers = nn.Sequential(
@@ -123,7 +122,7 @@ class PoseTwin(nn.Module):
             _same(rest[1], rest[2]),
         )
         self.dense = nn.Sequential(
-            nn.Linear((net.size // 16) ** 2 * rest[2], net.hidden), nn.ReLU(), nn.Linear(net.hidden, len(OUTPUTS))
+            nn.Linear((net.size // 16) ** 2 * rest[2], net.hidden), nn.ReLU(), nn.Linear(net.hidden, outputs)
         )
 
     def forward(self, images: Tensor) -> Tensor:

@@ -7,13 +7,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.settings import PairedData, PoseData, Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 
 VERSION = "2.4.0"  # of the stored sets; raise it whenever the same settings give other bits
-PAIRED_SET, POSE_SET = "tactip_paired", "tactip_pose"
+RECORDED_VERSION = "1.0.0"
+PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
+NOT_STORED = ("taps", "slides", "pairs", "pairing", "labelled")  # of `Recorded`: where it lies, and what is made of it
+Settings = PairedData | PoseData | Recorded
 
 PAIRED = {
     "tiny": PairedData(config="tiny", poses=10),
@@ -59,16 +62,24 @@ def sensor_of(config: str) -> Sensor:
     return others.get(config, TACTIP_331_FLUSH)
 
 
-def set_name(settings: PairedData | PoseData) -> str:
+def set_name(settings: Settings) -> str:
     """The data set that these settings describe."""
+    if isinstance(settings, Recorded):
+        return RECORDED_SET
     return PAIRED_SET if isinstance(settings, PairedData) else POSE_SET
 
 
-def describe(settings: PairedData | PoseData, sensor: Sensor) -> dict:
+def version_of(settings: Settings) -> str:
+    return RECORDED_VERSION if isinstance(settings, Recorded) else VERSION
+
+
+def describe(settings: Settings, sensor: Sensor) -> dict:
     """Everything that decides a set's bits, as plain JSON types."""
     fields = dataclasses.asdict(settings)
-    del fields["config"]  # a name only
-    whole = {"set": set_name(settings), "version": VERSION, "sensor": dataclasses.asdict(sensor), "settings": fields}
+    for name in NOT_STORED if isinstance(settings, Recorded) else ("config",):  # a name only
+        del fields[name]
+    version = version_of(settings)
+    whole = {"set": set_name(settings), "version": version, "sensor": dataclasses.asdict(sensor), "settings": fields}
     return json.loads(json.dumps(whole))
 
 
@@ -81,14 +92,17 @@ def floats(thing: Any) -> Any:
     return float(thing) if isinstance(thing, int) and not isinstance(thing, bool) else thing
 
 
-def fingerprint(settings: PairedData | PoseData, sensor: Sensor) -> str:
+def fingerprint(settings: Settings, sensor: Sensor) -> str:
     """Eight hexadecimal digits of `describe`."""
     text = json.dumps(floats(describe(settings, sensor)), sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
-def config_name(settings: PairedData | PoseData, sensor: Sensor = TACTIP_331) -> str:
-    """Name of the stored configuration: `settings.config` if nothing in it was changed, else `custom-<8 hex digits>`."""
+def config_name(settings: Settings, sensor: Sensor = TACTIP_331) -> str:
+    """Name of the stored configuration: `settings.config` if nothing in it was changed, else `custom-<8 hex digits>`; of recordings
+    `recorded-<8 hex digits>`."""
+    if isinstance(settings, Recorded):
+        return f"recorded-{fingerprint(settings, sensor)}"
     known = CONFIGS[set_name(settings)]
     if settings.config not in known:
         raise UserError(f"config '{settings.config}' of {set_name(settings)} is unknown: use one of {', '.join(known)}")
@@ -97,12 +111,12 @@ def config_name(settings: PairedData | PoseData, sensor: Sensor = TACTIP_331) ->
     return f"custom-{fingerprint(settings, sensor)}"
 
 
-def set_folder(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> Path:
+def set_folder(settings: Settings, sensor: Sensor, data_dir: Path) -> Path:
     """Where a finished set lies, as TFDS names it: <data_dir>/<set>/<config>/<version>."""
-    return Path(data_dir).absolute() / set_name(settings) / config_name(settings, sensor) / VERSION
+    return Path(data_dir).absolute() / set_name(settings) / config_name(settings, sensor) / version_of(settings)
 
 
-def unfinished_folder(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> Path:
+def unfinished_folder(settings: Settings, sensor: Sensor, data_dir: Path) -> Path:
     """Where the chunks of a set lie until it is finished."""
     name = f"{set_name(settings)}-{config_name(settings, sensor)}-{fingerprint(settings, sensor)}"
     return Path(data_dir).absolute() / ".partial" / name

@@ -1,4 +1,4 @@
-"""Makes the simulated data sets of an experiment, or finds them made."""
+"""Makes the data sets of an experiment, or finds them made."""
 
 import contextlib
 import io
@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jaxunshear.dataset import configs
 from jaxunshear.dataset.chunks import Engine
-from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.settings import PoseData, Recorded
 from jaxunshear.dataset.shots import check
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import TEACHER, Experiment, further_tests, trained
@@ -15,7 +15,7 @@ from jaxunshear.scene.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import os_error, read_json
 
 
-def read_metadata(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> dict:
+def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) -> dict:
     """`metadata.json` of a set: settings, sensor, counts, versions. Raises `UserError` if it is missing, or was made with
     other settings."""
     folder = configs.set_folder(settings, sensor, data_dir)
@@ -40,16 +40,17 @@ def read_metadata(settings: PairedData | PoseData, sensor: Sensor, data_dir: Pat
 
 
 def make_set(
-    settings: PairedData | PoseData,
+    settings: configs.Settings,
     sensor: Sensor = TACTIP_331,
     data_dir: Path = Path("datasets"),
     engine: Engine | None = None,
 ) -> dict:
-    """Makes `tactip_paired` or `tactip_pose` under `data_dir`, going on where a killed run stopped; returns its metadata.
+    """Makes the set that `settings` describe under `data_dir`, going on where a killed run stopped; returns its metadata.
 
     At once if the set is there. Raises `UserError`: settings out of range, a set made with other settings, a full disk.
     """
-    check(settings)
+    if not isinstance(settings, Recorded):
+        check(settings)
     folder = configs.set_folder(settings, sensor, data_dir)
     if not folder.exists():
         try:
@@ -61,28 +62,33 @@ def make_set(
     return metadata
 
 
-def _make(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path, engine: Engine | None) -> None:
+def _make(settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: Engine | None) -> None:
     import absl.logging
     import tensorflow_datasets as tfds
 
-    from data_specs import simulated_set, tactip_paired, tactip_pose
+    from data_specs import stored_set, tactip_paired, tactip_pose, tactip_recorded
 
     name = configs.config_name(settings, sensor)
-    builders = {configs.PAIRED_SET: tactip_paired.Builder, configs.POSE_SET: tactip_pose.Builder}
-    standard = name in configs.CONFIGS[configs.set_name(settings)]
-    config = name if standard else simulated_set.SimulatedConfig(name=name, settings=settings, sensor=sensor)
+    builders = {
+        configs.PAIRED_SET: tactip_paired.Builder,
+        configs.POSE_SET: tactip_pose.Builder,
+        configs.RECORDED_SET: tactip_recorded.Builder,
+    }
+    standard = name in configs.CONFIGS.get(configs.set_name(settings), {})
+    config = name if standard else stored_set.SetConfig(name=name, settings=settings, sensor=sensor)
     absl.logging.set_verbosity(absl.logging.ERROR)  # TFDS warns of each configuration that it does not know
     tfds.disable_progress_bar()
     builder = builders[configs.set_name(settings)](config=config, data_dir=data_dir)
-    builder.engine = engine
+    if engine is not None:
+        builder.engine = engine
     with contextlib.redirect_stdout(io.StringIO()):  # TFDS announces a download
         builder.download_and_prepare()
 
 
-def sets_of(experiment: Experiment) -> dict[str, PairedData | PoseData]:
+def sets_of(experiment: Experiment) -> dict[str, configs.Settings]:
     """The settings of all sets that an experiment needs, by the sets' names; those of further tests by the tests'."""
-    sets: dict[str, PairedData | PoseData] = {configs.PAIRED_SET: experiment.paired}
-    if {"posenet", TEACHER} & set(trained(experiment)):
+    sets: dict[str, configs.Settings] = {configs.set_name(experiment.paired): experiment.paired}
+    if {"posenet", TEACHER} & set(trained(experiment)) and isinstance(experiment.pose, PoseData):
         sets[configs.POSE_SET] = experiment.pose
     return sets | further_tests(experiment)
 

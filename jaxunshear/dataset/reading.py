@@ -21,9 +21,8 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.dataset.chunks import pack, unpack
-from jaxunshear.dataset.configs import set_folder, set_name
+from jaxunshear.dataset.configs import Settings, set_folder, set_name
 from jaxunshear.dataset.making import read_metadata
-from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import SPLITS
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
@@ -37,26 +36,28 @@ OF_TAP = ("canonical", "canonical_pins", "tap_id", "tap_depth_mm")  # what re-pa
 Batch = dict[str, np.ndarray]
 
 
-def open_set(spec: str, settings: PairedData | PoseData, data_dir: Path, sensor: Sensor = TACTIP_331) -> "SetReader":
+def open_set(spec: str, settings: Settings, data_dir: Path, sensor: Sensor = TACTIP_331) -> "SetReader":
     """The set `spec` made with `settings`. Raises `UserError` if it is missing or was made with other settings."""
     if spec != set_name(settings):
         raise UserError(f"data set '{spec}' does not fit these settings, which are for '{set_name(settings)}'")
     return SetReader(settings, set_folder(settings, sensor, data_dir), read_metadata(settings, sensor, data_dir))
 
 
-class SetReader:
-    """One set on disk. Images are (B, S, S, 1) uint8 in {0, 255}, pins (B, P, 2) float32 px (col, row), poses mm and deg;
-    the other fields are those of the data card. `fields` names those wanted, all of them if None."""
+class Reader:
+    """Examples in memory. Images are (B, S, S, 1) uint8 in {0, 255}, pins (B, P, 2) float32 px (col, row), poses mm and deg;
+    the other fields are those of the data card. `fields` names those wanted, all of them if None.
 
-    def __init__(self, settings: PairedData | PoseData, folder: Path, metadata: dict) -> None:
-        self.settings, self.folder, self.metadata = settings, folder, metadata
-        self._rows = functools.cache(self._load)
+    `load`: split -> its rows by field, images at one bit a pixel (`chunks.pack`).
+    """
+
+    def __init__(self, load: Callable[[str], Batch], size: int) -> None:
+        self._rows, self._size = functools.cache(load), size
 
     def length(self, split: str) -> int:
         """Number of examples of a split."""
         if split not in SPLITS:
             raise UserError(f"split '{split}' is unknown: use one of {', '.join(SPLITS)}")
-        return self.metadata["counts"]["written"][split]
+        return len(next(iter(self._rows(split).values())))
 
     def split(self, name: str, batch: int, fields: Sequence[str] | None = None) -> Iterator[Batch]:
         """A split once, in its stored order and pairing; the last batch may be smaller."""
@@ -80,7 +81,7 @@ class SetReader:
         With `mirror` half of the examples, at random, are seen in a mirror (`mirrored`, which knows images, "pose" and "edge" alone).
         """
         rows = self._rows("train")
-        most = shift * self.settings.preprocess.size
+        most = shift * self._size
         siblings = _siblings(rows)
         wanted = fields or tuple(rows)
 
@@ -88,7 +89,7 @@ class SetReader:
             offset = np.rint(generator.uniform(-most, most, 2)).astype(int)
             tap = generator.choice(siblings[row])
             example = self._images({name: rows[name][tap if name in OF_TAP else row] for name in wanted})
-            example = shifted(example, *offset.tolist())
+            example = shifted(example, *offset.tolist()) if offset.any() else example
             return mirrored(example) if mirror and generator.random() < 0.5 else example
 
         steps = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
@@ -99,8 +100,24 @@ class SetReader:
         return from_step
 
     def _images(self, rows: Batch) -> Batch:
-        size = self.settings.preprocess.size
-        return {name: unpack(value, size)[..., None] if name in IMAGES else value for name, value in rows.items()}
+        return {name: unpack(value, self._size)[..., None] if name in IMAGES else value for name, value in rows.items()}
+
+
+class SetReader(Reader):
+    """One set on disk."""
+
+    def __init__(self, settings: Settings, folder: Path, metadata: dict) -> None:
+        super().__init__(self._load, settings.preprocess.size)
+        self.settings, self.folder, self.metadata = settings, folder, metadata
+
+    def length(self, split: str) -> int:
+        if split not in SPLITS:
+            raise UserError(f"split '{split}' is unknown: use one of {', '.join(SPLITS)}")
+        return self.metadata["counts"]["written"][split]
+
+    def rows(self, split: str) -> Batch:
+        """All of a split as it is stored."""
+        return self._rows(split)
 
     def _load(self, split: str) -> Batch:
         count = self.length(split)
@@ -151,8 +168,8 @@ def _siblings(rows: Batch) -> list[np.ndarray]:
     """For every row the rows at the same pose of the same stimulus: each holds one of the pose's taps."""
     poses = np.stack([rows["stimulus"], rows["pose_id"]], axis=-1)
     _, group = np.unique(poses, axis=0, return_inverse=True)
-    members = [np.flatnonzero(group == index) for index in range(group.max() + 1)]
-    return [members[index] for index in group]
+    members = np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
+    return [members[index] for index in group.reshape(-1)]
 
 
 def _remedy(folder: Path) -> str:
@@ -161,7 +178,7 @@ def _remedy(folder: Path) -> str:
 
 def _check_shards(folder: Path, split: str) -> None:
     """Compares every shard of a split with its checksum from when it was written."""
-    from data_specs.simulated_set import MANIFEST, sha256
+    from data_specs.stored_set import MANIFEST, sha256
 
     remedy = _remedy(folder)
     try:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from jaxunshear.dataset.targets import TABLES, UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
+from jaxunshear.dataset.labels import TABLES, UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Preprocess
 

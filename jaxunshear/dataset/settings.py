@@ -1,4 +1,4 @@
-"""Sizes and ranges of the two simulated data sets. Imports no JAX."""
+"""Sizes and ranges of the two simulated data sets, and what of recordings is used. Imports no JAX."""
 
 from dataclasses import dataclass, field
 
@@ -50,3 +50,31 @@ class PoseData:
     camera: Camera = field(default_factory=Camera)
     nuisance: Nuisance = DRIFTING
     preprocess: Preprocess = field(default_factory=Preprocess)
+
+
+PAIRINGS = ("rendered", "nearest", "pose_id", "file")
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """`tactip_recorded` in the place of `PairedData`: recorded slides, each with a tap to be unsheared to.
+
+    Folders named `*val*` and `*test*` are those splits; what they leave open is drawn at random by pose. `taps` and `slides` may be one
+    folder: labels say which is which.
+    """
+
+    taps: str = ""  # folder of recordings; none: there are no taps
+    slides: str = ""
+    digest: str = ""  # of what lies there; found when the recordings are named
+    pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
+    pairing: str = "rendered"  # a slide's partner: what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"
+    labelled: float = 1.0  # share of the training slides whose labels teach
+    test: float = 0.1  # share of the poses kept out, where no folder is
+    validation: float = 0.1
+    seed: int = 0
+    preprocess: Preprocess = field(default_factory=Preprocess)
+
+
+@dataclass(frozen=True)
+class RecordedTaps:
+    """In the place of `PoseData`: the taps of the recordings that `Recorded` names."""

@@ -14,26 +14,36 @@ from typing import Any
 
 import numpy as np
 
+from jaxunshear.dataset.making import read_metadata
+from jaxunshear.dataset.reading import open_set
+from jaxunshear.dataset.recorded_reading import RecordedSet
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.dataset.shots import SPLITS
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.baselines import training_taps
-from jaxunshear.evaluation.gather import FIELDS, Gathered, gather
-from jaxunshear.evaluation.measurements import BARS
+from jaxunshear.evaluation.gather import FIELDS, IMAGES, PINS, Gathered, gather
+from jaxunshear.evaluation.measurements import BARS, rounded
+from jaxunshear.evaluation.networks import load
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_depth, tables, typical
-from jaxunshear.experiment import Experiment, further_tests
-from jaxunshear.metrics import ms_ssim_name, scales_that_fit, true_quantities
+from jaxunshear.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
+from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.storage import read_json_if_sound, write_bytes, write_json
+from jaxunshear.targets import of_ranges, true_values
+from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
 
 BATCH = 32
 KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
 BOOTSTRAP_SEED = 0
+Scored = tuple[
+    dict[str, Any], Gathered | None, dict[str, Gathered], tuple[str, ...]
+]  # results, scores, further ones, stimuli
 
 
 def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> dict[str, Any]:
@@ -45,8 +55,6 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     Raises `UserError` where a network or the data set is missing, damaged or empty, or a network learnt from other data
     or is not trained to the end.
     """
-    from jaxunshear.dataset.reading import open_set
-    from jaxunshear.evaluation.networks import load
     from jaxunshear.evaluation.speed import ms_per_image
     from jaxunshear.training.checkpoint import check_finished
 
@@ -54,39 +62,62 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     run_dir = Path(run_dir)
     for network in experiment.networks:
         check_finished(run_dir / network)
-    pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
-    total = pairs.length("test")
-    if not total:
-        raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
-    taps = training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
-    ranges, precision = (experiment.pose.ranges, experiment.paired.ranges), experiment.train.precision
-    run = load(run_dir, experiment.networks, *ranges, taps, precision)
-    for network in experiment.networks:
         check_origin(experiment, network, run_dir)
-    gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT)
-    further = {}
-    for name, settings in further_tests(experiment).items():
-        reader = open_set("tactip_paired", settings, data_dir, experiment.sensor)
-        count = sum(reader.length(split) for split in SPLITS)
-        batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
-        further[name] = gather(run, batches, count, 0, f"evaluate {name}")
-    results = results_of(experiment, gathered, further)
-    results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
-    results["counts"] |= {name: pairs.metadata["counts"][name] for name in ("contacts", "retried", "dropped")}
+    if recorded_of(experiment):
+        results, gathered, further, names = _recorded(experiment, run_dir, stored_of(experiment, data_dir))
+    else:
+        results, gathered, further, names = _simulated(experiment, run_dir, data_dir)
     results |= {
-        "ms_per_image": ms_per_image(run_dir, experiment.networks, precision),
+        "ms_per_image": ms_per_image(run_dir, experiment.networks, experiment.train.precision),
         "time_s": (read_json_if_sound(run_dir / "times.json") or {}) | {"evaluate": time.perf_counter() - started},
         "machine": machine(),
         "versions": versions(),
         "command": command,
     }
-    results = _rounded(results)
-    write_bytes(run_dir / "scores.npz", every_score(gathered))
+    results = rounded(results)
+    if gathered is not None:
+        write_bytes(run_dir / "scores.npz", every_score(gathered))
+        write_bytes(run_dir / "montage.npz", montage(names, gathered))
     for name, found in further.items():
         write_bytes(run_dir / f"scores-{name}.npz", every_score(found))
-    write_bytes(run_dir / "montage.npz", montage(experiment.paired.stimuli, gathered))
     write_json(run_dir / "results.json", results)
     return results
+
+
+def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
+    """On the test split of the simulated pairs, and on further tests."""
+    paired, _ = simulated_of(experiment, "this")
+    examples = open_examples(experiment, "disentangled", data_dir, run_dir)
+    pairs, targets = examples.reader, examples.targets
+    total = pairs.length("test")
+    if not total:
+        raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
+    over = over_pins(experiment)
+    taps = None if over else training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
+    run = load(run_dir, experiment.networks, taps, experiment.train.precision, examples.pins if over else None)
+    inputs = PINS if over else IMAGES
+    gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets, inputs=inputs)
+    further = {}
+    for name, settings in further_tests(experiment).items():
+        reader = open_set("tactip_paired", settings, data_dir, experiment.sensor)
+        count = sum(reader.length(split) for split in SPLITS)
+        batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
+        further[name] = gather(run, batches, count, 0, targets, f"evaluate {name}", inputs)
+    results = results_of(experiment, gathered, further)
+    results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
+    stored = read_metadata(paired, experiment.sensor, data_dir)["counts"]
+    results["counts"] |= {name: stored[name] for name in ("contacts", "retried", "dropped")}
+    return results, gathered, further, paired.stimuli
+
+
+def _recorded(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Scored:
+    """On the test split of a recorded set."""
+    targets = stored.targets(experiment.targets)
+    test = recorded.test_of(experiment, stored, targets, run_dir)
+    slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets)
+    results = recorded.results_of(experiment, stored, targets, slides, taps, test)
+    shown = None if slides is None or not test.paired else recorded.as_montage(slides)
+    return results, shown, {} if taps is None else {"taps": taps}, ("recorded",)
 
 
 def every_score(gathered: Gathered) -> bytes:
@@ -101,11 +132,11 @@ def results_of(
     experiment: Experiment, gathered: Gathered, further: Mapping[str, Gathered] = MappingProxyType({})
 ) -> dict[str, Any]:
     """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
-    labels = gathered.labels
-    names = experiment.paired.stimuli
-    size = experiment.paired.preprocess.size
+    labels, (paired, pose) = gathered.labels, simulated_of(experiment, "this")
+    names, size = paired.stimuli, paired.preprocess.size
     scales = scales_that_fit(size)
-    true = true_quantities(labels["pose"], labels["edge"])
+    targets = of_ranges(experiment.targets, paired.ranges)
+    true = true_values(targets, labels)
     tested = further_tests(experiment)
     return {
         "experiment": experiment.name,
@@ -123,15 +154,15 @@ def results_of(
             "swap": f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image with its target",
             "pin_error": f"matched centroids of {len(gathered.kept)} images against the tap's true pins",
         },
-        **_tables(experiment.paired, gathered),
+        **_tables(paired, gathered),
         "pin_error": pin_errors(
             gathered.images,
             gathered.pins["canonical_pins"],
             gathered.pins["sheared_pins"],
-            experiment.paired.camera.mm_across / size,
+            paired.camera.mm_across / size,
         ),
         "tests": {name: _further(tested[name], found) for name, found in further.items()},
-        "baselines": {"pose_chance": chance(true)},
+        "baselines": {"pose_chance": chance(true, targets)},
         "contact": contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
         "counts": {
             "test_poses": len(np.unique(numbered_poses(labels["stimulus"], labels["pose_id"]))),
@@ -142,8 +173,8 @@ def results_of(
         "paper": PAPER,
         "seeds": {
             "experiment": experiment.seed,
-            "paired": experiment.paired.seed,
-            "pose": experiment.pose.seed,
+            "paired": paired.seed,
+            "pose": pose.seed,
             "bootstrap": BOOTSTRAP_SEED,
         },
         "settings": dataclasses.asdict(experiment),
@@ -193,14 +224,3 @@ def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:
         },
     )
     return buffer.getvalue()
-
-
-def _rounded(value: Any) -> Any:
-    """Six significant digits are more than any figure here deserves; what is not finite is null, as in the file."""
-    if isinstance(value, dict):
-        return {name: _rounded(entry) for name, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_rounded(entry) for entry in value]
-    if isinstance(value, float):
-        return float(f"{value:.6g}") if np.isfinite(value) else None
-    return value

@@ -1,18 +1,19 @@
 """One pass over the test contacts: scores of all, images of a few. Memory stays that of one batch and of those few."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
 from jaxunshear.image.png import eight_bit
-from jaxunshear.metrics import true_quantities
 from jaxunshear.progress import Progress
+from jaxunshear.targets import Targets, true_values
 
 LABELS = ("stimulus", "pose_id", "pose", "edge", "move", "residual_mm", "iterations", "stuck", "slipping", "free")
 PINS = ("canonical_pins", "sheared_pins")
-FIELDS = ("canonical", "sheared", *PINS, *LABELS)  # what a batch must hold
+IMAGES = ("canonical", "sheared")
+FIELDS = (*IMAGES, *PINS, *LABELS)  # what a batch must hold
 
 
 class Gathered(NamedTuple):
@@ -30,9 +31,13 @@ def gather(
     batches: Iterable[Mapping[str, np.ndarray]],
     total: int,
     keep: int,
+    targets: Targets,
     title: str = "evaluate",
+    inputs: tuple[str, str] = IMAGES,
+    named: Sequence[str] = LABELS,
 ) -> Gathered:
-    """Feeds (tap, sheared) of every batch to `run` and collects what it scores; keeps `keep` contacts, evenly spaced.
+    """Feeds (tap, sheared) of every batch to `run` and collects what it scores, poses by `targets`; keeps `keep` contacts, evenly spaced.
+    `inputs`: the fields that are tap and sheared; `named`: those that are kept as labels.
 
     A last, shorter batch is filled up by repeating its first contact, so `run` compiles once; the surplus is dropped.
     """
@@ -44,13 +49,13 @@ def gather(
     full = start = 0
     with Progress(title, total) as progress:
         for batch in batches:
-            size = len(batch["sheared"])
+            size = len(batch[inputs[1]])
             full = max(full, size)
-            outputs, similar = run(_filled(batch["canonical"], full), _filled(batch["sheared"], full))
+            outputs, similar = run(*(_filled(batch[name], full) for name in inputs))
             poses = {k: {q: np.asarray(v)[:size] for q, v in pose.items()} for k, pose in outputs.poses.items()}
             scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
-            scores[-1] |= pose_scores(poses, true_quantities(batch["pose"], batch["edge"]))
-            labels.append({name: np.asarray(batch[name]) for name in LABELS})
+            scores[-1] |= pose_scores(poses, true_values(targets, batch))
+            labels.append({name: np.asarray(batch[name]) for name in named})
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(
                 {k: eight_bit(np.asarray(x)[inside, ..., 0]) for k, x in outputs.images.items() if k not in BASELINES}

@@ -1,5 +1,6 @@
 """Results as rows for machines: a name, a value, a unit, and the bar it should clear. Imports no JAX."""
 
+import math
 from typing import Any
 
 BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
@@ -59,3 +60,14 @@ def _unit(table: str, column: str) -> str:
     if table in ("pose_ratio", "pose_recovery"):
         return "1"
     return next((unit for ending, unit in UNITS.items() if column.endswith(ending)), "1")
+
+
+def rounded(value: Any) -> Any:
+    """Six significant digits are more than any figure here deserves; what is not finite is null, as in the file."""
+    if isinstance(value, dict):
+        return {name: rounded(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [rounded(entry) for entry in value]
+    if isinstance(value, float):
+        return float(f"{value:.6g}") if math.isfinite(value) else None
+    return value

@@ -6,19 +6,22 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, Outputs, image_scores, shown_kind
 from jaxunshear.experiment import UNSHEARING
-from jaxunshear.model import pose_head, posenet, unshearnet
+from jaxunshear.image.dots import dots
+from jaxunshear.model import pinnets, pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.unshearing import unshear
-from jaxunshear.training.checkpoint import load_best, read_net
+from jaxunshear.targets import Targets
+from jaxunshear.training.checkpoint import load_best, read_net, read_targets
+from jaxunshear.training.examples import Pins
 
 Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
 
@@ -26,16 +29,15 @@ Run = Callable[[np.ndarray, np.ndarray], tuple[Outputs, dict[str, Array]]]
 def load(
     run_dir: Path,
     names: Sequence[str],
-    ranges: Ranges,
-    sheared_ranges: Ranges,
     taps: np.ndarray | None = None,
     precision: str = "float32",
+    pins: Pins | None = None,
 ) -> Run:
     """A function (tap, sheared) -> (outputs, image scores), both images (B, S, S, 1) uint8 in {0, 255}; jitted as one.
 
-    Reads the best checkpoints of the networks `names` in `run_dir` and no others; `ranges` are those of the poses that
-    PoseNet learnt, `sheared_ranges` those of the PoseNet that learnt from slides. With training taps (M, S, S, 1) uint8 the
-    baselines are there too. Raises `UserError` where a network is missing or cannot be read.
+    Reads the best checkpoints of the networks `names` in `run_dir` and no others, and what poses each has learnt. With training taps
+    (M, S, S, 1) uint8 the baselines are there too. Networks over `pins` take pins (B, P, 2) px in the place of images.
+    Raises `UserError` where a network is missing or cannot be read.
     """
     folders = {name: Path(run_dir) / name for name in names}
     nets = {name: read_net(folder) for name, folder in folders.items()}
@@ -45,11 +47,14 @@ def load(
             raise UserError(
                 f"{folder} was trained with an earlier form of the head for poses: delete it to train again"
             )
-    return partial(jax.jit(run_of(nets, ranges, sheared_ranges, precision)), variables, taps)
+    targets = {name: read_targets(folder) for name, folder in folders.items()}
+    if pins is not None:
+        return partial(jax.jit(pin_run_of(nets, targets, pins)), variables)
+    return partial(jax.jit(run_of(nets, targets, precision)), variables, taps)
 
 
-def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, precision: str = "float32"):
-    """The function (variables, taps or None, tap, sheared) of these networks (settings by name), not yet jitted.
+def run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32"):
+    """The function (variables, taps or None, tap, sheared) of these networks (settings and pose targets by name), not yet jitted.
 
     Images are uint8 in {0, 255}: taps (M, S, S, 1), tap and sheared (B, S, S, 1). Scores are (B,) each.
     Networks that unshear are given images in `precision`.
@@ -69,16 +74,50 @@ def run_of(nets: Mapping[str, Any], ranges: Ranges, sheared_ranges: Ranges, prec
                 images[kind] = unshear(nets[kind], variables[kind], given)
         if "posenet" in nets:
             answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}
-            poses = {kind: posenet.pose_from_outputs(answer, ranges) for kind, answer in answers.items()}
+            poses = {kind: posenet.pose_from_outputs(answer, targets["posenet"]) for kind, answer in answers.items()}
         if "posenet_sheared" in nets:
             answer = posenet.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
-            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, sheared_ranges)
+            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, targets["posenet_sheared"])
         head = pose_head.of(variables.get(kind := shown_kind(nets), {"params": {}}))
         if head is not None:
             z_p = unshearnet.encode_pose(nets[kind], variables[kind], given)
-            poses[LEARNT_CODE] = posenet.pose_from_outputs(pose_head.predict(head, z_p), sheared_ranges)
+            poses[LEARNT_CODE] = posenet.pose_from_outputs(pose_head.predict(head, z_p), targets[kind])
             if kind in poses:
-                poses[LEARNT_BOTH] = posenet.mean_pose(poses[LEARNT_CODE], poses[kind])
+                poses[LEARNT_BOTH] = posenet.mean_pose(poses[LEARNT_CODE], poses[kind], targets[kind])
         return Outputs(images, cells, poses), image_scores(images, cells)
 
     return run
+
+
+def pin_run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pins):
+    """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted.
+
+    Images are the pins drawn as dots, whatever the frames showed beside them, so that likenesses stand in the same tables.
+    """
+
+    def run(variables: dict[str, Any], tap: Array, sheared: Array):
+        places, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
+        for kind in (name for name in UNSHEARING if name in nets):
+            z_p, z_s = pinnets.encode(nets[kind], variables[kind], sheared)
+            places[kind] = pinnets.decode_canonical(nets[kind], variables[kind], z_p)
+            if z_s is not None:
+                cells = {"DC(z_p)": places[kind]}
+                cells["DS(z_p,z_s)"] = pinnets.decode_sheared(nets[kind], variables[kind], z_p, z_s)
+        if "posenet" in nets:
+            for kind, place in places.items():
+                outputs = pinnets.predict(nets["posenet"], variables["posenet"], place)
+                poses[kind] = posenet.pose_from_outputs(outputs, targets["posenet"])
+        if "posenet_sheared" in nets:
+            outputs = pinnets.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
+            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(outputs, targets["posenet_sheared"])
+        images, drawn = ({k: dots(p, pins.radius_px, pins.size) for k, p in each.items()} for each in (places, cells))
+        apart = {f"pins/{kind}": _rms(place, tap) for kind, place in places.items() if kind != "tap"}
+        return Outputs(images, drawn, poses, places), image_scores(images, drawn) | apart
+
+    return run
+
+
+def _rms(pins: Array, target: Array) -> Array:
+    """(B,) root mean square distance px of pins (B, P, 2) that both show; NaN where there is none."""
+    square = jnp.sum(jnp.square(pins - target), -1)
+    return jnp.sqrt(jnp.nanmean(square, -1))

@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Callable, Container, Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ from jax import Array
 
 from jaxunshear.experiment import UNSHEARING
 from jaxunshear.metrics import ms_ssim, mse, pose_errors, scales_that_fit, ssim
+from jaxunshear.targets import Targets
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them
@@ -18,7 +20,8 @@ LEARNT_CODE = "code_learnt"  # what a head that learnt poses reads off the pose 
 LEARNT_BOTH = "both_learnt"  # the mean of that and of what PoseNet reads off this network's image
 LEARNT = (LEARNT_SHEARED, LEARNT_CODE, LEARNT_BOTH)
 KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
-POSE_KINDS = ("tap", "sheared", *LEARNT, *BASELINES, *UNSHEARING)
+PARTNER = "partner"  # of a recorded slide: what a perfect network would unshear it to
+POSE_KINDS = ("tap", PARTNER, "sheared", *LEARNT, *BASELINES, *UNSHEARING)
 CELLS = {  # appendix D: which decoder is fed which codes, and what it should draw
     "DC(z_p)": "tap",
     "DC(z_s)": "tap",
@@ -34,6 +37,7 @@ class Outputs(NamedTuple):
     images: dict[str, Array]  # by kind, those of KINDS that the run has
     cells: dict[str, Array]  # by cell: CELLS, or fewer where the network has no shear code or codes of two widths
     poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # by kind, those of POSE_KINDS that the run has
+    pins: Mapping[str, Array] = MappingProxyType({})  # (B, P, 2) px by kind, of networks over pins
 
 
 def cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:
@@ -84,9 +88,11 @@ def shown_kind(kinds: Container[str]) -> str:
     return next((kind for kind in reversed(UNSHEARING) if kind in kinds), "sheared")
 
 
-def chance(true: dict[str, np.ndarray]) -> dict[str, float]:
+def chance(true: dict[str, np.ndarray], targets: Targets) -> dict[str, float]:
     """Mean absolute error of one answer to every image, the best that needs no image: the middle of the labels."""
     middle = {name: np.full_like(value, np.median(value)) for name, value in true.items()}
-    angle = np.radians(true["edge_deg"].astype(np.float64))
-    middle["edge_deg"][:] = np.degrees(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()))
+    for target in targets:
+        if target.circle:
+            angle = np.radians(true[target.name].astype(np.float64))
+            middle[target.name][:] = np.degrees(np.arctan2(np.sin(angle).mean(), np.cos(angle).mean()))
     return {name: float(error.mean()) for name, error in pose_errors(middle, true).items()}

@@ -9,9 +9,10 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.experiment import POSENETS
-from jaxunshear.model import posenet
+from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
+from jaxunshear.model.settings import PinNet, PinUnshear
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.training.checkpoint import load_best, read_net
 
@@ -24,20 +25,30 @@ def ms_per_image(run_dir: Path, names: Sequence[str], precision: str) -> dict[st
     for name in names:
         net: Any = read_net(Path(run_dir) / name)
         answer = function_of(name, net, "float32" if name in POSENETS else precision)
-        found[name] = timed(ready(answer, load_best(Path(run_dir) / name)), net.size)
+        variables = load_best(Path(run_dir) / name)
+        found[name] = timed(ready(answer, variables), _input_of(net, variables))
     return found
 
 
 def function_of(name: str, net: Any, precision: str) -> Callable[[Any, Array], Array]:
     """The network called `name` as (variables, images) -> its answer: images (B, S, S, 1) in [0, 1] unsheared, or PoseNet's
-    outputs (B, 5)."""
+    outputs (B, K). Networks over pins take these, (B, P, 2) px, in the place of images."""
+    if isinstance(net, PinNet):
+        read: Any = pinnets.unshear if isinstance(net, PinUnshear) else pinnets.predict
+        return lambda variables, pins: read(net, variables, pins)
     answer: Any = posenet.predict if name in POSENETS else unshear
     return lambda variables, images: answer(net, variables, in_precision(images, precision))
 
 
-def timed(run: Callable[[np.ndarray], Array], size: int, calls: int = CALLS) -> dict[str, float]:
-    """Milliseconds of one call with one image (1, S, S, 1) float32."""
-    image = (np.random.default_rng(0).random((1, size, size, 1)) < 0.2).astype(np.float32)
+def _input_of(net: Any, variables: Any) -> np.ndarray:
+    """One image (1, S, S, 1) of random dots, or the untouched pins (1, P, 2)."""
+    if isinstance(net, PinNet):
+        return np.asarray(variables["batch_stats"]["rest"])[None]
+    return (np.random.default_rng(0).random((1, net.size, net.size, 1)) < 0.2).astype(np.float32)
+
+
+def timed(run: Callable[[np.ndarray], Array], image: np.ndarray, calls: int = CALLS) -> dict[str, float]:
+    """Milliseconds of one call with one image (1, S, S, 1) float32, or one contact's pins."""
     spent = []
     for _ in range(calls + 3):  # the first compile and warm up
         begun = time.perf_counter()

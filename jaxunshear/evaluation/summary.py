@@ -9,14 +9,18 @@ import numpy as np
 
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
 from jaxunshear.evaluation.spread import LEVEL, RESAMPLES, interval, numbered_poses, redrawn_means
-from jaxunshear.metrics import QUANTITIES
 
 DEPTHS = 3  # equal parts of the range of indentation depths
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 
 
 def tables(
-    scores: dict[str, np.ndarray], names: Sequence[str], stimulus: np.ndarray, pose_id: np.ndarray, seed: int
+    scores: dict[str, np.ndarray],
+    names: Sequence[str],
+    stimulus: np.ndarray,
+    pose_id: np.ndarray,
+    seed: int,
+    apart: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = ({}, {}),
 ) -> dict[str, dict]:
     """The tables `ms_ssim`, `pose_mae`, `pose_ratio`, `pose_recovery`, `difference`, `swap` and their `spread` (95 % intervals).
     Poses of each stimulus alone stand under `pose_by_stimulus`.
@@ -24,7 +28,8 @@ def tables(
     `scores`: arrays (N,) by the names of `score.py`, of whichever networks there are; `names` of the stimuli, indexed by
     `stimulus` (N,); `pose_id` (N,). A stimulus without test contacts is null. Ratio: error over that on sheared images.
     Recovery: the part of the slide's damage undone, (sheared - unsheared) / (sheared - tap); null where the slide does no damage.
-    Difference: disentangled less another network, contact by contact.
+    Difference: disentangled less another network, contact by contact. `apart`: scores of other contacts (M,) that join the tables of poses,
+    with their redrawn means.
     """
     groups = {name: stimulus == index for index, name in enumerate(names)} | {"overall": np.ones(len(stimulus), bool)}
     poses = numbered_poses(stimulus, pose_id)
@@ -35,8 +40,8 @@ def tables(
     }
     overall = redrawn["overall"]
     similar = [kind for kind in KINDS if f"ms_ssim/{kind}" in scores]
-    pose, pose_spread = _poses(scores, overall)
-    apart = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
+    pose, pose_spread = _poses(scores | apart[0], overall | apart[1])
+    differences = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
     return {
         "ms_ssim": {
             kind: {group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()}
@@ -46,7 +51,7 @@ def tables(
         "pose_by_stimulus": {
             name: _poses_of(scores, groups[name], redrawn[name]) if name in redrawn else None for name in names
         },
-        "difference": _by_kind({place: _mean(scores[name]) for place, name in apart.items()}),
+        "difference": _by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
         "swap": {
             cell: {"target": target} | {m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS}
             for cell, target in CELLS.items()
@@ -63,7 +68,7 @@ def tables(
                 for kind in similar
             },
             **pose_spread,
-            "difference": _by_kind({place: interval(overall[name]) for place, name in apart.items()}),
+            "difference": _by_kind({place: interval(overall[name]) for place, name in differences.items()}),
         },
     }
 
@@ -107,23 +112,26 @@ def _poses_of(
 
 def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Errors, their ratios and recoveries, and the intervals of errors and recoveries."""
-    felt = [kind for kind in POSE_KINDS if f"pose/{kind}/{QUANTITIES[0]}" in scores]
+    names = {kind: [n.rpartition("/")[2] for n in scores if n.startswith(f"pose/{kind}/")] for kind in POSE_KINDS}
+    felt = [kind for kind in POSE_KINDS if names[kind]]
     mended = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
-    error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in QUANTITIES} for kind in felt}
-    redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in QUANTITIES} for kind in felt}
+    error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in names[kind]} for kind in felt}
+    redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in names[kind]} for kind in felt}
     found = {
         "pose_mae": error,
-        "pose_ratio": {kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in QUANTITIES} for kind in mended},
+        "pose_ratio": {kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in names[kind]} for kind in mended},
         "pose_recovery": {
-            kind: {q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q]) for q in QUANTITIES}
+            kind: {q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q]) for q in names[kind]}
             for kind in mended
+            if "tap" in felt
         },
     }
     return found, {
-        "pose_mae": {kind: {q: interval(redone[kind][q]) for q in QUANTITIES} for kind in felt},
+        "pose_mae": {kind: {q: interval(redone[kind][q]) for q in names[kind]} for kind in felt},
         "pose_recovery": {
-            kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in QUANTITIES}
+            kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in names[kind]}
             for kind in mended
+            if "tap" in felt
         },
     }
 

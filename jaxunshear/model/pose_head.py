@@ -1,8 +1,8 @@
 """A head that reads the pose off the pose code, in training alone: what it is told of poses, the encoder learns.
 
->>> params = init((4, 4, 256), jax.random.key(0))
+>>> params = init((4, 4, 256), 5, jax.random.key(0))
 >>> outputs = predict(params, z_p)                                # (B, 4, 4, 256) -> (B, 5) in [0, 1]
->>> pose_from_outputs(outputs, ranges)["edge_mm"]                 # (B,); outputs are those of PoseNet
+>>> pose_from_outputs(outputs, targets)["edge_mm"]                 # (B,); outputs are those of PoseNet
 
 Ours, not the paper's. It sees the code as a whole, as PoseNet's two dense layers see their features.
 """
@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.model.layers import INIT
-from jaxunshear.model.posenet import OUTPUTS
 
 HIDDEN = 128  # as many as PoseNet has
 
@@ -23,16 +22,18 @@ class Network(nn.Module):
     """Two dense layers over the whole code, sigmoid outputs. The first is normalised over its units: codes are never negative, and
     without it steps that lower all units at once, as Muon's are, leave most of them at zero for good."""
 
+    outputs: int
+
     @nn.compact
     def __call__(self, z_p: Array) -> Array:
         x = nn.Dense(HIDDEN, kernel_init=INIT)(z_p.reshape(z_p.shape[0], -1))
         x = nn.relu(nn.LayerNorm(name="norm")(x))
-        return nn.sigmoid(nn.Dense(len(OUTPUTS), kernel_init=INIT)(x))
+        return nn.sigmoid(nn.Dense(self.outputs, kernel_init=INIT)(x))
 
 
-def init(code: tuple[int, ...], key: Array) -> Any:
-    """Fresh parameters for codes of shape `code`, (s, s, channels)."""
-    return Network().init(key, jnp.zeros((1, *code)))["params"]
+def init(code: tuple[int, ...], outputs: int, key: Array) -> Any:
+    """Fresh parameters for codes of shape `code`, (s, s, channels), and as many `outputs` as the targets have."""
+    return Network(outputs).init(key, jnp.zeros((1, *code)))["params"]
 
 
 def of(variables: Any) -> Any:
@@ -43,6 +44,7 @@ def of(variables: Any) -> Any:
 
 
 def predict(params: Any, z_p: Array) -> Array:
-    """Pose codes (B, s, s, channels) -> outputs (B, 5) in [0, 1], in float32 or wider."""
-    outputs: Array = Network().apply({"params": params}, z_p.astype(jnp.promote_types(z_p.dtype, jnp.float32)))  # type: ignore[assignment]
+    """Pose codes (B, s, s, channels) -> outputs (B, K) in [0, 1], in float32 or wider."""
+    known = len(params["Dense_1"]["bias"])
+    outputs: Array = Network(known).apply({"params": params}, z_p.astype(jnp.promote_types(z_p.dtype, jnp.float32)))  # type: ignore[assignment]
     return outputs

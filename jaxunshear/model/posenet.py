@@ -1,31 +1,25 @@
 """PoseNet: a tap image -> pose (paper appendix A), behind pure functions.
 
->>> variables = init(net, jax.random.key(0))
->>> outputs = predict(net, variables, images)                     # (B, S, S, 1) in [0, 1] -> (B, 5) in [0, 1]
->>> pose_from_outputs(outputs, ranges)["edge_mm"]                 # (B,)
+>>> variables = init(net, outputs_of(targets), jax.random.key(0))
+>>> outputs = predict(net, variables, images)                     # (B, S, S, 1) in [0, 1] -> (B, K) in [0, 1]
+>>> pose_from_outputs(outputs, targets)["edge_mm"]                # (B,)
 
-The paper predicts x and yaw; distance to the edge and the edge's direction are added because they stay unambiguous
-where the edge is smooth. All five are scaled to [0, 1] for the sigmoid output.
+What is predicted is a matter of `targets` (jaxunshear/targets.py), each scaled to [0, 1] for the sigmoid output. The paper predicts x
+and yaw; for simulated shapes distance to the edge and the edge's direction are added, as these stay unambiguous where the edge is
+smooth.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
+from jax.typing import ArrayLike
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model import conv, settings
 from jaxunshear.model.layers import INIT, Down, First, Same
-
-OUTPUTS = ("x", "yaw", "edge", "cos", "sin")
-WEIGHTS = (
-    1.0,
-    1.0,
-    4.0,
-    1.0,
-    1.0,
-)  # in the loss: edge distance has the widest scale, and would drown in the ambiguous yaw
+from jaxunshear.targets import Targets
 
 Variables = dict[str, Any]
 
@@ -34,6 +28,7 @@ class Network(nn.Module):
     """Five convolutions, the first two of stride 2, max pooling after the 2nd and 4th, two dense layers."""
 
     net: settings.PoseNet
+    outputs: int
 
     @nn.compact
     def __call__(self, images: Array, train: bool) -> Array:
@@ -44,7 +39,7 @@ class Network(nn.Module):
         x = _halve(x)
         x = Same(rest[2])(x, train)
         x = nn.relu(nn.Dense(self.net.hidden, kernel_init=INIT)(x.reshape(x.shape[0], -1)))
-        return nn.sigmoid(nn.Dense(len(OUTPUTS), kernel_init=INIT)(x))
+        return nn.sigmoid(nn.Dense(self.outputs, kernel_init=INIT)(x))
 
 
 def _halve(x: Array) -> Array:
@@ -53,10 +48,12 @@ def _halve(x: Array) -> Array:
     return conv.to_blocks(x, 2).reshape(b, h // 2, w // 2, 4, c).max(3)
 
 
-def init(net: settings.PoseNet, key: Array) -> Variables:
-    """Fresh variables. Raises ValueError where `size` and `widths` do not fit the network."""
+def init(net: settings.PoseNet, outputs: int, key: Array) -> Variables:
+    """Fresh variables of a network with as many `outputs` as the targets have together.
+
+    Raises ValueError where `size` and `widths` do not fit the network."""
     check(net)
-    return dict(Network(net).init(key, jnp.zeros((1, net.size, net.size, 1)), True))
+    return dict(Network(net, outputs).init(key, jnp.zeros((1, net.size, net.size, 1)), True))
 
 
 def check(net: settings.PoseNet) -> None:
@@ -68,47 +65,65 @@ def check(net: settings.PoseNet) -> None:
 
 
 def predict(net: settings.PoseNet, variables: Variables, images: Array) -> Array:
-    """Images (B, S, S, 1) in [0, 1] -> outputs (B, 5) in [0, 1]; each image on its own."""
-    outputs: Array = Network(net).apply(variables, images, False)  # type: ignore[assignment]
+    """Images (B, S, S, 1) in [0, 1] -> outputs (B, K) in [0, 1]; each image on its own."""
+    outputs: Array = _of(net, variables).apply(variables, images, False)  # type: ignore[assignment]
     return outputs
 
 
 def predict_training(net: settings.PoseNet, variables: Variables, images: Array) -> tuple[Array, Variables]:
     """The same with the batch's statistics, and the updated running ones."""
-    outputs, updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])
+    outputs, updates = _of(net, variables).apply(variables, images, True, mutable=["batch_stats"])
     return outputs, updates["batch_stats"]
 
 
-def pose_targets(pose: Array, edge: Array, ranges: Ranges) -> Array:
-    """pose (B, 4) [x mm, y mm, yaw deg, depth mm], edge (B, 2) [distance mm, direction deg] -> targets (B, 5) in [0,
-    1]."""
-    x, yaw, distance = _scales(ranges)
-    angle = jnp.deg2rad(edge[:, 1])
-    signed = (pose[:, 0] / x, pose[:, 2] / yaw, edge[:, 0] / distance, jnp.cos(angle), jnp.sin(angle))
+def _of(net: settings.PoseNet, variables: Variables) -> Network:
+    return Network(net, len(variables["params"]["Dense_1"]["bias"]))
+
+
+def outputs_of(targets: Targets) -> int:
+    """K, of all targets together."""
+    return sum(target.outputs for target in targets)
+
+
+def output_weights(targets: Targets) -> tuple[float, ...]:
+    """Weight of each of the K outputs in the loss."""
+    return tuple(target.weight for target in targets for _ in range(target.outputs))
+
+
+def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Array:
+    """Labels of a batch, (B, columns) mm and deg by field -> what the outputs should be, (B, K) in [0, 1]."""
+    signed: list[Array] = []
+    for target in targets:
+        value = jnp.asarray(batch[target.field])[:, target.column]
+        if target.circle:
+            angle = jnp.deg2rad(value)
+            signed += [jnp.cos(angle), jnp.sin(angle)]
+        else:
+            signed.append((value - target.middle) / target.reach)
     return (jnp.stack(signed, -1) + 1) / 2
 
 
-def pose_from_outputs(outputs: Array, ranges: Ranges) -> dict[str, Array]:
-    """Outputs (B, 5) -> x_mm, yaw_deg, edge_mm, edge_deg in (-180, 180], each (B,)."""
-    x, yaw, distance = _scales(ranges)
+def pose_from_outputs(outputs: Array, targets: Targets) -> dict[str, Array]:
+    """Outputs (B, K) -> mm and deg by target, each (B,); angles of a full circle in (-180, 180]."""
     signed = 2 * outputs - 1
-    return {
-        "x_mm": x * signed[:, 0],
-        "yaw_deg": yaw * signed[:, 1],
-        "edge_mm": distance * signed[:, 2],
-        "edge_deg": jnp.rad2deg(jnp.arctan2(signed[:, 4], signed[:, 3])),
-    }
+    pose, column = {}, 0
+    for target in targets:
+        if target.circle:
+            pose[target.name] = jnp.rad2deg(jnp.arctan2(signed[:, column + 1], signed[:, column]))
+        else:
+            pose[target.name] = target.middle + target.reach * signed[:, column]
+        column += target.outputs
+    return pose
 
 
-def mean_pose(one: dict[str, Array], other: dict[str, Array]) -> dict[str, Array]:
-    """The mean of two answers in the form of `pose_from_outputs`; of the edge's direction that of the unit vectors."""
-    mean = {name: (one[name] + other[name]) / 2 for name in one}
-    a, b = jnp.deg2rad(one["edge_deg"]), jnp.deg2rad(other["edge_deg"])
-    return mean | {"edge_deg": jnp.rad2deg(jnp.arctan2(jnp.sin(a) + jnp.sin(b), jnp.cos(a) + jnp.cos(b)))}
-
-
-def _scales(ranges: Ranges) -> tuple[float, float, float]:
-    """Largest |x| mm, |yaw| deg and |edge distance| mm: the target point lies on the edge, so the distance to it is a
-    bound. A range of zero still needs a scale."""
-    lateral = ranges.lateral_mm or 1.0
-    return lateral, ranges.yaw_deg or 1.0, 2**0.5 * lateral
+def mean_pose(one: dict[str, Array], other: dict[str, Array], targets: Targets) -> dict[str, Array]:
+    """The mean of two answers in the form of `pose_from_outputs`; of an angle on a full circle that of the unit vectors."""
+    mean = {}
+    for target in targets:
+        a, b = one[target.name], other[target.name]
+        if target.circle:
+            a, b = jnp.deg2rad(a), jnp.deg2rad(b)
+            mean[target.name] = jnp.rad2deg(jnp.arctan2(jnp.sin(a) + jnp.sin(b), jnp.cos(a) + jnp.cos(b)))
+        else:
+            mean[target.name] = (a + b) / 2
+    return mean

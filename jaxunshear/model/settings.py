@@ -20,6 +20,7 @@ class UnshearNet:
     disentangled: bool = True
     residual: int = 0  # of E's innermost layers have a 3x3 convolution more, added to what they give
     both_sides: bool = False  # unshears an image and its mirror image, and takes the mean of what both give
+    input: str = "images"  # or "pins": networks over pins (`PinNet`) in the place of all of these
 
 
 def without_codes(net: UnshearNet) -> UnshearNet:
@@ -44,3 +45,30 @@ class PoseNet:
     size: int = 128
     widths: tuple[int, ...] = (16, 32, 64, 96, 128)
     hidden: int = 128
+
+
+@dataclass(frozen=True)
+class PinNet:
+    """Networks over pins: dense layers over the motions of all pins."""
+
+    hidden: int = 256
+    layers: int = 3
+    noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
+    hidden_pins: float = 0.0  # share of the pins, at most, that a training example does not show
+    pose_code: int = 16  # numbers in z_p
+    shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
+
+
+@dataclass(frozen=True)
+class PinUnshear(PinNet):
+    """Sheared pins to canonical ones, by a pose code."""
+
+
+@dataclass(frozen=True)
+class PinPoseNet(PinNet):
+    """Pins to pose."""
+
+
+@dataclass(frozen=True)
+class PinRenderer(PinNet):
+    """Pose to the pins of a tap there."""

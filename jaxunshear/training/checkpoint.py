@@ -27,11 +27,19 @@ import orbax.checkpoint as ocp
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
+from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
+from jaxunshear.targets import Targets, from_json
 
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST = "weights.npz", "digest"
-NETS = {"unshear": UnshearNet, "unet": UNet, "posenet": PoseNet}
+NETS = {
+    "unshear": UnshearNet,
+    "unet": UNet,
+    "posenet": PoseNet,
+    "pin_unshear": PinUnshear,
+    "pin_posenet": PinPoseNet,
+    "renderer": PinRenderer,
+}
 
 
 def save(folder: Path, step: int, state: Any, record: dict[str, Any]) -> None:
@@ -129,7 +137,7 @@ def write_weights(folder: Path, variables: dict[str, Any], modules: Sequence[str
     Kernels are kept as float16, which halves the file; biases and statistics as they are.
     """
     arrays = {
-        name: np.asarray(leaf, np.float16 if np.ndim(leaf) > 1 else None)
+        name: np.asarray(leaf, np.float16 if np.ndim(leaf) > 1 and name.startswith("params.") else None)
         for name, leaf in _named(jax.device_get(variables)).items()
         if not modules or name.split(".")[1] in modules
     }
@@ -176,7 +184,7 @@ def write_settings(folder: Path, settings: dict[str, Any]) -> None:
             raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
 
 
-def read_net(folder: Path) -> UnshearNet | UNet | PoseNet:
+def read_net(folder: Path) -> Any:
     """The network's settings from model.json. Raises UserError."""
     path = Path(folder) / MODEL
     if not path.exists():
@@ -188,6 +196,12 @@ def read_net(folder: Path) -> UnshearNet | UNet | PoseNet:
         return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
     except (KeyError, TypeError) as error:
         raise UserError(f"{path} lacks or misnames {error}: delete {folder} and train again") from error
+
+
+def read_targets(folder: Path) -> Targets:
+    """The pose targets that the network in `folder` has learnt, from model.json; none of one that has learnt no poses. Raises UserError."""
+    path = Path(folder) / MODEL
+    return from_json(storage.read_json(path).get("targets", []), str(path))
 
 
 def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

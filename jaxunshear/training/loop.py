@@ -1,6 +1,7 @@
 """Training: one jitted, donated step, validation, checkpoints, and going on after a kill.
 
->>> train_unshear(net, training, batches, validation, seed=0, folder=Path("runs/demo/disentangled"), epoch_images=2160)
+>>> task = unshear_task(net, training)
+>>> train(task, training, batches, validation, seed=0, folder=Path("runs/demo/disentangled"), epoch_images=2160)
 
 `batches(start_step)` is an endless iterator of batches, the same ones whichever step it starts from; `validation()` a
 finite one. All randomness of a step follows from the seed and the step's number, so a run that was killed ends with
@@ -21,17 +22,16 @@ import numpy as np
 from jax import Array
 
 from jaxunshear import storage
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import settings
 from jaxunshear.progress import Progress
+from jaxunshear.targets import to_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.settings import Training
 from jaxunshear.training.start import Start, begun
 from jaxunshear.training.step import fresh, make_step, optimiser_of
-from jaxunshear.training.tasks import Batch, Task, Tree, posenet_task, unshear_task
+from jaxunshear.training.tasks import Batch, Task, Tree
 
 Batches = Callable[[int], Iterator[Batch]]
 Validation = Callable[[], Iterator[Batch]]
@@ -52,79 +52,29 @@ class Summary:
     images_per_second: float
 
 
-def train_unshear(
-    net: settings.UnshearNet | settings.UNet,
-    training: Training,
-    batches: Batches,
-    validation: Validation,
-    seed: int,
-    folder: Path,
-    *,
-    epoch_images: int,
-    origin: Any = None,
-    teacher: Callable[[Array], Array] | None = None,
-    ranges: Ranges | None = None,
-    start: Start | None = None,
-) -> Summary:
-    """Train an UnshearNet, entangled or not, or a U-Net into `folder`, or go on where it stopped, or return at once if
-    finished.
-
-    Batches: {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}. `epoch_images` pairs are one epoch. `origin` is
-    any JSON that says where the data come from; a folder trained from another origin or with other settings is refused.
-    `teacher`, `ranges` and what labels ask of the batches as in `unshear_task`.
-    `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
-    Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
-    """
-    task = unshear_task(net, training, teacher, ranges)
-    asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
-    return _train(
-        task, training, batches, validation, seed, Path(folder), epoch_images, asked | {"origin": origin}, start
-    )
-
-
-def train_posenet(
-    net: settings.PoseNet,
-    training: Training,
-    batches: Batches,
-    validation: Validation,
-    seed: int,
-    folder: Path,
-    *,
-    ranges: Ranges,
-    epoch_images: int,
-    origin: Any = None,
-    start: Start | None = None,
-) -> Summary:
-    """Train PoseNet; as `train_unshear`. Batches: {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2)
-    float32."""
-
-    task = posenet_task(net, training, ranges)
-    asked = {"net": asdict(net), "training": asdict(training), "seed": seed, "epoch_images": epoch_images}
-    return _train(
-        task,
-        training,
-        batches,
-        validation,
-        seed,
-        Path(folder),
-        epoch_images,
-        asked | {"ranges": asdict(ranges), "origin": origin},
-        start,
-    )
-
-
-def _train(
+def train(
     task: Task,
     training: Training,
     batches: Batches,
     validation: Validation,
     seed: int,
     folder: Path,
+    *,
     epoch_images: int,
-    asked: dict[str, Any],
-    start: Start | None,
+    origin: Any = None,
+    start: Start | None = None,
 ) -> Summary:
-    checkpoint.write_settings(folder, {"kind": task.kind} | asked | ({"start": start.digest} if start else {}))
+    """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
+
+    Batches are those of the task. `epoch_images` examples are one epoch. `origin` is any JSON that says where the data come from; a
+    folder trained from another origin or with other settings is refused.
+    `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
+    Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
+    """
+    folder = Path(folder)
+    asked = {"kind": task.kind, "net": asdict(task.net), "training": asdict(training), "seed": seed}
+    asked |= {"epoch_images": epoch_images, "targets": to_json(task.targets), "origin": origin}
+    checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
         return _summary(folder / checkpoint.SUMMARY)
     keep_freed_memory()

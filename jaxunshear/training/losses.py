@@ -50,6 +50,11 @@ def pose(outputs: Array, targets: Array, weights: tuple[float, ...]) -> Array:
     return jnp.mean(jnp.asarray(weights, outputs.dtype) * (outputs - targets) ** 2, -1)
 
 
+def absolute_pose(outputs: Array, targets: Array, weights: tuple[float, ...]) -> Array:
+    """The same with absolute differences, which a few contacts that are hard to read bend less: of networks over pins."""
+    return jnp.mean(jnp.asarray(weights, outputs.dtype) * jnp.abs(outputs - targets), -1)
+
+
 def regularisation(params: Any, l1: float, l2: float) -> Array:
     """l1 sum |w| + l2 sum w^2 over all kernels (no biases, no normalisation). A weight of zero computes nothing."""
     total = jnp.zeros(())

@@ -4,14 +4,21 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.dataset.configs import describe, differences
+from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, learnt_from
+from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, learnt_from
 from jaxunshear.storage import read_json
 
 
 def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
-    """The description of the data set that `network` is to learn from."""
-    return describe(learnt_from(experiment, network), experiment.sensor)
+    """The description of the data set that `network` is to learn from, and of what is made of it."""
+    settings = learnt_from(experiment, network)
+    described = describe(settings, experiment.sensor)
+    if isinstance(settings, Recorded) and network not in ("posenet", TEACHER, RENDERER):
+        described |= {"labelled": settings.labelled}
+        if network not in POSENETS:
+            described |= {"pairing": settings.pairing}
+    return described
 
 
 def check_origin(experiment: Experiment, network: str, run_dir: Path) -> None:

@@ -9,10 +9,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, settings, unet, unshearnet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.targets import Targets, true_values
 from jaxunshear.training import losses
 from jaxunshear.training.settings import Training
 
@@ -25,6 +25,8 @@ class Task:
     """What differs between the networks. Terms are losses per example (B,), by name."""
 
     kind: str
+    net: Any  # the network's settings
+    targets: Targets
     init: Callable[[Array], Tree]
     terms: Callable[[Tree, Batch, Array], tuple[dict[str, Array], Tree]]  # variables, batch, key -> terms, batch_stats
     weights: dict[str, float]
@@ -36,13 +38,13 @@ def unshear_task(
     net: settings.UnshearNet | settings.UNet,
     training: Training,
     teacher: Callable[[Array], Array] | None = None,
-    ranges: Ranges | None = None,
+    targets: Targets = (),
 ) -> Task:
     """Of an entangled or disentangled UnshearNet, or a U-Net; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
 
-    `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, 5), needed for `pose_weight` alone;
-    where labels are told (`label_weight`, `pose_target` "label") it takes the `ranges` of the poses, the teacher's too, and {"pose"}
-    (B, 4) and {"edge"} (B, 2) in the batches.
+    `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, K), needed for `pose_weight` alone;
+    where labels teach (`label_weight`, `pose_target` "label") it takes the pose `targets`, the teacher's too, and their fields in the
+    batches. A field {"weight"} (B,) weighs the examples.
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
     crop = training.crop_px
@@ -55,9 +57,9 @@ def unshear_task(
     if training.pose_weight:
         if teacher is None:
             raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
-        if training.pose_target == "label" and ranges is None:
-            raise UserError("pose_target: poses are scaled by their ranges: give them, or use pose_target tap")
-        watch = partial(_watched, teacher, ranges if training.pose_target == "label" else None)
+        if not targets:
+            raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
+        watch = partial(_watched, teacher, targets, training.pose_target)
 
     kind = "unet" if isinstance(net, settings.UNet) else "unshear"
     module: Any = unet if kind == "unet" else unshearnet
@@ -69,9 +71,9 @@ def unshear_task(
             raise UserError(
                 "label_weight: a U-Net has no code to read the pose off: leave unet out, or use label_weight 0"
             )
-        if ranges is None:
-            raise UserError("label_weight: poses are scaled by their ranges: give them, or use label_weight 0")
-        init, labelled = partial(_init_with_head, net), partial(_labelled, ranges)
+        if not targets:
+            raise UserError("label_weight: no pose targets are known: give them, or use label_weight 0")
+        init, labelled = partial(_init_with_head, net, posenet.outputs_of(targets)), partial(_labelled, targets)
 
     def terms(variables, batch, key):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
@@ -87,7 +89,7 @@ def unshear_task(
             named["label"] = labelled(variables, code, batch)["label"]
         if sheared_logits is not None:
             named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
-        return named, batch_stats
+        return weighed(named, batch), batch_stats
 
     def validate(variables, batch):
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
@@ -105,7 +107,7 @@ def unshear_task(
                 named |= labelled(variables, z_p, batch)
         if watch:
             named["pose"] = watch(image, canonical, batch)
-        return {"supervised": losses.supervised(image, canonical)} | named
+        return weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
 
     weights = {
         "supervised": 1.0,
@@ -114,55 +116,62 @@ def unshear_task(
         "label": training.label_weight,
         "reconstruction": training.reconstruction_weight,
     }
-    return Task(kind, init, terms, weights, validate, "supervised")
+    return Task(kind, net, targets, init, terms, weights, validate, "supervised")
 
 
-def posenet_task(net: settings.PoseNet, training: Training, ranges: Ranges) -> Task:
-    """Of PoseNet; batches {"image"} uint8 (B, S, S, 1), {"pose"} (B, 4), {"edge"} (B, 2) float32."""
+def posenet_task(net: settings.PoseNet, training: Training, targets: Targets) -> Task:
+    """Of PoseNet; batches {"image"} uint8 (B, S, S, 1) and the fields of the `targets`, float32. Raises UserError without targets."""
+    if not targets:
+        raise UserError("targets: there is no pose to learn: name some, or record labels")
+    weights = posenet.output_weights(targets)
 
     def terms(variables, batch, key):
         images = in_precision(_unit(batch["image"]), training.precision)
         outputs, batch_stats = posenet.predict_training(net, variables, images)
-        targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
-        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)}, batch_stats
+        return {"pose": losses.pose(outputs, posenet.pose_targets(batch, targets), weights)}, batch_stats
 
     def validate(variables, batch):
         outputs = posenet.predict(net, variables, _unit(batch["image"]))
-        targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
-        return {"pose": losses.pose(outputs, targets, posenet.WEIGHTS)} | _pose_errors(outputs, targets, ranges)
+        loss = losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
+        return {"pose": loss} | pose_error_terms(outputs, batch, targets)
 
     _checked(posenet.check, net)
-    return Task("posenet", lambda key: posenet.init(net, key), terms, {"pose": 1.0}, validate, "pose")
+    init = partial(posenet.init, net, posenet.outputs_of(targets))
+    return Task("posenet", net, targets, init, terms, {"pose": 1.0}, validate, "pose")
 
 
 def _watched(
-    teacher: Callable[[Array], Array], ranges: Ranges | None, image: Array, canonical: Array, batch: Batch
+    teacher: Callable[[Array], Array], targets: Targets, target: str, image: Array, canonical: Array, batch: Batch
 ) -> Array:
-    """How far the pose that `teacher` reads off an image lies from the one it reads off the tap (B,): nothing that a label would
-    tell enters. With `ranges`, from the true one."""
-    targets = teacher(canonical) if ranges is None else posenet.pose_targets(batch["pose"], batch["edge"], ranges)
-    return losses.pose(teacher(image), targets, posenet.WEIGHTS)
+    """How far the pose that `teacher` reads off an image lies from the one it reads off the tap (B,): no label enters. With `target`
+    "label", from the true one."""
+    wanted = posenet.pose_targets(batch, targets) if target == "label" else teacher(canonical)
+    return losses.pose(teacher(image), wanted, posenet.output_weights(targets))
 
 
-def _init_with_head(net: settings.UnshearNet, key: Array) -> Tree:
+def _init_with_head(net: settings.UnshearNet, outputs: int, key: Array) -> Tree:
     """Variables of the network, the very ones it has without a head, and the head's parameters beside them."""
     variables = unshearnet.init(net, key)
-    head = pose_head.init(unshearnet.code_shape(net), jax.random.fold_in(key, 1))
+    head = pose_head.init(unshearnet.code_shape(net), outputs, jax.random.fold_in(key, 1))
     return variables | {"params": variables["params"] | {"head": head}}
 
 
-def _labelled(ranges: Ranges, variables: Tree, code: Array, batch: Batch) -> dict[str, Array]:
+def _labelled(targets: Targets, variables: Tree, code: Array, batch: Batch) -> dict[str, Array]:
     """PoseNet's loss of what the head reads off the pose code, and the errors in mm and deg, each (B,)."""
     outputs = pose_head.predict(variables["params"]["head"], code)
-    targets = posenet.pose_targets(batch["pose"], batch["edge"], ranges)
-    return {"label": losses.pose(outputs, targets, posenet.WEIGHTS)} | _pose_errors(outputs, targets, ranges)
+    loss = losses.pose(outputs, posenet.pose_targets(batch, targets), posenet.output_weights(targets))
+    return {"label": loss} | pose_error_terms(outputs, batch, targets)
 
 
-def _pose_errors(outputs: Array, targets: Array, ranges: Ranges) -> dict[str, Array]:
-    """Absolute errors in mm and deg by quantity, each (B,)."""
-    got, true = posenet.pose_from_outputs(outputs, ranges), posenet.pose_from_outputs(targets, ranges)
-    turn = {"edge_deg": 360.0}
-    return {name: jnp.abs(_wrapped(got[name] - true[name], turn.get(name))) for name in got}
+def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
+    """Absolute errors in mm and deg by target, each (B,)."""
+    got, true = posenet.pose_from_outputs(outputs, targets), true_values(targets, batch)
+    return {name: jnp.abs(_wrapped(got[name] - true[name], 360.0 if name.endswith("_deg") else None)) for name in got}
+
+
+def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
+    """Terms (B,) times the weight of each example, where the batch has one."""
+    return {name: term * batch["weight"] for name, term in named.items()} if "weight" in batch else named
 
 
 def _unit(images: Array) -> Array:

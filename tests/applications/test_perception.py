@@ -9,26 +9,26 @@ import numpy as np
 import pytest
 
 from jaxunshear.applications.perception import TRUE, perceptions, read_look, unsheared_by, ways_of
-from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
+from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import UNSHEARING, Experiment
+from jaxunshear.experiment import UNSHEARING
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.release import PARTS
 from jaxunshear.storage import write_json
+from jaxunshear.targets import of_ranges, to_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 
 NET = UnshearNet(size=32, widths=(8, 8), pose_channels=8, shear_channels=4)
 POSENET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
-EXPERIMENT = Experiment(  # PoseNet knows more poses than the pairs show
-    "small", "A claim.", paired=PairedData(ranges=Ranges(lateral_mm=3)), pose=PoseData(ranges=Ranges(lateral_mm=6))
-)
+# PoseNet knows more poses than the pairs show
+OF_PAIRS, OF_TAPS = (of_ranges((), Ranges(lateral_mm=mm)) for mm in (3, 6))
 
 
-def kept(folder, kind, net, variables):
+def kept(folder, kind, net, variables, targets):
     larger = variables | {"params": jax.tree.map(lambda x: 10 * x, variables["params"])}
-    checkpoint.write_settings(folder, {"kind": kind, "net": asdict(net)})
+    checkpoint.write_settings(folder, {"kind": kind, "net": asdict(net), "targets": to_json(targets)})
     checkpoint.save(folder, 1, {"average": larger}, {"best_step": 1, "history": []})
     write_json(folder / "summary.json", {"steps": 1})
 
@@ -36,12 +36,11 @@ def kept(folder, kind, net, variables):
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
-    networks = (("disentangled", "unshear", unshearnet, NET), ("posenet", "posenet", posenet, POSENET))
-    for name, kind, module, net in networks:
-        variables = jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(0))
-        if name == "disentangled":
-            variables["params"]["head"] = pose_head.init(unshearnet.code_shape(net), jax.random.key(2))
-        kept(folder / name, kind, net, variables)
+    variables = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())(NET, jax.random.key(0))
+    variables["params"]["head"] = pose_head.init(unshearnet.code_shape(NET), 5, jax.random.key(2))
+    kept(folder / "disentangled", "unshear", NET, variables, OF_PAIRS)
+    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
+    kept(folder / "posenet", "posenet", POSENET, init(POSENET, 5, jax.random.key(0)), OF_TAPS)
     return folder
 
 
@@ -51,7 +50,7 @@ def images():
 
 
 def looked(model, way, images):
-    look, variables = read_look(model, EXPERIMENT, way)
+    look, variables, _ = read_look(model, way)
     return jax.jit(look)(variables, images)
 
 
@@ -60,12 +59,12 @@ def test_the_code_is_read_by_its_head_and_both_is_the_mean(model, images):
     variables = checkpoint.load_best(model / "disentangled")
     z_p, _ = unshearnet.encode(NET, variables, images[..., None] / np.float32(255))
     outputs = pose_head.predict(variables["params"]["head"], z_p)
-    expected = posenet.pose_from_outputs(outputs, EXPERIMENT.paired.ranges)
+    expected = posenet.pose_from_outputs(outputs, OF_PAIRS)
     for name, answer in code.items():
         np.testing.assert_allclose(answer, expected[name], rtol=1e-4, atol=1e-4)
         assert np.abs(answer - image[name]).max() > 1e-3
     np.testing.assert_allclose(seen, drawn, atol=1e-6)
-    mean = posenet.mean_pose(code, image)
+    mean = posenet.mean_pose(code, image, OF_PAIRS)
     for name, answer in both.items():
         np.testing.assert_allclose(answer, mean[name], rtol=1e-4, atol=1e-3)
 
@@ -81,7 +80,7 @@ def test_released_weights_perceive_by_their_head(model, images, tmp_path):
 
 
 def test_a_robot_gets_the_heads_edge(model, images):
-    edge_mm, edge_deg = perceptions(model, EXPERIMENT, ("code",))["code"](images)
+    edge_mm, edge_deg = perceptions(model, ("code",))["code"](images)
     _, pose = looked(model, "code", images)
     np.testing.assert_allclose(edge_mm, pose["edge_mm"], atol=1e-4)
     np.testing.assert_allclose(edge_deg, pose["edge_deg"], atol=1e-3)
@@ -89,7 +88,7 @@ def test_a_robot_gets_the_heads_edge(model, images):
 
 def test_the_code_alone_draws_nothing_and_both_encode_once(model, images):
     def products(way):
-        look, variables = read_look(model, EXPERIMENT, way)
+        look, variables, _ = read_look(model, way)
         compiled = jax.jit(lambda known, images: look(known, images)[1]).lower(variables, images).compile()
         return compiled.cost_analysis()["flops"]
 
@@ -113,8 +112,8 @@ def test_ways_that_ask_for_a_head_are_there_where_one_is(model, tmp_path):
     variables = checkpoint.load_best(model / "disentangled")
     del variables["params"]["head"]
     shutil.rmtree(tmp_path / "disentangled")
-    kept(tmp_path / "disentangled", "unshear", NET, variables)
+    kept(tmp_path / "disentangled", "unshear", NET, variables, OF_PAIRS)
     shutil.copytree(model / "posenet", tmp_path / "posenet")
     assert ways_of(tmp_path) == ("sheared", "disentangled")
     with pytest.raises(UserError, match="disentangled has no head that reads the pose code: train with"):
-        read_look(tmp_path, EXPERIMENT, "both")
+        read_look(tmp_path, "both")

@@ -11,7 +11,7 @@ from PIL import Image
 
 from jaxunshear.applications import sources
 from jaxunshear.applications.sources import Frame, frames_of
-from jaxunshear.applications.stream import confidence, steady_view, stream
+from jaxunshear.applications.stream import Robot, confidence, steady_view, stream
 from jaxunshear.config import load_experiment
 from jaxunshear.dataset.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
@@ -35,7 +35,7 @@ def run(frames, live=False, seconds=0.0, images=None, inline=True):
         time.sleep(seconds)
         return step(image)
 
-    summary = stream(iter(frames), live, EXPERIMENT, slow, out, images, inline)
+    summary = stream(iter(frames), live, Robot(slow, EXPERIMENT.paired.preprocess, None), out, images, inline)
     return summary, [json.loads(line) for line in out.getvalue().splitlines()]
 
 

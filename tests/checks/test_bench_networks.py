@@ -46,7 +46,7 @@ def test_multiplications_are_those_of_plain_convolutions(net, training):
 
 
 def test_posenet_s_multiplications_are_those_of_its_layers():
-    params = jax.eval_shape(lambda: posenet.init(POSENET, jax.random.key(0)))["params"]
+    params = jax.eval_shape(lambda: posenet.init(POSENET, 5, jax.random.key(0)))["params"]
     places = {"First_0": 16, "Down_0": 8, "Same_0": 4, "Same_1": 4, "Same_2": 2, "Dense_0": 1, "Dense_1": 1}
     expected = sum(params[name]["kernel"].size * side**2 for name, side in places.items())
     assert bench_networks.pose_multiplications(POSENET) == expected
@@ -123,9 +123,9 @@ def test_posenet_s_twin_computes_the_same():
     torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
     from jaxunshear.checks import torch_twin
 
-    variables = posenet.init(POSENET, jax.random.key(0))
+    variables = posenet.init(POSENET, 5, jax.random.key(0))
     images = np.random.default_rng(0).random((3, 32, 32, 1)).astype(np.float32)
-    twin = torch_twin.PoseTwin(POSENET).eval()
+    twin = torch_twin.PoseTwin(POSENET, 5).eval()
     twin.load(variables)
     with torch.no_grad():
         theirs = twin(torch.from_numpy(images.transpose(0, 3, 1, 2).copy())).numpy()

@@ -1,36 +1,41 @@
 """Networks on disk that have learnt nothing."""
 
 from dataclasses import asdict, replace
+from functools import partial
 
 import jax
 import pytest
 
+from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
 from jaxunshear.storage import write_json
+from jaxunshear.targets import of_ranges, to_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 
 
 @pytest.fixture(scope="session")
 def trained(tmp_path_factory):
-    """The folder of a run with all networks at 32 px."""
+    """The folder of a run with all networks at 32 px; of the two PoseNets, one learnt poses from twice the lateral range."""
     folder = tmp_path_factory.mktemp("run")
     net = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
+    pose_net = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
     nets = {
-        "disentangled": ("unshear", unshearnet, net),
-        "entangled": ("unshear", unshearnet, replace(net, disentangled=False)),
-        "entangled_large": ("unshear", unshearnet, replace(net, widths=(8, 8), disentangled=False)),
-        "unet": ("unet", unet, UNet(size=32, widths=(4, 4, 4))),
-        "posenet": ("posenet", posenet, PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)),
-        "posenet_sheared": ("posenet", posenet, PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)),
+        "disentangled": ("unshear", unshearnet.init, net),
+        "entangled": ("unshear", unshearnet.init, replace(net, disentangled=False)),
+        "entangled_large": ("unshear", unshearnet.init, replace(net, widths=(8, 8), disentangled=False)),
+        "unet": ("unet", unet.init, UNet(size=32, widths=(4, 4, 4))),
+        "posenet": ("posenet", partial(posenet.init, outputs=5), pose_net),
+        "posenet_sheared": ("posenet", partial(posenet.init, outputs=5), pose_net),
     }
-    for name, (kind, module, settings) in nets.items():
-        variables = jax.jit(module.init, static_argnums=0, compiler_options=run_once())(settings, jax.random.key(0))
+    for name, (kind, init, settings) in nets.items():
+        variables = jax.jit(partial(init, settings), compiler_options=run_once())(key=jax.random.key(0))
         variables = {"params": jax.tree.map(lambda x: 10 * x, variables["params"])} | {
             "batch_stats": variables["batch_stats"]
         }
-        checkpoint.write_settings(folder / name, {"kind": kind, "net": asdict(settings)})
+        targets = of_ranges((), Ranges(lateral_mm=10) if name == "posenet_sheared" else Ranges())
+        checkpoint.write_settings(folder / name, {"kind": kind, "net": asdict(settings), "targets": to_json(targets)})
         checkpoint.save(folder / name, 1, {"average": variables}, {"best_step": 1, "history": []})
         write_json(folder / name / "summary.json", {"steps": 1})
     return folder

@@ -6,14 +6,16 @@ import json
 import numpy as np
 import pytest
 
+from jaxunshear.dataset.settings import Ranges
 from jaxunshear.evaluation.evaluate import every_score, montage, results_of
 from jaxunshear.evaluation.gather import FIELDS, gather
 from jaxunshear.evaluation.measurements import measurements, reproducible
 from jaxunshear.evaluation.score import CELLS, Outputs, chance, image_scores
 from jaxunshear.experiment import Experiment
-from jaxunshear.metrics import true_quantities
+from jaxunshear.targets import of_ranges, true_values
 
 SIZE, PITCH = 128, 8
+TARGETS = of_ranges((), Ranges())
 KINDS = ("tap", "sheared", "entangled", "disentangled")  # of a run with the paper's networks
 
 
@@ -65,7 +67,7 @@ def oracle(whole, sizes=None):
         drawn = {"DC(z_p)": tap, "DC(z_s)": sheared, "DS(z_p,z_s)": sheared, "DS(z_p,z_p)": tap}
         index = np.arange(place[0], place[0] + len(tap)) % len(whole["pose"])
         place[0] += len(tap)
-        true = true_quantities(whole["pose"][index], whole["edge"][index])
+        true = true_values(TARGETS, {name: whole[name][index] for name in ("pose", "edge")})
         poses = {kind: {name: value + wrong[kind] for name, value in true.items()} for kind in KINDS}
         return Outputs(images, drawn, poses), image_scores(images, drawn)
 
@@ -75,7 +77,7 @@ def oracle(whole, sizes=None):
 @pytest.fixture(scope="module")
 def gathered():
     whole = contacts()
-    return gather(oracle(whole), batches(whole, 4), total=9, keep=7)
+    return gather(oracle(whole), batches(whole, 4), total=9, keep=7, targets=TARGETS)
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +168,7 @@ def test_measurements_of_results_have_the_bars(results):
 
 def test_batches_of_any_size_gather_the_same(gathered):
     whole, sizes = contacts(), []
-    other = gather(oracle(whole, sizes), batches(whole, 9), total=9, keep=7)
+    other = gather(oracle(whole, sizes), batches(whole, 9), total=9, keep=7, targets=TARGETS)
     assert sizes == [(9, 9)]
     for name in gathered.scores:
         if not name.startswith("pose/"):  # the oracle's poses follow the padding
@@ -178,7 +180,7 @@ def test_batches_of_any_size_gather_the_same(gathered):
 
 def test_the_last_batch_is_filled_up_so_that_one_shape_is_compiled():
     whole, sizes = contacts(), []
-    found = gather(oracle(whole, sizes), batches(whole, 4), total=9, keep=3)
+    found = gather(oracle(whole, sizes), batches(whole, 4), total=9, keep=3, targets=TARGETS)
     assert sizes == [(4, 4)] * 3
     assert all(len(value) == 9 for value in found.scores.values())
     assert found.kept.tolist() == [0, 4, 8]
@@ -200,7 +202,7 @@ def test_chance_is_the_error_of_one_answer():
     pose, edge = np.zeros((4, 4)), np.zeros((4, 2))
     pose[:, 0] = [-2, -1, 1, 2]
     edge[:, 1] = [170, 180, -170, -180]
-    found = chance(true_quantities(pose, edge))
+    found = chance(true_values(TARGETS, {"pose": pose, "edge": edge}), TARGETS)
     assert found["x_mm"] == pytest.approx(1.5)
     assert found["edge_deg"] == pytest.approx(5)  # not 175: angles meet behind 180
     assert found["yaw_deg"] == 0

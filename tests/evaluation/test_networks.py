@@ -13,13 +13,15 @@ from jaxunshear.evaluation import networks
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, POSE_KINDS
 from jaxunshear.experiment import NETWORKS, RIVALS
-from jaxunshear.metrics import QUANTITIES
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import UnshearNet
+from jaxunshear.targets import names_of, of_ranges
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
+TARGETS = of_ranges((), Ranges())
+QUANTITIES = names_of(TARGETS)
 NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
 swapped = jax.jit(draw_cells, static_argnums=0)
@@ -60,7 +62,7 @@ def test_cells_that_cannot_be_drawn_are_left_out(shear_channels, cells):
 
 
 def test_outputs_and_scores_of_trained_networks(trained):
-    run = networks.load(trained, NETWORKS, Ranges(), Ranges())
+    run = networks.load(trained, NETWORKS)
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == set(PAPER_KINDS)
     assert set(outputs.cells) == set(CELLS)
@@ -78,7 +80,7 @@ def test_outputs_and_scores_of_trained_networks(trained):
 def test_a_network_of_both_sides_is_judged_by_both_and_its_codes_by_one(trained):
     one = networks.read_net(trained / "disentangled")
     run = {
-        net: jax.jit(networks.run_of({"disentangled": net}, Ranges(), Ranges()))
+        net: jax.jit(networks.run_of({"disentangled": net}, {"disentangled": TARGETS}))
         for net in (one, replace(one, both_sides=True))
     }
     variables = {"disentangled": networks.load_best(trained / "disentangled")}
@@ -94,19 +96,17 @@ def test_a_missing_network_is_named(trained, tmp_path):
     for name in ("disentangled", "posenet"):
         (tmp_path / name).symlink_to(trained / name)
     with pytest.raises(UserError, match="entangled"):
-        networks.load(tmp_path, NETWORKS, Ranges(), Ranges())
+        networks.load(tmp_path, NETWORKS)
 
 
 def test_rivals_and_baselines_join_in(trained):
-    run = networks.load(trained, NETWORKS + RIVALS, Ranges(), Ranges(lateral_mm=10), taps=images(5))
+    run = networks.load(trained, NETWORKS + RIVALS, taps=images(5))
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
     assert set(outputs.poses) == {*POSE_KINDS} - {LEARNT_CODE, LEARNT_BOTH}  # no head was trained
     assert {name.split("/")[1] for name in scores if name.startswith("ms_ssim")} == {*outputs.images} - {"tap"}
     # a PoseNet that learnt from sheared images is given those, with ranges of its own
-    same = networks.load(trained, ("posenet", "posenet_sheared"), Ranges(), Ranges(lateral_mm=10))(images(), images())[
-        0
-    ]
+    same, _ = networks.load(trained, ("posenet", "posenet_sheared"))(images(), images())
     twice = np.asarray(same.poses[LEARNT_SHEARED]["x_mm"])
     np.testing.assert_allclose(twice, 2 * np.asarray(same.poses["sheared"]["x_mm"]), rtol=1e-5)
 
@@ -114,15 +114,15 @@ def test_rivals_and_baselines_join_in(trained):
 def test_a_head_reads_the_code_and_both_answers_are_averaged(trained):
     nets = {name: networks.read_net(trained / name) for name in ("disentangled", "posenet")}
     variables = {name: networks.load_best(trained / name) for name in nets}
-    run = jax.jit(networks.run_of(nets, Ranges(), Ranges()))
+    run = jax.jit(networks.run_of(nets, dict.fromkeys(nets, TARGETS)))
     plain, _ = run(variables, None, images(), images()[::-1])
     assert not {LEARNT_CODE, LEARNT_BOTH} & set(plain.poses)
     net, own = nets["disentangled"], variables["disentangled"]
-    head = jax.tree.map(lambda x: 20 * x, pose_head.init(unshearnet.code_shape(net), jax.random.key(2)))
+    head = jax.tree.map(lambda x: 20 * x, pose_head.init(unshearnet.code_shape(net), 5, jax.random.key(2)))
     learnt = own | {"params": own["params"] | {"head": head}}
     outputs, _ = run(variables | {"disentangled": learnt}, None, images(), images()[::-1])
     code, _ = unshearnet.encode(net, own, images()[::-1].astype(np.float32) / 255)
-    expected = posenet.pose_from_outputs(pose_head.predict(head, code), Ranges())
+    expected = posenet.pose_from_outputs(pose_head.predict(head, code), TARGETS)
     for name, read in outputs.poses[LEARNT_CODE].items():
         np.testing.assert_allclose(read, expected[name], rtol=1e-4, atol=1e-4)
     other = outputs.poses["disentangled"]["x_mm"]
@@ -135,24 +135,24 @@ def test_a_head_of_another_form_is_refused(trained, tmp_path):
     folder.mkdir()
     shutil.copy(trained / "disentangled" / "model.json", folder)
     own = networks.load_best(trained / "disentangled")
-    head = pose_head.init((8, 8, 3), jax.random.key(2))
+    head = pose_head.init((8, 8, 3), 5, jax.random.key(2))
     del head["norm"]
     average = own | {"params": own["params"] | {"head": head}}
     checkpoint.save(folder, 1, {"average": average}, {"best_step": 1, "history": []})
     with pytest.raises(UserError, match=r"disentangled was trained with an earlier form of the head .*: delete it"):
-        networks.load(tmp_path, ("disentangled",), Ranges(), Ranges())
+        networks.load(tmp_path, ("disentangled",))
 
 
 def test_the_mean_of_two_directions_goes_the_short_way_round():
     one, other = (
         dict.fromkeys(QUANTITIES, np.zeros(2)) | {"edge_deg": np.array(x)} for x in ((170.0, 10.0), (-170.0, 30.0))
     )
-    np.testing.assert_allclose(np.abs(posenet.mean_pose(one, other)["edge_deg"]), [180, 20], rtol=1e-4)
+    np.testing.assert_allclose(np.abs(posenet.mean_pose(one, other, TARGETS)["edge_deg"]), [180, 20], rtol=1e-4)
 
 
 def test_only_what_is_evaluated_is_read_and_run(trained, tmp_path):
     (tmp_path / "entangled").symlink_to(trained / "entangled")
-    outputs, scores = networks.load(tmp_path, ("entangled",), Ranges(), Ranges())(images(), images())
+    outputs, scores = networks.load(tmp_path, ("entangled",))(images(), images())
     assert set(outputs.images) == {"tap", "sheared", "entangled"}
     assert (outputs.cells, outputs.poses) == ({}, {})
     assert set(scores) == {"ms_ssim/sheared", "ms_ssim/entangled"}

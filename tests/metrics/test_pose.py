@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxunshear.metrics import pose_errors, true_quantities
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.metrics import pose_errors
+from jaxunshear.targets import of_ranges, true_values
 
 
 def quantities(x, yaw, edge, angle):
@@ -22,14 +24,15 @@ def test_angles_go_the_short_way_round(a, b, error):
     assert pose_errors(quantities(0, 0, 0, a), quantities(0, 0, 0, b))["edge_deg"][0] == pytest.approx(error, abs=1e-4)
 
 
-def test_true_quantities_take_the_right_columns():
-    true = true_quantities(np.array([[1.0, 2, 3, 4]]), np.array([[5.0, 6]]))
+def test_true_values_take_the_right_columns():
+    batch = {"pose": np.array([[1.0, 2, 3, 4]]), "edge": np.array([[5.0, 6]])}
+    true = true_values(of_ranges((), Ranges()), batch)
     assert {name: value[0] for name, value in true.items()} == {"x_mm": 1, "yaw_deg": 3, "edge_mm": 5, "edge_deg": 6}
 
 
 def test_missing_quantities_and_lengths_are_refused():
     good = quantities(0, 0, 0, 0)
     with pytest.raises(ValueError, match="edge_mm"):
-        pose_errors({name: good[name] for name in ("x_mm", "yaw_deg", "edge_deg")}, good)
+        pose_errors(good, {name: good[name] for name in ("x_mm", "yaw_deg", "edge_deg")})
     with pytest.raises(ValueError, match="x_mm"):
         pose_errors(good, {**good, "x_mm": np.zeros(2)})

@@ -8,19 +8,21 @@ import pytest
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model import posenet
 from jaxunshear.model.settings import PoseNet
+from jaxunshear.targets import of_ranges
 from jaxunshear.training.loop import run_once
 
 NET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
+TARGETS = of_ranges((), Ranges())
 
 
 def test_targets_and_units_are_inverse():
     rng = np.random.default_rng(0)
     pose = jnp.asarray(rng.uniform(-1, 1, (50, 4)) * [5, 5, 45, 6], jnp.float32)
     edge = jnp.asarray(rng.uniform(-1, 1, (50, 2)) * [7, 179], jnp.float32)
-    targets = posenet.pose_targets(pose, edge, Ranges())
+    targets = posenet.pose_targets({"pose": pose, "edge": edge}, TARGETS)
     assert targets.shape == (50, 5)
     assert np.all((targets >= 0) & (targets <= 1))
-    back = posenet.pose_from_outputs(targets, Ranges())
+    back = posenet.pose_from_outputs(targets, TARGETS)
     np.testing.assert_allclose(back["x_mm"], pose[:, 0], atol=1e-5)
     np.testing.assert_allclose(back["yaw_deg"], pose[:, 2], atol=1e-4)
     np.testing.assert_allclose(back["edge_mm"], edge[:, 0], atol=1e-5)
@@ -28,18 +30,22 @@ def test_targets_and_units_are_inverse():
 
 
 def test_the_papers_two_outputs_come_first():
-    pose = jnp.asarray([[5.0, 0, -45, 1]])
-    np.testing.assert_allclose(posenet.pose_targets(pose, jnp.zeros((1, 2)), Ranges())[0, :2], [1, 0], atol=1e-6)
+    batch = {"pose": jnp.asarray([[5.0, 0, -45, 1]]), "edge": jnp.zeros((1, 2))}
+    np.testing.assert_allclose(posenet.pose_targets(batch, TARGETS)[0, :2], [1, 0], atol=1e-6)
 
 
-def test_a_range_of_zero_still_has_a_scale():
-    targets = posenet.pose_targets(jnp.zeros((1, 4)), jnp.zeros((1, 2)), Ranges(lateral_mm=0, yaw_deg=0))
+@pytest.mark.parametrize(("lateral_mm", "yaw_deg", "outputs"), [(0, 45, 3), (5, 0, 4)])
+def test_a_range_of_zero_has_no_output_and_leaves_the_others_finite(lateral_mm, yaw_deg, outputs):
+    varied = of_ranges((), Ranges(lateral_mm=lateral_mm, yaw_deg=yaw_deg))
+    targets = posenet.pose_targets({"pose": jnp.zeros((1, 4)), "edge": jnp.zeros((1, 2))}, varied)
+    assert targets.shape == (1, outputs)
     assert np.all(np.isfinite(targets))
 
 
 @pytest.mark.parametrize("net", [NET, PoseNet()], ids=["small", "demo"])
 def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
-    variables = jax.jit(posenet.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(0))
+    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
+    variables = init(net, posenet.outputs_of(TARGETS), jax.random.key(0))
     images = jax.random.uniform(jax.random.key(1), (3, net.size, net.size, 1))
     outputs = jax.jit(lambda v, x: posenet.predict(net, v, x))(variables, images)
     assert outputs.shape == (3, 5)
@@ -53,4 +59,4 @@ def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
 @pytest.mark.parametrize(("net", "field"), [(PoseNet(size=100), "size"), (PoseNet(widths=(4, 4)), "widths")])
 def test_sizes_that_do_not_fit_are_refused_by_name(net, field):
     with pytest.raises(ValueError, match=field):
-        posenet.init(net, jax.random.key(0))
+        posenet.init(net, 5, jax.random.key(0))

@@ -10,7 +10,6 @@ from jaxunshear.evaluation.evaluate import montage, results_of
 from jaxunshear.evaluation.gather import Gathered
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.experiment import Experiment
-from jaxunshear.metrics import QUANTITIES
 
 SIZE, COUNT = 128, 36
 POSE = {"tap": 0.1, "sheared": 1.2, "entangled": 0.5, "disentangled": 0.35}
@@ -41,7 +40,7 @@ def made_up_gathered():
     spread = lambda mean, size: np.clip(mean + size * generator.normal(size=COUNT), 0, None).astype(np.float32)  # noqa: E731
     scores = {f"ms_ssim/{kind}": np.minimum(spread(mean, 0.04), 1) for kind, mean in LIKENESS.items()}
     for kind in POSE:
-        scores |= {f"pose/{kind}/{name}": spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name]) for name in QUANTITIES}
+        scores |= {f"pose/{kind}/{name}": spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name]) for name in SCALE}
     for cell in CELLS:
         scores |= {f"swap/{cell}/{metric}": spread(0.2, 0.05) for metric in ("mse", "ssim", "ms_ssim")}
     kept = np.arange(0, COUNT, 4)

@@ -135,15 +135,14 @@ def asked(monkeypatch, tmp_path):
             def length(self, split):
                 return 10
 
-        def train(net, **words):
-            words.pop("folder")
-            list(words.pop("batches")(0))
-            calls.append((net, [sorted(batch) for batch in words.pop("validation")()], words))
+        def train(task, training, batches, validation, seed, folder, **words):
+            list(batches(0))
+            learnt = (task.kind, task.net, task.targets, task.weights)
+            calls.append((learnt, training, seed, [sorted(batch) for batch in validation()], words))
             return loop.Summary("x", 1, 1, 1, 1, 1.0, 1.0, 1.0, 1.0)
 
         monkeypatch.setattr(reading, "open_set", lambda name, *words: calls.append((name, words)) or Reader())
-        monkeypatch.setattr(loop, "train_unshear", train)
-        monkeypatch.setattr(loop, "train_posenet", train)
+        monkeypatch.setattr(loop, "train", train)
         run.run_stages(experiment, (network,), tmp_path / str(len(list(tmp_path.iterdir()))), tmp_path, "none")
         return {"calls": calls}
 
@@ -159,6 +158,7 @@ def test_equal_parts_are_equal_trainings(asked, network):
         seed=5,
         networks=ALL_NETWORKS,
         unseen=("flower",),
+        targets=("yaw_deg", "y_mm"),
         sensor=replace(TACTIP_331, rings=8),
         paired=replace(BASE.paired, poses=50),
         pose=replace(BASE.pose, poses=60),

@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.targets import of_ranges
 from jaxunshear.training.settings import Training
 
 SIZE = 16
@@ -19,7 +20,7 @@ NET = UnshearNet(size=SIZE, widths=(4, 6), pose_channels=4, shear_channels=3)
 POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
 TRAINING = Training(epochs=3, batch=4, crops=5, crop_px=5, validate_every=4, l1=1e-5, l2=1e-5)
 IMAGES = 16  # an epoch: 4 steps, 12 in all
-RANGES = Ranges()
+TARGETS = of_ranges((), Ranges())
 
 
 def dots(key: int, images: int, size: int = SIZE) -> np.ndarray:
@@ -47,13 +48,15 @@ def endless(make, start: int, pause: float = 0.0) -> Iterator[dict[str, np.ndarr
 
 
 def train(folder: Path, pause: float = 0.0):
-    from jaxunshear.training.loop import train_unshear
+    from jaxunshear.training import loop
+    from jaxunshear.training.tasks import unshear_task
 
     def validation():
         return iter([pair(1000, 4), pair(1001, 3)])
 
-    return train_unshear(
-        NET, TRAINING, lambda start: endless(pair, start, pause), validation, 0, folder, epoch_images=IMAGES
+    task = unshear_task(NET, TRAINING)
+    return loop.train(
+        task, TRAINING, lambda start: endless(pair, start, pause), validation, 0, folder, epoch_images=IMAGES
     )
 
 

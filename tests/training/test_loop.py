@@ -21,6 +21,7 @@ from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training import checkpoint, loop
 from jaxunshear.training.settings import Training
 from jaxunshear.training.step import learning_rate
+from jaxunshear.training.tasks import posenet_task, unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -74,8 +75,8 @@ def straight(tmp_path_factory):
 
 
 def unshear(folder, batches=None, validation=None, net=small.NET, training=small.TRAINING):
-    return loop.train_unshear(
-        net,
+    return loop.train(
+        unshear_task(net, training),
         training,
         batches or (lambda start: small.endless(small.pair, start)),
         validation or (lambda: iter([small.pair(1000, 4), small.pair(1001, 3)])),
@@ -266,19 +267,19 @@ def test_settings_that_cannot_be_are_refused_by_name(tmp_path, net, training, wo
 
 
 def test_posenet_trains_and_reports_errors_in_units(tmp_path):
-    summary = loop.train_posenet(
-        small.POSENET,
+    summary = loop.train(
+        posenet_task(small.POSENET, small.TRAINING, small.TARGETS),
         small.TRAINING,
         lambda start: small.endless(small.pose, start),
         lambda: iter([small.pose(1000, 4), small.pose(1001, 2)]),
         0,
         tmp_path,
-        ranges=small.RANGES,
         epoch_images=small.IMAGES,
     )
     assert summary.kind == "posenet"
     assert set(lines(tmp_path)[0]["validation"]) == {"pose", "x_mm", "yaw_deg", "edge_mm", "edge_deg"}
     assert checkpoint.read_net(tmp_path) == small.POSENET
+    assert checkpoint.read_targets(tmp_path) == small.TARGETS
 
 
 def test_posenet_names_the_loss_that_nan_labels_break(tmp_path):
@@ -287,10 +288,9 @@ def test_posenet_names_the_loss_that_nan_labels_break(tmp_path):
             batch["pose"][0, 0] = np.nan
             yield batch
 
+    task = posenet_task(small.POSENET, small.TRAINING, small.TARGETS)
     with pytest.raises(UserError, match="pose not finite at step 1"):
-        loop.train_posenet(
-            small.POSENET, small.TRAINING, batches, lambda: iter(()), 0, tmp_path, ranges=small.RANGES, epoch_images=16
-        )
+        loop.train(task, small.TRAINING, batches, lambda: iter(()), 0, tmp_path, epoch_images=16)
 
 
 def test_schedules():
@@ -311,7 +311,7 @@ def test_overfits_four_images(tmp_path):
         while True:
             yield four
 
-    loop.train_unshear(net, training, same, lambda: iter([four]), 0, tmp_path, epoch_images=4)
+    loop.train(unshear_task(net, training), training, same, lambda: iter([four]), 0, tmp_path, epoch_images=4)
     variables = checkpoint.load_best(tmp_path)
     sheared, canonical = (jnp.asarray(four[name] / 255, jnp.float32) for name in ("sheared", "canonical"))
     assert float(jnp.mean((unshearnet.unshear(net, variables, sheared) - canonical) ** 2)) < 0.01  # mean image: 0.12

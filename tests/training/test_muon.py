@@ -12,10 +12,11 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.model.settings import UnshearNet
-from jaxunshear.training.loop import train_unshear
+from jaxunshear.training import loop
 from jaxunshear.training.muon import muon, orthogonal
 from jaxunshear.training.settings import Training
 from jaxunshear.training.step import optimiser_of
+from jaxunshear.training.tasks import unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -162,8 +163,9 @@ def test_a_stopped_training_with_muon_ends_equal(tmp_path):
                     raise KeyboardInterrupt
                 yield batch
 
-        return train_unshear(
-            NET, training, batches, lambda: iter([small.pair(1000, 4)]), 0, folder, epoch_images=small.IMAGES
+        task = unshear_task(NET, training)
+        return loop.train(
+            task, training, batches, lambda: iter([small.pair(1000, 4)]), 0, folder, epoch_images=small.IMAGES
         )
 
     whole = train(tmp_path / "whole")

@@ -14,6 +14,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.model import unshearnet
 from jaxunshear.training import checkpoint, loop
 from jaxunshear.training.start import Start, begun
+from jaxunshear.training.tasks import unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -49,8 +50,8 @@ def test_weights_that_do_not_fit_are_refused(start, line):
 def trained(folder, start):
     """One step so short that weights stay where they begin."""
     training = replace(small.TRAINING, epochs=0.25, learning_rate=1e-12, averaging=0.0, l1=0.0, l2=0.0)
-    return loop.train_unshear(
-        small.NET,
+    return loop.train(
+        unshear_task(small.NET, training),
         training,
         lambda first: small.endless(small.pair, first),
         lambda: iter([small.pair(1000, 4)]),

@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unet, unshearnet
 from jaxunshear.model.settings import UNet
@@ -25,11 +24,12 @@ import small
 WATCHED = replace(small.TRAINING, pose_weight=0.5)
 AGAINST_LABELS = replace(WATCHED, pose_target="label")
 UNET = UNet(small.SIZE, small.NET.widths)
+WEIGHTS = (1.0, 1.0, 4.0, 1.0, 1.0)  # of x, yaw, edge distance and both outputs of the edge's direction
 
 
 @pytest.fixture(scope="module")
 def teacher():
-    fresh = posenet.init(small.POSENET, jax.random.key(9))
+    fresh = posenet.init(small.POSENET, posenet.outputs_of(small.TARGETS), jax.random.key(9))
     # fresh ones answer 0.5 whatever they see
     wide = jax.tree.map(lambda leaf: 20 * leaf if leaf.ndim > 1 else leaf, fresh["params"])
     return partial(posenet.predict, small.POSENET, fresh | {"params": wide})
@@ -49,19 +49,19 @@ def with_poses(batch):
 
 
 def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
-    task, batch = unshear_task(small.NET, WATCHED, teacher), small.pair(3, 4)
+    task, batch = unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
     variables = task.init(jax.random.key(0))
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     named = task.validate(variables, batch)
     image = unshearnet.unshear(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
-    expected = losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS)
+    expected = losses.pose(teacher(image), teacher(canonical), WEIGHTS)
     assert float(expected.min()) > 0
     np.testing.assert_allclose(named["pose"], expected, rtol=1e-5)
     assert task.weights["pose"] == 0.5
 
 
 def test_its_gradient_reaches_what_makes_the_image_and_nothing_else(teacher):
-    task, batch = unshear_task(small.NET, WATCHED, teacher), small.pair(3, 4)
+    task, batch = unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
     gradient = gradient_of(task, task.init(jax.random.key(0)), batch, "pose")
     largest = {
         name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part)) for name, part in gradient.items()
@@ -74,7 +74,7 @@ def test_a_perfect_image_has_no_gradient(teacher):
     """An image whose every pixel is right is where the term ends, whatever the teacher makes of it."""
     canonical = jnp.asarray(small.dots(5, 3), jnp.float32) / 255
 
-    gradient = jax.grad(lambda image: jnp.sum(_watched(teacher, None, image, canonical, {})))
+    gradient = jax.grad(lambda image: jnp.sum(_watched(teacher, small.TARGETS, "tap", image, canonical, {})))
     np.testing.assert_array_equal(gradient(canonical), 0)
     assert float(jnp.abs(gradient(canonical[::-1])).max()) > 0
 
@@ -90,11 +90,11 @@ def test_without_weight_the_teacher_is_never_asked():
 
 
 def test_a_u_net_can_be_taught_too(teacher):
-    task, batch = unshear_task(UNET, WATCHED, teacher), small.pair(3, 4)
+    task, batch = unshear_task(UNET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
     variables = task.init(jax.random.key(0))
     image = unet.unshear(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
-    expected = losses.pose(teacher(image), teacher(canonical), posenet.WEIGHTS)
+    expected = losses.pose(teacher(image), teacher(canonical), WEIGHTS)
     np.testing.assert_allclose(task.validate(variables, batch)["pose"], expected, rtol=1e-5)
 
 
@@ -105,11 +105,11 @@ def test_a_weight_without_a_teacher_is_refused():
 
 @pytest.mark.parametrize("net", [small.NET, UNET], ids=["unshear", "unet"])
 def test_against_labels_the_tap_does_not_enter(teacher, net):
-    task, batch = unshear_task(net, AGAINST_LABELS, teacher, Ranges()), with_poses(small.pair(3, 4))
+    task, batch = unshear_task(net, AGAINST_LABELS, teacher, small.TARGETS), with_poses(small.pair(3, 4))
     variables = task.init(jax.random.key(0))
     image = unshear(net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
-    targets = posenet.pose_targets(batch["pose"], batch["edge"], Ranges())
-    expected = losses.pose(teacher(image), targets, posenet.WEIGHTS)
+    targets = posenet.pose_targets(batch, small.TARGETS)
+    expected = losses.pose(teacher(image), targets, WEIGHTS)
     np.testing.assert_allclose(task.validate(variables, batch)["pose"], expected, rtol=1e-5)
     terms = jax.jit(task.terms)
     trained, other = (
@@ -122,9 +122,10 @@ def test_against_labels_the_tap_does_not_enter(teacher, net):
     assert np.all(terms(variables, moved, jax.random.key(2))[0]["pose"] != trained["pose"])
 
 
-def test_against_labels_without_ranges_is_refused(teacher):
-    with pytest.raises(UserError, match="pose_target: poses are scaled"):
-        unshear_task(small.NET, AGAINST_LABELS, teacher)
+@pytest.mark.parametrize("training", [WATCHED, AGAINST_LABELS], ids=["tap", "label"])
+def test_a_teacher_without_targets_is_refused(teacher, training):
+    with pytest.raises(UserError, match="pose_weight: no pose targets are known"):
+        unshear_task(small.NET, training, teacher)
 
 
 LABELLED = replace(small.TRAINING, label_weight=0.5)
@@ -146,7 +147,7 @@ def test_labels_are_read_only_where_a_loss_asks_for_them(training, told):
 
 @pytest.mark.parametrize("net", [small.NET, replace(small.NET, disentangled=False)], ids=["disentangled", "entangled"])
 def test_labels_teach_what_makes_the_pose_code_and_nothing_else(net):
-    task, batch = unshear_task(net, LABELLED, ranges=Ranges()), with_poses(small.pair(3, 4))
+    task, batch = unshear_task(net, LABELLED, targets=small.TARGETS), with_poses(small.pair(3, 4))
     gradient = gradient_of(task, task.init(jax.random.key(0)), batch, "label")
     largest = {
         name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part)) for name, part in gradient.items()
@@ -157,22 +158,22 @@ def test_labels_teach_what_makes_the_pose_code_and_nothing_else(net):
 
 
 def test_the_label_term_is_posenets_loss_of_what_the_head_reads():
-    task, batch = unshear_task(small.NET, LABELLED, ranges=Ranges()), with_poses(small.pair(3, 4))
+    task, batch = unshear_task(small.NET, LABELLED, targets=small.TARGETS), with_poses(small.pair(3, 4))
     variables = task.init(jax.random.key(0))
     named = task.validate(variables, batch)
     z_p, _ = unshearnet.encode(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     assert z_p.shape[1:] == unshearnet.code_shape(small.NET)
     outputs = pose_head.predict(variables["params"]["head"], z_p)
-    targets = posenet.pose_targets(batch["pose"], batch["edge"], Ranges())
-    np.testing.assert_allclose(named["label"], losses.pose(outputs, targets, posenet.WEIGHTS), rtol=1e-5)
-    read = posenet.pose_from_outputs(outputs, Ranges())
+    targets = posenet.pose_targets(batch, small.TARGETS)
+    np.testing.assert_allclose(named["label"], losses.pose(outputs, targets, WEIGHTS), rtol=1e-5)
+    read = posenet.pose_from_outputs(outputs, small.TARGETS)
     np.testing.assert_allclose(named["x_mm"], jnp.abs(read["x_mm"] - batch["pose"][:, 0]), rtol=1e-4, atol=1e-5)
     assert float(named["edge_deg"].max()) <= 180
 
 
 def test_a_head_changes_nothing_of_the_network_it_starts_beside():
     plain, labelled = (
-        unshear_task(small.NET, t, ranges=Ranges()).init(jax.random.key(0)) for t in (small.TRAINING, LABELLED)
+        unshear_task(small.NET, t, targets=small.TARGETS).init(jax.random.key(0)) for t in (small.TRAINING, LABELLED)
     )
     assert set(labelled["params"]) == {*plain["params"], "head"}
     kept = {name: labelled["params"][name] for name in plain["params"]}
@@ -180,14 +181,14 @@ def test_a_head_changes_nothing_of_the_network_it_starts_beside():
 
 
 def test_without_weight_there_is_no_head_and_no_label_is_read():
-    task = unshear_task(small.NET, small.TRAINING, ranges=Ranges())
+    task = unshear_task(small.NET, small.TRAINING, targets=small.TARGETS)
     variables = task.init(jax.random.key(0))
     assert "label" not in task.terms(variables, small.pair(3, 4), jax.random.key(2))[0]
     assert "label" not in task.validate(variables, small.pair(3, 4))
 
 
-def test_labels_without_a_code_or_without_ranges_are_refused():
+def test_labels_without_a_code_or_without_targets_are_refused():
     with pytest.raises(UserError, match="label_weight: a U-Net has no code"):
-        unshear_task(UNET, LABELLED, ranges=Ranges())
-    with pytest.raises(UserError, match="label_weight: poses are scaled"):
+        unshear_task(UNET, LABELLED, targets=small.TARGETS)
+    with pytest.raises(UserError, match="label_weight: no pose targets are known"):
         unshear_task(small.NET, LABELLED)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.targets import (
+from jaxunshear.dataset.labels import (
     MOVE_COLUMNS,
     POSE_COLUMNS,
     Problem,

@@ -1,4 +1,4 @@
-"""What both builders share: TFDS without TensorFlow, over the examples of `jaxunshear.dataset.examples`.
+"""What all builders share: TFDS without TensorFlow, over the examples of `jaxunshear.dataset`.
 
 A set appears in one step (TFDS moves the finished folder into place) and with it `shards.json`, the SHA-256 of each shard,
 by which a reader tells a truncated or damaged file. Contacts made so far lie under `<data_dir>/.partial/` until then.
@@ -21,7 +21,6 @@ import tensorflow_datasets as tfds
 from jaxunshear.dataset import configs
 from jaxunshear.dataset.chunks import Engine, simulate_chunks, simulator
 from jaxunshear.dataset.examples import summary
-from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import SPLITS, draw
 from jaxunshear.errors import UserError
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
@@ -32,14 +31,14 @@ HOMEPAGE = "https://arxiv.org/abs/2109.03615"  # the paper whose data these sets
 
 
 @dataclasses.dataclass(eq=False)
-class SimulatedConfig(tfds.core.BuilderConfig):
-    settings: PairedData | PoseData | None = None
+class SetConfig(tfds.core.BuilderConfig):
+    settings: configs.Settings | None = None
     sensor: Sensor = TACTIP_331
 
 
-def standard_configs(name: str) -> list[SimulatedConfig]:
+def standard_configs(name: str) -> list[SetConfig]:
     return [
-        SimulatedConfig(
+        SetConfig(
             name=config,
             settings=settings,
             sensor=configs.sensor_of(config),
@@ -49,18 +48,8 @@ def standard_configs(name: str) -> list[SimulatedConfig]:
     ]
 
 
-class SimulatedSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # type: ignore[call-arg]
-    """Simulates, or goes on simulating, when it is prepared. `file_format` need not be given: it is array_record."""
-
-    VERSION = tfds.core.Version(configs.VERSION)
-    RELEASE_NOTES: ClassVar[dict[str, str]] = {
-        "2.0.0": "Pins as levers; contact to 60 deg from the apex.",
-        "2.1.0": "Presses in increments of 3 mm.",
-        "2.3.0": "Polygons without a ridge along rows through a corner.",
-        "2.4.0": "Pairs drift too.",
-        "1.0.0": "First release.",
-    }
-    engine: Engine | None = None  # tests put a fast stand-in for the simulator here
+class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # type: ignore[call-arg]
+    """Makes the set, or goes on making it, when it is prepared. `file_format` need not be given: it is array_record."""
 
     def _set_info(self, features: dict, keys: tuple[str, str] | None) -> tfds.core.DatasetInfo:
         info = self.dataset_info_from_configs(
@@ -96,6 +85,25 @@ class SimulatedSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # 
         shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
         write_json(folder / MANIFEST, {path.name: sha256(path) for path in shards})
 
+    def _keep_metadata(self, counts: dict, **more) -> None:
+        versions = {name: importlib.metadata.version(name) for name in ("jax", "numpy", "tensorflow-datasets")}
+        described = configs.describe(self.builder_config.settings, self.builder_config.sensor)
+        self.info.metadata.update(**described, counts=counts, versions=versions, **more)
+
+
+class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
+    """Simulates, or goes on simulating."""
+
+    VERSION = tfds.core.Version(configs.VERSION)
+    RELEASE_NOTES: ClassVar[dict[str, str]] = {
+        "2.0.0": "Pins as levers; contact to 60 deg from the apex.",
+        "2.1.0": "Presses in increments of 3 mm.",
+        "2.3.0": "Polygons without a ridge along rows through a corner.",
+        "2.4.0": "Pairs drift too.",
+        "1.0.0": "First release.",
+    }
+    engine: Engine | None = None  # tests put a fast stand-in for the simulator here
+
     def _split_generators(self, dl_manager):
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
         shots = draw(settings)
@@ -106,8 +114,7 @@ class SimulatedSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # 
                 raise UserError(
                     f"{self.name}/{self.builder_config.name}: no contact of split '{split}' converged: draw more poses"
                 )
-        versions = {name: importlib.metadata.version(name) for name in ("jax", "numpy", "tensorflow-datasets")}
-        self.info.metadata.update(**configs.describe(settings, sensor), counts=counts, versions=versions)
+        self._keep_metadata(counts)
         return {split: self._generate_examples(shots, paths, split) for split in SPLITS}
 
 

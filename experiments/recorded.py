@@ -1,0 +1,14 @@
+"""Claim: a sensor's own recordings are enough to take the slide out of its touch.
+
+    jaxunshear run experiments/recorded.py --recordings DIR                          # images
+    jaxunshear run experiments/recorded.py --recordings DIR --unshear.input pins     # pins: more exact, in minutes
+
+DIR holds taps and slides with their labels, in one of the layouts of docs/your-own-recordings.md. Taps alone train a PoseNet; slides
+alone train one that reads slides; both together are unsheared. A surface instead of an edge is a matter of the targets:
+
+    jaxunshear run experiments/recorded.py --recordings DIR --targets z_mm,Rx_deg,Ry_deg --name surface
+"""
+
+from jaxunshear.fit import BASE
+
+experiment = BASE

@@ -1,0 +1,120 @@
+"""A trained model as a laboratory uses it: prepared frames in; unsheared images and poses out, whatever its networks read.
+
+>>> perceive = perceiver(Path("runs/recorded"), experiment, recorded_too=True)
+>>> answers = perceive.answer(images)                  # (B, S, S) uint8 of {0, 255}, prepared by perceive.preprocess
+>>> answers.poses["unsheared"]["y_mm"]                 # (B,)
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxunshear.dataset.preparing import to_found, to_image
+from jaxunshear.dataset.recorded_reading import frame_from
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment, over_pins
+from jaxunshear.image.dots import dots
+from jaxunshear.image.lattice import make_lattice
+from jaxunshear.image.pins import look
+from jaxunshear.image.preprocess import View
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.image.tracking import follow_pins
+from jaxunshear.memory import keep_freed_memory
+from jaxunshear.model import pinnets, posenet, unshearnet
+from jaxunshear.model.ready import ready
+from jaxunshear.storage import read_json
+from jaxunshear.targets import names_of
+from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
+from jaxunshear.training.examples import FRAME
+
+AS_RECORDED, UNSHEARED, LEARNT = "as_recorded", "unsheared", "learnt"  # learnt: by a PoseNet that learnt from slides
+NETWORKS = ("disentangled", "posenet", "posenet_sheared")
+
+
+class Answers(NamedTuple):
+    """Of one batch: images (B, S, S) in [0, 1], poses by way and target, each (B,), and whether pins were followed for sure (B,)."""
+
+    unsheared: np.ndarray | None
+    poses: dict[str, dict[str, np.ndarray]]
+    sure: np.ndarray
+
+
+class Perceiver(NamedTuple):
+    preprocess: Preprocess  # how frames are prepared for it
+    view: View | None  # crop of the frames that it learnt from; None: each folder's own
+    names: tuple[str, ...]  # of the poses that it reads
+    answer: Callable[[np.ndarray], Answers]
+
+
+def perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> Perceiver:
+    """The networks in the folder of a run. Poses of images as they are are read only where `recorded_too`. Raises UserError."""
+    keep_freed_memory()
+    wanted = [name for name in NETWORKS if holds_model(model / name)]
+    if not isinstance(experiment.paired, Recorded):
+        wanted = [name for name in wanted if name != "posenet_sheared"]
+    if not wanted:
+        raise UserError(
+            f"{model} holds no trained network that unshears or reads poses: train one, or name another --model"
+        )
+    for name in wanted:
+        check_finished(model / name)
+    nets = {name: read_net(model / name) for name in wanted}
+    variables = {name: load_best(model / name) for name in wanted}
+    targets = {name: read_targets(model / name) for name in wanted}
+    reads = [name for name in ("posenet", "posenet_sheared") if name in nets]
+    names = names_of(targets[reads[0]]) if reads else ()
+    run = ready(partial(_look, nets, targets, recorded_too), variables)
+    if over_pins(experiment):
+        return _of_pins(model, experiment, run, names)
+    view = None
+    if isinstance(experiment.paired, Recorded):
+        view = frame_from(read_json(model / FRAME)).view
+
+    def answer(images: np.ndarray) -> Answers:
+        after, poses = jax.device_get(run(images[..., None].astype(np.float32) / 255))
+        return Answers(None if after is None else after[..., 0], poses, np.ones(len(images), bool))
+
+    return Perceiver(experiment.paired.preprocess, view, names, answer)
+
+
+def _look(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, variables: Any, seen: Any) -> Any:
+    """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
+    pins = seen.ndim == 3
+    unshear: Any = pinnets.unshear if pins else unshearnet.unshear
+    predict: Any = pinnets.predict if pins else posenet.predict
+
+    def pose(name: str, given: Any) -> Any:
+        return posenet.pose_from_outputs(predict(nets[name], variables[name], given), targets[name])
+
+    after = unshear(nets["disentangled"], variables["disentangled"], seen) if "disentangled" in nets else None
+    poses = {}
+    if "posenet" in nets and (recorded_too or after is None):
+        poses[AS_RECORDED] = pose("posenet", seen)
+    if "posenet" in nets and after is not None:
+        poses[UNSHEARED] = pose("posenet", after)
+    if "posenet_sheared" in nets:
+        poses[LEARNT] = pose("posenet_sheared", seen)
+    return after, poses
+
+
+def _of_pins(model: Path, experiment: Experiment, run: Any, names: tuple[str, ...]) -> Perceiver:
+    """Pins are found and followed first; what comes out is drawn as dots."""
+    frame = frame_from(read_json(model / FRAME))
+    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+
+    def answer(images: np.ndarray) -> Answers:
+        tracks = [follow_pins(lattice, look(image)) for image in images]
+        sure = np.array([track.sure for track in tracks])
+        motion = np.array([track.motion for track in tracks])
+        pins = to_image(frame, lattice.place + np.where(sure[:, None, None], motion, np.nan))
+        after, poses = jax.device_get(run(pins.astype(np.float32)))
+        drawn = None if after is None else np.asarray(dots(after, frame.radius_px, frame.size))[..., 0]
+        return Answers(drawn, poses, sure)
+
+    return Perceiver(replace(experiment.paired.preprocess, size=frame.pins_px), frame.view, names, answer)

@@ -1,0 +1,197 @@
+"""Recorded frames -> binary images and pins by identity, in files of some hundred frames, on all cores.
+
+What all frames have in common (crop, lattice of the untouched pins, the usual motions that help with hard frames) is found from
+training frames alone. A killed run goes on where it stopped, to the same bits.
+"""
+
+import io
+import os
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset.chunks import load_chunk, pack, unpack
+from jaxunshear.dataset.recorded import Contacts, common_view, probes_of
+from jaxunshear.dataset.recordings import read_image
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.errors import UserError
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.progress import Progress
+from jaxunshear.scene.sensor import Sensor
+from jaxunshear.storage import write_bytes
+
+CHUNK = 250  # frames in a file
+LARGEST_PX = 256  # pins are found at the frames' own size, at most this
+NOTHING = np.zeros((0, 1), np.uint8)
+LATTICE_FRAMES = 60  # training frames that the untouched pins are found from
+
+
+class Frame(NamedTuple):
+    """What the frames of a sensor have in common: how they are cropped, and where its pins stand untouched."""
+
+    view: Any  # of image.preprocess
+    place: np.ndarray  # (P, 2) px of the prepared image, as (column, row): the mean place over training taps
+    shell: np.ndarray  # (P,) 0 in the middle
+    spacing_px: float
+    radius_px: float  # of a pin
+    size: int  # side of the prepared images, px
+    pins_px: int  # side of the images that pins are found in
+
+
+def frame_of(contacts: Contacts, settings: Recorded, sensor: Sensor) -> Frame:
+    """From training frames, taps if there are any. Raises UserError where they do not show pins of this sensor."""
+    from jaxunshear.image.fitting import fit_lattice, layout_of
+    from jaxunshear.image.pins import look
+    from jaxunshear.image.preprocess import prepare_frame
+
+    view = common_view(contacts, settings.preprocess)
+    size = min(LARGEST_PX, *read_image(contacts.files[probes_of(contacts)[0]]).shape[:2])
+    train = np.flatnonzero(contacts.split == SPLITS.index("train"))
+    taps = train[~contacts.slid[train]]
+    rows = taps if len(taps) else train
+    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(LATTICE_FRAMES, len(rows))).round().astype(int))]
+    found = []
+    for row in rows:
+        try:
+            found.append(look(prepare_frame(_at(settings.preprocess, size), read_image(contacts.files[row]), view)))
+        except UserError:
+            continue  # told when all frames are read
+    lattice = fit_lattice([each.pins for each in found], layout_of(sensor))
+    scale = settings.preprocess.size / size
+    place = (lattice.place + 0.5) * scale - 0.5
+    radius = scale * float(np.median([each.radius for each in found]))
+    return Frame(view, place, lattice.shell, scale * lattice.spacing, radius, settings.preprocess.size, size)
+
+
+def prepare(
+    contacts: Contacts, settings: Recorded, frame: Frame, folder: Path, label: str = "read recordings"
+) -> list[Path]:
+    """Files in `folder`, each of CHUNK contacts: `number` (n,), `images` (n, bytes) at one bit a pixel, `pins` (n, P, 2) px of the
+    image, NaN where one is not seen, `sure` and `usable` (n,), and `problem` (n,) of those that cannot be read."""
+    count = len(contacts.files)
+    numbers = [np.arange(start, min(start + CHUNK, count)) for start in range(0, count, CHUNK)]
+    paths = [folder / f"{index:05d}.npz" for index in range(len(numbers))]
+    left = [i for i, path in enumerate(paths) if not path.exists()]
+    done = sum(len(numbers[i]) for i in range(len(paths)) if i not in left)
+    with Progress(label, count, "frames", done=done) as progress:
+        jobs = [(tuple(contacts.files[n] for n in numbers[i]), numbers[i], settings.preprocess, frame) for i in left]
+        for i, chunk in zip(left, _each(_first_pass, jobs), strict=True):
+            _write(paths[i], chunk)
+            progress.advance(len(numbers[i]))
+    usual = _usual(contacts, paths, frame)
+    hard = [path for path in paths if usual is not None and _hard(path)]
+    for path, chunk in zip(hard, _each(_second_pass, [(path, frame, usual) for path in hard]), strict=True):
+        _write(path, chunk)
+    return paths
+
+
+def _each(work: Any, jobs: list[tuple]) -> Any:
+    """`work(*job)` of each job, in order: in processes of their own where there is work enough for two."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if len(jobs) < 2 or cores < 2:
+        yield from (work(*job) for job in jobs)
+        return
+    with ProcessPoolExecutor(min(cores, len(jobs)), mp_context=get_context("spawn")) as pool:
+        yield from pool.map(work, *zip(*jobs, strict=True))
+
+
+def _at(preprocess: Preprocess, size: int) -> Preprocess:
+    return replace(preprocess, size=size)
+
+
+def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: Frame) -> dict:
+    from jaxunshear.image.lattice import make_lattice
+    from jaxunshear.image.pins import look
+    from jaxunshear.image.preprocess import prepare_frame
+    from jaxunshear.image.tracking import follow_pins
+
+    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+    size, large = preprocess.size, _at(preprocess, frame.pins_px)
+    images = np.zeros((len(files), size, size), np.uint8)
+    seen = np.zeros((len(files), frame.pins_px, frame.pins_px), np.uint8)
+    pins = np.full((len(files), len(frame.place), 2), np.nan, np.float32)
+    sure, usable = np.zeros(len(files), bool), np.zeros(len(files), bool)
+    problem = [""] * len(files)
+    for i, file in enumerate(files):
+        try:
+            raw = read_image(file)
+            seen[i] = prepare_frame(large, raw, frame.view)
+            images[i] = seen[i] if size == frame.pins_px else prepare_frame(preprocess, raw, frame.view)
+        except UserError as error:
+            problem[i] = str(error)
+            continue
+        track = follow_pins(lattice, look(seen[i]))
+        usable[i], sure[i] = True, track.sure
+        pins[i] = to_image(frame, lattice.place + track.motion)
+    return {
+        "number": number,
+        "images": pack(images),
+        "seen": pack(seen[usable & ~sure]) if (usable & ~sure).any() else NOTHING,  # to look at once more
+        "pins": np.where(sure[:, None, None], pins, np.nan),
+        "sure": sure,
+        "usable": usable,
+        "problem": np.array(problem),
+        "tried": np.array(False),
+    }
+
+
+def _second_pass(path: Path, frame: Frame, usual: Any) -> dict:
+    """The frames that were not sure once more, with the help of the motions that are usual in training."""
+    from jaxunshear.image.lattice import make_lattice
+    from jaxunshear.image.pins import look
+    from jaxunshear.image.tracking import follow_pins
+
+    chunk = load_chunk(path)
+    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+    rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
+    for row, image in zip(rows, unpack(chunk["seen"], frame.pins_px), strict=True):
+        track = follow_pins(lattice, look(image), usual)
+        if track.sure:
+            chunk["sure"][row] = True
+            chunk["pins"][row] = to_image(frame, lattice.place + track.motion)
+    return chunk | {"tried": np.array(True), "seen": NOTHING}
+
+
+def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> Any:
+    """How pins usually move, in training frames; None where no frame needs it."""
+    from jaxunshear.image.lattice import make_lattice
+    from jaxunshear.image.track import Track
+    from jaxunshear.image.tracking import usual_motions
+
+    if not any(map(_hard, paths)):
+        return None
+    chunks = [load_chunk(path) for path in paths]
+    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+    train = contacts.split == SPLITS.index("train")
+    tracks = [
+        Track(to_found(frame, pins) - lattice.place, np.zeros(0, int), 0.0, 0, 0, True)
+        for chunk in chunks
+        for pins in chunk["pins"][chunk["sure"] & train[chunk["number"]]]
+    ]
+    step = -(-len(tracks) // 2000) or 1
+    return usual_motions(lattice, tracks[::step])
+
+
+def _hard(path: Path) -> bool:
+    chunk = load_chunk(path)
+    return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
+
+
+def to_found(frame: Frame, pins: np.ndarray) -> np.ndarray:
+    """From px of the prepared image to px of the one that pins are found in."""
+    return (pins + 0.5) * (frame.pins_px / frame.size) - 0.5
+
+
+def to_image(frame: Frame, pins: np.ndarray) -> np.ndarray:
+    return (pins + 0.5) * (frame.size / frame.pins_px) - 0.5
+
+
+def _write(path: Path, chunk: dict) -> None:
+    buffer = io.BytesIO()
+    np.savez(buffer, **chunk)
+    write_bytes(path, buffer.getvalue())

@@ -1,0 +1,279 @@
+"""Recorded contacts: which are taps and which slides, in which split, and where their pins stand. Imports no JAX until images are read.
+
+contacts = survey(settings)                                     # labels alone: no image is read
+sensor = sensor_of(contacts, settings.preprocess)               # by the number of pins
+paths, frame = prepare(settings, sensor, contacts, folder)      # chunks of images and pins; goes on where a killed run stopped
+
+Splits are by pose: a tap and the slides to its pose are in the same one, whatever their order in the files.
+"""
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset.labels import read_pair_table
+from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.errors import UserError
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.scene.sensor import SENSORS, Sensor
+
+MOVED = 1e-6  # mm or deg: labels of a move below this are of a tap
+SPLIT_NAMES = {"train": "train", "val": "validation", "valid": "validation", "validation": "validation", "test": "test"}
+PROBES = 20  # training frames that crop, sensor and lattice are found from
+COUNTED = 5  # of them, whose pins are counted
+SAME_SENSOR = 0.15  # of a sensor's pins, by which a count may miss
+
+
+class Contacts(NamedTuple):
+    """N recorded contacts. Poses and moves (N, 6) are x y z mm, Rx Ry Rz deg in the labels' own frame, NaN where unknown."""
+
+    files: tuple[Path, ...]
+    names: tuple[str, ...]  # places below the folder that was named
+    pose: np.ndarray
+    move: np.ndarray
+    pose_id: np.ndarray  # (N,) -1 where unknown
+    slid: np.ndarray  # (N,) bool
+    split: np.ndarray  # (N,) index into SPLITS
+    notes: tuple[str, ...]
+    paired: bool = False  # by a table: `pose_id` then numbers its taps
+
+    def take(self, rows: np.ndarray) -> "Contacts":
+        return Contacts(
+            tuple(self.files[i] for i in rows),
+            tuple(self.names[i] for i in rows),
+            self.pose[rows],
+            self.move[rows],
+            self.pose_id[rows],
+            self.slid[rows],
+            self.split[rows],
+            self.notes,
+            self.paired,
+        )
+
+
+def survey(settings: Recorded) -> Contacts:
+    """Taps and slides of the recordings, split. Raises UserError where there is nothing, or labels do not part taps from slides."""
+    contacts = _split(everything(settings), settings)
+    for slid, kind in ((False, "taps"), (True, "slides")):
+        mine = contacts.split[contacts.slid == slid]
+        lacking = [name for index, name in enumerate(SPLITS) if len(mine) and not (mine == index).any()]
+        if lacking:
+            raise UserError(
+                f"of {len(mine)} {kind} none is in the split '{lacking[0]}': record more, or raise its share"
+            )
+    return contacts
+
+
+def everything(settings: Recorded) -> Contacts:
+    """The same in one split, the test's: recordings that a finished run is scored on."""
+    if settings.taps == settings.slides:
+        parts = [_of_one_folder(_read(settings.taps, settings.preprocess))]
+    else:
+        folders = ((settings.taps, False), (settings.slides, True))
+        parts = [_of_kind(_read(folder, settings.preprocess), slid) for folder, slid in folders if folder]
+    contacts = _joined(parts)
+    return _paired(contacts, Path(settings.pairs)) if settings.pairs else contacts
+
+
+def digest_of(folders: tuple[str, ...], pairs: str = "") -> str:
+    """Sixteen hexadecimal digits of what lies there: labels by their bytes, images by name and size."""
+    digest = hashlib.sha256()
+    for folder in dict.fromkeys(folders):
+        root = Path(folder)
+        recordings = read_recordings(root, Preprocess())
+        for file, name in zip(recordings.files, recordings.names, strict=True):
+            digest.update(f"{name} {file.stat().st_size}\n".encode())
+        for table in sorted(root.rglob("*.csv")) if root.is_dir() else []:
+            digest.update(table.read_bytes())
+    if pairs and Path(pairs).is_file():
+        digest.update(Path(pairs).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def sensor_of(contacts: Contacts, preprocess: Preprocess) -> Sensor:
+    """The sensor with as many pins as some training frames show. Raises UserError where there is none."""
+    from jaxunshear.image.pins import find_pins
+
+    counts = [len(find_pins(image)) for image in _probe_images(contacts, preprocess)[:COUNTED]]
+    pins = float(np.median(counts))
+    nearest = min(SENSORS.values(), key=lambda sensor: abs(sensor.pins - pins))
+    if abs(nearest.pins - pins) > SAME_SENSOR * nearest.pins:
+        known = ", ".join(dict.fromkeys(str(sensor.pins) for sensor in SENSORS.values()))
+        raise UserError(
+            f"{contacts.files[0].parent}: about {pins:.0f} pins are found in an image; known are sensors of {known} pins"
+        )
+    return nearest
+
+
+def probes_of(contacts: Contacts) -> np.ndarray:
+    """Rows of up to PROBES training contacts, evenly spaced: what a camera's frames have in common is found from these alone."""
+    rows = np.flatnonzero(contacts.split == SPLITS.index("train"))
+    return rows[np.unique(np.linspace(0, len(rows) - 1, min(PROBES, len(rows))).round().astype(int))]
+
+
+def common_view(contacts: Contacts, preprocess: Preprocess) -> Any:
+    """The crop and whites of the training frames; no crop where these differ in size."""
+    from jaxunshear.image import preprocess as frames
+
+    views, sizes = [], set()
+    for row in probes_of(contacts):
+        try:
+            raw = read_image(contacts.files[row])
+            views.append(frames.own_view(preprocess, raw))
+            sizes.add(raw.shape[:2])
+        except UserError:
+            continue  # `prepare` says which
+    common = frames.common_view(views)
+    return common if len(sizes) == 1 else frames.View(None, common.whites)
+
+
+def _probe_images(contacts: Contacts, preprocess: Preprocess) -> list[np.ndarray]:
+    from jaxunshear.image.preprocess import prepare_frame
+
+    view, images, problem = common_view(contacts, preprocess), [], ""
+    for row in probes_of(contacts):
+        try:
+            images.append(prepare_frame(preprocess, read_image(contacts.files[row]), view))
+        except UserError as error:
+            problem = f"{contacts.names[row]}: {error}"
+    if not images:
+        raise UserError(
+            f"none of {len(probes_of(contacts))} images of {contacts.files[0].parent} can be read; the last: {problem}"
+        )
+    return images
+
+
+def _read(folder: str, preprocess: Preprocess) -> Recordings:
+    path = Path(folder)
+    if not path.is_dir():
+        raise UserError(f"{folder} is no folder of recordings: name one with images and labels")
+    return read_recordings(path, preprocess)
+
+
+def _moved(move: np.ndarray) -> np.ndarray:
+    """(N,) 1 slid, 0 tapped, -1 unknown."""
+    known = np.isfinite(move).all(axis=1)
+    return np.where(known, (np.abs(np.nan_to_num(move)) > MOVED).any(axis=1).astype(int), -1)
+
+
+def _of_one_folder(recordings: Recordings) -> Contacts:
+    """Taps and slides that lie in one folder: by their labels."""
+    contacts = _contacts(recordings, np.zeros(len(recordings), bool))
+    moved = _moved(contacts.move)
+    if (moved < 0).all():
+        raise UserError(
+            f"{recordings.path} has no labels that say which contacts are taps: name the two folders, "
+            "`jaxunshear fit --taps DIR --slides DIR`"
+        )
+    notes = contacts.notes
+    if (moved < 0).any():
+        notes = (*notes, f"{int((moved < 0).sum())} contacts without a label of their move are left out")
+    return contacts._replace(slid=moved == 1, notes=notes).take(np.flatnonzero(moved >= 0))
+
+
+def _of_kind(recordings: Recordings, slid: bool) -> Contacts:
+    contacts = _contacts(recordings, np.full(len(recordings), slid))
+    wrong = np.zeros(len(contacts.slid), bool) if slid else _moved(contacts.move) == 1
+    if wrong.all():
+        raise UserError(f"{recordings.path} holds no taps: each of its contacts has a move in its labels")
+    if wrong.any():
+        note = f"{recordings.path}: {int(wrong.sum())} contacts have a move in their labels: no taps, left out"
+        contacts = contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(~wrong))
+    return contacts
+
+
+def _contacts(recordings: Recordings, slid: np.ndarray) -> Contacts:
+    unknown = np.full((len(recordings), 6), np.nan)
+    return Contacts(
+        recordings.files,
+        recordings.names,
+        unknown if recordings.poses is None else recordings.poses,
+        unknown if recordings.moves is None else recordings.moves,
+        np.full(len(recordings), -1) if recordings.pose_ids is None else recordings.pose_ids,
+        slid,
+        np.full(len(recordings), SPLITS.index("test")),
+        tuple(recordings.notes),
+    )
+
+
+def _split(contacts: Contacts, settings: Recorded) -> Contacts:
+    """By the folders' names; what they leave open by a hash of the pose, for taps and slides alike."""
+    named = np.array([_named_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)])
+    split = np.zeros(len(named), int)
+    drawn = _drawn(contacts, settings.seed)
+    for slid in (False, True):
+        here = contacts.slid == slid
+        there = set(named[here].tolist())
+        test = settings.test if "test" not in there else 0.0
+        validation = settings.validation if "validation" not in there else 0.0
+        for index, name in enumerate(SPLITS):
+            split[here & (named == name)] = index
+        opened = here & ((named == "") | (named == "train"))
+        split[opened & (drawn < test + validation)] = SPLITS.index("validation")
+        split[opened & (drawn < test)] = SPLITS.index("test")
+    return contacts._replace(split=split)
+
+
+def _named_split(file: Path, name: str) -> str:
+    """Of the folders below the one that was named, and of that one: `csv_train`, `val`, `test_2`."""
+    folders = file.parent.resolve().parts[-1 - name.count("/") :]
+    words = [word for folder in reversed(folders) for word in re.split(r"[^a-z]+", folder.lower())]
+    return next((SPLIT_NAMES[word] for word in words if word in SPLIT_NAMES), "")
+
+
+def _drawn(contacts: Contacts, seed: int) -> np.ndarray:
+    """(N,) numbers in [0, 1) that depend on the seed and the pose alone; on the file's name where there is no pose."""
+    keys = [
+        f"pair {number}"
+        if contacts.paired and number >= 0
+        else ",".join(f"{value:.4f}" for value in pose + 0.0)
+        if np.isfinite(pose).all()
+        else name
+        for pose, name, number in zip(np.round(contacts.pose, 4), contacts.names, contacts.pose_id, strict=True)
+    ]
+    hashes = (hashlib.blake2b(f"{seed} {key}".encode(), digest_size=8).digest() for key in keys)
+    return np.array([int.from_bytes(each, "big") / 2**64 for each in hashes])
+
+
+def _joined(parts: list[Contacts]) -> Contacts:
+    known = np.unique(np.concatenate([part.pose_id for part in parts]))
+    parts = [
+        part._replace(pose_id=np.where(part.pose_id < 0, -1, np.searchsorted(known, part.pose_id))) for part in parts
+    ]
+    joined = Contacts(
+        tuple(file for part in parts for file in part.files),
+        tuple(name for part in parts for name in part.names),
+        np.concatenate([part.pose for part in parts]),
+        np.concatenate([part.move for part in parts]),
+        np.concatenate([part.pose_id for part in parts]),
+        np.concatenate([part.slid for part in parts]),
+        np.concatenate([part.split for part in parts]),
+        tuple(dict.fromkeys(note for part in parts for note in part.notes)),
+    )
+    return joined
+
+
+def _paired(contacts: Contacts, table: Path) -> Contacts:
+    """With `pose_id` by a table of pairs, and the tap's pose for a slide that has none. Raises UserError by file and row."""
+    rows: dict[bool, dict[str, int]] = {False: {}, True: {}}
+    for row, name in enumerate(contacts.names):
+        mine = rows[bool(contacts.slid[row])]
+        mine[name] = mine[name.rpartition("/")[2]] = row
+    pose_id, pose = np.full(len(contacts.names), -1), contacts.pose.copy()
+    for number, (slide, tap) in enumerate(read_pair_table(table), 2):
+        for slid, name in ((True, slide), (False, tap)):
+            if name not in rows[slid]:
+                kind = "slide" if slid else "tap"
+                raise UserError(f"{table}, row {number}: there is no {kind} {name} in these recordings")
+        here, there = rows[True][slide], rows[False][tap]
+        pose_id[here] = pose_id[there] = there
+        if not np.isfinite(pose[here]).all():
+            pose[here] = pose[there]
+    if not (pose_id >= 0).any():
+        raise UserError(f"{table} pairs nothing")
+    return contacts._replace(pose_id=pose_id, pose=pose, paired=True)

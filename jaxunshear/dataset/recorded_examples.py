@@ -1,0 +1,116 @@
+"""Chunks of recorded frames -> examples of `tactip_recorded`, and the counts that go with a set.
+
+contacts, frame, paths = read(settings, sensor, folder)
+for key, example in examples(settings, contacts, paths, "train"): ...
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxunshear.dataset.chunks import load_chunk, pack, unpack
+from jaxunshear.dataset.pairing import background_of
+from jaxunshear.dataset.preparing import Frame, frame_of, prepare
+from jaxunshear.dataset.recorded import Contacts, survey
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.errors import UserError
+from jaxunshear.image.png import png
+from jaxunshear.scene.sensor import Sensor
+
+PNG_LEVEL = 4
+BACKGROUND_FROM = 300  # frames that tell what the housing looks like
+NAMED = 20  # frames left out that metadata name, at most
+
+
+def read(settings: Recorded, sensor: Sensor, folder: Path) -> tuple[Contacts, Frame, list[Path]]:
+    """Contacts, what their frames have in common, and chunk files in `folder`. Raises UserError."""
+    contacts = survey(settings)
+    frame = frame_of(contacts, settings, sensor)
+    return contacts, frame, prepare(contacts, settings, frame, folder)
+
+
+def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Counts, and what else a reader must know of the set, both plain JSON. Raises UserError where a split holds nothing readable."""
+    chunks = [load_chunk(path) for path in paths]
+    usable, sure, problem = (
+        np.concatenate([chunk[name] for chunk in chunks]) for name in ("usable", "sure", "problem")
+    )
+    white = np.concatenate([np.unpackbits(chunk["images"], axis=-1).mean(axis=-1) for chunk in chunks])
+    counts = counts_of(contacts, usable, sure, problem)
+    for split, count in counts["written"].items():
+        if not count:
+            raise UserError(f"no frame of split '{split}' can be read; the first: {_left_out(contacts, problem)[:1]}")
+    whole = np.isfinite(np.concatenate([chunk["pins"] for chunk in chunks])).all(axis=(1, 2))
+    more = {
+        "frame": {
+            "box": frame.view.box,
+            "whites": frame.view.whites,
+            "place_px": np.round(frame.place, 4).tolist(),
+            "shell": frame.shell.tolist(),
+            "spacing_px": round(frame.spacing_px, 4),
+            "radius_px": round(frame.radius_px, 4),
+            "size": frame.size,
+            "pins_px": frame.pins_px,
+            "background": pack(_background(contacts, frame, chunks)[None])[0].tobytes().hex(),
+        },
+        "pins": {
+            "sure": round(float(sure[usable].mean()), 6),
+            "all_seen": round(float(whole[usable].mean()), 6),
+            "white": [round(float(q), 6) for q in np.quantile(white[usable], (0.01, 0.5, 0.99))],
+        },
+        "notes": list(contacts.notes),
+    }
+    return counts, more
+
+
+def _background(contacts: Contacts, frame: Frame, chunks: list[dict[str, np.ndarray]]) -> np.ndarray:
+    """(S, S) bool: the housing as training frames show it, taps if there are any."""
+    train = contacts.split == SPLITS.index("train")
+    wanted = train & ~contacts.slid if (train & ~contacts.slid).any() else train
+    bits = np.concatenate([chunk["images"][chunk["usable"] & wanted[chunk["number"]]] for chunk in chunks])
+    chosen = bits[np.unique(np.linspace(0, len(bits) - 1, min(BACKGROUND_FROM, len(bits))).round().astype(int))]
+    return background_of(unpack(chosen, frame.size), frame.place, frame.spacing_px)
+
+
+def counts_of(contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray) -> dict[str, Any]:
+    """Of contacts (N,): by split, taps and slides apart, and which could not be read (`problem`)."""
+    kinds = {"written": np.ones(len(usable), bool), "taps": ~contacts.slid, "slides": contacts.slid}
+    return {
+        "contacts": len(usable),
+        "dropped": int((~usable).sum()),
+        "unsure": int((usable & ~sure).sum()),
+        **{
+            kind: {name: int((usable & here & (contacts.split == i)).sum()) for i, name in enumerate(SPLITS)}
+            for kind, here in kinds.items()
+        },
+        "dropped_frames": _left_out(contacts, problem)[:NAMED],
+    }
+
+
+def _left_out(contacts: Contacts, problem: np.ndarray) -> list[str]:
+    return [f"{contacts.names[row]}: {problem[row]}" for row in np.flatnonzero(problem != "")]
+
+
+def examples(settings: Recorded, contacts: Contacts, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
+    """(key, example) of every readable frame of a split."""
+    inside = contacts.split == SPLITS.index(split)
+    for path in paths:
+        chunk = load_chunk(path)
+        for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]]):
+            row = int(chunk["number"][place])
+            yield (
+                f"{row:08d}",
+                {
+                    "image": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
+                    "pins": chunk["pins"][place].astype(np.float32),
+                    "sure": int(chunk["sure"][place]),
+                    "slid": int(contacts.slid[row]),
+                    "pose": contacts.pose[row].astype(np.float32),
+                    "move": contacts.move[row].astype(np.float32),
+                    "pose_id": int(contacts.pose_id[row]),
+                    "number": row,
+                },
+            )

@@ -1,0 +1,190 @@
+"""A recorded set as networks learn from it: its taps, and its slides each with a partner.
+
+stored = open_recorded(settings, sensor, data_dir)
+taps = stored.taps()                                       # Reader of image, pins, pose, ...
+pairs = stored.pairs(targets, render)                      # Reader of canonical, sheared, their pins, pose, move, weight, gap
+"""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxunshear.dataset import pairing
+from jaxunshear.dataset.chunks import load_chunk, pack, unpack
+from jaxunshear.dataset.configs import RECORDED_SET
+from jaxunshear.dataset.preparing import Frame
+from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
+from jaxunshear.dataset.recorded import Contacts
+from jaxunshear.dataset.recorded_examples import counts_of
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.errors import UserError
+from jaxunshear.image.lattice import Lattice, make_lattice
+from jaxunshear.image.preprocess import View
+from jaxunshear.scene.sensor import Sensor
+from jaxunshear.targets import Targets, of_labels
+
+Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
+
+
+def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0) -> "RecordedSet":
+    """`seed` draws which slides are labelled, where not all are. Raises UserError where the set is missing or damaged."""
+    return RecordedSet(settings, open_set(RECORDED_SET, settings, data_dir, sensor), seed)
+
+
+def frame_from(stored: dict[str, Any]) -> Frame:
+    """The inverse of what metadata keep of a sensor's frames."""
+    box = tuple(stored["box"]) if stored["box"] else None
+    view = View(box, tuple((kind, white) for kind, white in stored["whites"]))
+    place, shell = np.array(stored["place_px"]), np.array(stored["shell"])
+    return Frame(view, place, shell, *(stored[name] for name in ("spacing_px", "radius_px", "size", "pins_px")))
+
+
+def background_of(frame: dict[str, Any]) -> np.ndarray:
+    """(S, S) bool: what is white beyond the pins, from what is stored of a sensor's frames."""
+    return unpack(np.frombuffer(bytes.fromhex(frame["background"]), np.uint8), frame["size"]) > 0
+
+
+class UnstoredSet:
+    """Chunks of prepared frames in the place of a stored set: all of them are its test split."""
+
+    def __init__(self, contacts: Contacts, paths: list[Path], frame: dict[str, Any]) -> None:
+        chunks = [load_chunk(path) for path in paths]
+        parts = {
+            name: np.concatenate([chunk[name] for chunk in chunks])
+            for name in ("images", "pins", "sure", "usable", "problem")
+        }
+        kept = parts["usable"]
+        self._test: Batch = {
+            "image": parts["images"][kept],
+            "pins": parts["pins"][kept].astype(np.float32),
+            "sure": parts["sure"][kept].astype(np.int32),
+            "slid": contacts.slid[kept].astype(np.int32),
+            "pose": contacts.pose[kept].astype(np.float32),
+            "move": contacts.move[kept].astype(np.float32),
+            "pose_id": contacts.pose_id[kept].astype(np.int32),
+            "number": np.flatnonzero(kept).astype(np.int32),
+        }
+        self.metadata: dict[str, Any] = {
+            "counts": counts_of(contacts, kept, parts["sure"], parts["problem"]),
+            "frame": frame,
+            "pins": {"sure": round(float(parts["sure"][kept].mean()), 6) if kept.any() else 0.0},
+            "notes": list(contacts.notes),
+        }
+
+    def rows(self, split: str) -> Batch:
+        return self._test if split == "test" else {name: value[:0] for name, value in self._test.items()}
+
+
+class RecordedSet:
+    def __init__(self, settings: Recorded, stored: SetReader | UnstoredSet, seed: int = 0) -> None:
+        self.seed = seed
+        self.settings, self.stored, self.metadata = settings, stored, stored.metadata
+        self.size = settings.preprocess.size
+
+    @property
+    def frame(self) -> dict[str, Any]:
+        """What the sensor's frames have in common; see `preparing.Frame`."""
+        return self.metadata["frame"]
+
+    def lattice(self) -> Lattice:
+        """The untouched pins, px of the prepared image."""
+        return make_lattice(np.array(self.frame["place_px"]), np.array(self.frame["shell"]))
+
+    def targets(self, wanted: tuple[str, ...]) -> Targets:
+        """Pose targets by the labels of training contacts alone. Raises UserError."""
+        return of_labels(wanted, self.stored.rows("train")["pose"])
+
+    def count(self, kind: str, split: str) -> int:
+        """Of "taps" or "slides"."""
+        return int(self.metadata["counts"][kind][split])
+
+    def taps(self) -> Reader:
+        """Labelled taps: image, pins, sure, pose, pose_id, stimulus, number. One at each pose of its own."""
+
+        def load(split: str) -> Batch:
+            rows = self._of(split, False)
+            return _numbered(_taken(rows, np.isfinite(rows["pose"]).all(axis=1)))
+
+        return Reader(load, self.size)
+
+    def slides(self) -> Reader:
+        """Labelled slides alone: sheared, sheared_pins, sure, pose, move, pose_id, stimulus, number. Of training and validation slides
+        the settings' share."""
+        return Reader(lambda split: _numbered(self._slides(split)), self.size)
+
+    def pairs(self, targets: Targets, render: Render | None = None) -> Reader:
+        """The same, each with a partner by the settings' pairing: canonical, canonical_pins; `render` for "rendered".
+
+        `weight` (B,) is what a pair counts in training, `gap` (B, 6) how far the partner's pose is off. Raises UserError where no slide
+        has a partner.
+        """
+        return Reader(lambda split: self._paired(split, self._slides(split), targets, render), self.size)
+
+    def _slides(self, split: str) -> Batch:
+        rows = self._of(split, True)
+        kept = np.isfinite(rows["pose"]).all(axis=1)
+        if split != "test":
+            kept &= _share(rows["number"], self.seed) < self.settings.labelled
+        rows = _taken(rows, kept)
+        batch = {name: rows[name] for name in ("pose", "move", "sure", "number", "pose_id", "stimulus")}
+        return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}
+
+    def _paired(self, split: str, batch: Batch, targets: Targets, render: Render | None) -> Batch:
+        way, count = self.settings.pairing, len(batch["pose"])
+        if way == "rendered":
+            if render is None:
+                raise ValueError("pairing 'rendered' takes a renderer")
+            pins = render(batch["pose"]).astype(np.float32)
+            images = pairing.drawn(pins, self.frame["radius_px"], background_of(self.frame))
+            partner = {"canonical": pack(images), "canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
+            return _numbered(batch | partner | {"weight": np.ones(count, np.float32)})
+        taps = self._of(split, False) if split == "train" else _concatenated([self._of(s, False) for s in SPLITS])
+        taps = _taken(taps, np.isfinite(taps["pose"]).all(axis=1))
+        if way == "nearest":
+            row, distance = pairing.nearest(targets, batch["pose"], taps["pose"])
+            weight = pairing.weights_of(distance)
+        else:
+            poses = (batch["pose"], batch["pose_id"], taps["pose"], taps["pose_id"])
+            row = pairing.same_pose(*poses, checked=way == "pose_id")
+            batch, row = _taken(batch, row >= 0), row[row >= 0]
+            if not len(row):
+                raise UserError(
+                    f"no {split} slide has a tap of its pose_id at its pose: record taps and slides of the same poses, or use "
+                    "--paired.pairing rendered"
+                )
+            weight = np.ones(len(row), np.float32)
+        partner = {
+            "canonical": taps["image"][row],
+            "canonical_pins": taps["pins"][row],
+            "gap": pairing.gaps(batch["pose"], taps["pose"][row]).astype(np.float32),
+            "weight": weight,
+        }
+        batch = batch | partner
+        return batch if way in ("pose_id", "file") else _numbered(batch)
+
+    def _of(self, split: str, slid: bool) -> Batch:
+        rows = self.stored.rows(split)
+        return _taken(rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid))
+
+
+def _taken(rows: Batch, kept: Any) -> Batch:
+    return {name: value[kept] for name, value in rows.items()}
+
+
+def _concatenated(parts: list[Batch]) -> Batch:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _numbered(rows: Batch) -> Batch:
+    """Each contact a pose of its own: none is paired anew with another's partner."""
+    return rows | {"pose_id": rows["number"]}
+
+
+def _share(number: np.ndarray, seed: int) -> np.ndarray:
+    """(N,) in [0, 1) by seed and contact: which labels are used does not depend on the order of the files."""
+    hashes = (hashlib.blake2b(f"label {seed} {n}".encode(), digest_size=8).digest() for n in number.tolist())
+    return np.array([int.from_bytes(each, "big") / 2**64 for each in hashes])

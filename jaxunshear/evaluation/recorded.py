@@ -1,0 +1,260 @@
+"""The paper's tables for networks that learnt from recordings, on recorded contacts kept out of training.
+
+Taps and slides of a test need not be of the same poses: what a PoseNet reads of taps is scored on recorded taps, what it reads of
+slides, as they are and unsheared, on recorded slides. Likeness is that of an unsheared slide to its partner, real or drawn.
+"""
+
+import dataclasses
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset.reading import Batch, Reader
+from jaxunshear.dataset.recorded_reading import RecordedSet
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.gather import IMAGES, PINS, Gathered, gather
+from jaxunshear.evaluation.networks import load
+from jaxunshear.evaluation.paper import PAPER
+from jaxunshear.evaluation.pins import pin_errors
+from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
+from jaxunshear.evaluation.spread import redrawn_means
+from jaxunshear.evaluation.summary import pose_by_depth, tables
+from jaxunshear.experiment import POSENETS, Experiment, over_pins, recorded_of
+from jaxunshear.metrics import ms_ssim_name, scales_that_fit
+from jaxunshear.targets import Targets, names_of, to_json, true_values
+from jaxunshear.training.examples import pairs_of, pins_of
+
+BATCH = 32
+KEPT = 72  # slides whose pins are found, and from which the montage is chosen
+SEED = 0  # of the bootstrap
+LABELS = ("pose", "move", "pose_id", "stimulus", "number", "sure")
+UNSHEARED = "unsheared"  # the network that a run is about, under a name that does not depend on which one it is
+
+
+class Test(NamedTuple):
+    """What is scored: slides, with partners where there are any, and taps; either may be missing."""
+
+    slides: Reader | None
+    taps: Reader | None
+    paired: bool
+
+
+def test_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path) -> Test:
+    """The test split of a recorded set, for the networks of a run."""
+    unshears = any(name not in POSENETS for name in experiment.networks)
+    slides = None
+    if stored.count("slides", "test"):
+        slides = pairs_of(experiment, stored, targets, run_dir) if unshears else stored.slides()
+    taps = stored.taps() if stored.count("taps", "test") and "posenet" in experiment.networks else None
+    return Test(slides, taps, unshears and slides is not None)
+
+
+def gathered_of(
+    experiment: Experiment, run_dir: Path, stored: RecordedSet, test: Test, targets: Targets
+) -> tuple[Gathered | None, Gathered | None]:
+    """Scores of the slides and of the taps. Raises UserError where a network is missing, or no slide and no tap is labelled."""
+    pins = pins_of(stored.frame) if over_pins(experiment) else None
+    run = load(run_dir, experiment.networks, None, experiment.train.precision, pins)
+    inputs = ("canonical_pins", "sheared_pins") if pins else IMAGES
+    slides = taps = None
+    if test.slides is not None and (count := test.slides.length("test")):
+        fields = (*IMAGES, *PINS, *LABELS)
+        if test.paired:
+            batches = test.slides.split("test", BATCH, fields)
+        else:
+            batches = _alone(test.slides.split("test", BATCH, (IMAGES[1], PINS[1], *LABELS)))
+        slides = gather(run, batches, count, KEPT, targets, inputs=inputs, named=LABELS)
+        slides = slides._replace(scores=_of_slides(slides.scores, test.paired))
+    if test.taps is not None and (count := test.taps.length("test")):
+        field = inputs[0].replace("canonical_", "").replace("canonical", "image")
+        batches = _as_pairs(test.taps.split("test", BATCH, ("image", "pins", *(n for n in LABELS if n != "move"))))
+        named = tuple(name for name in LABELS if name != "move")
+        taps = gather(run, batches, count, 0, targets, f"evaluate taps ({field})", inputs, named)
+        taps = taps._replace(scores={n: s for n, s in taps.scores.items() if n.startswith("pose/tap/")})
+    if slides is None and taps is None:
+        raise UserError("nothing can be scored: no test slide or tap has a label")
+    return slides, taps
+
+
+def results_of(
+    experiment: Experiment,
+    stored: RecordedSet,
+    targets: Targets,
+    slides: Gathered | None,
+    taps: Gathered | None,
+    test: Test,
+) -> dict[str, Any]:
+    """All of the results that follow from the scores alone."""
+    size = stored.size
+    scales = scales_that_fit(size)
+    pins = over_pins(experiment)
+    found = _tables(slides, taps, targets)
+    labels = slides.labels if slides is not None else taps.labels if taps is not None else {}
+    return {
+        "experiment": experiment.name,
+        "claim": experiment.claim,
+        "simulated": False,
+        "metric": {
+            "ms_ssim": ms_ssim_name(scales),
+            "image_px": size,
+            "scales": scales,
+            "input": experiment.unshear.input,
+            "pose_mae": "mean absolute error, in the labels' own frame, of a PoseNet trained on recorded taps (sheared_learnt: on "
+            "labelled slides); tap: on test taps; partner: on what a test slide is paired with; others: on test slides",
+            "pose_ratio": "error over the error on sheared images",
+            "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
+            "difference": "disentangled less this network, slide by slide",
+            "swap": "of drawn pins"
+            if pins
+            else f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image",
+            "pin_error": "of pins by identity, with the partner's"
+            if pins
+            else "matched centroids with the partner's pins",
+        },
+        **found,
+        "pin_error": _pin_error(slides, test, pins),
+        "tests": {},
+        "baselines": {"pose_chance": chance(true_values(targets, labels), targets)},
+        "recordings": _recordings(experiment, stored),
+        "pairing": _pairing(experiment, test, targets),
+        "targets": to_json(targets),
+        "counts": _counts(stored, slides, taps),
+        "bars": {},
+        "paper": PAPER,
+        "seeds": {"experiment": experiment.seed, "splits": stored.settings.seed, "bootstrap": SEED},
+        "settings": dataclasses.asdict(experiment),
+    }
+
+
+def as_montage(slides: Gathered) -> Gathered:
+    """The same with labels as a montage names them: depth in the fourth column of the pose, slides along x and y."""
+    labels = slides.labels
+    pose = labels["pose"][:, [0, 1, 5, 2]]
+    return slides._replace(labels=labels | {"pose": pose, "move": labels["move"][:, :2]})
+
+
+def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) -> dict[str, Any]:
+    """Tables and their intervals: taps and slides are drawn apart, as they are no pairs."""
+    of_taps = {} if taps is None else taps.scores
+    tap_means = {} if taps is None or not of_taps else redrawn_means(of_taps, taps.labels["number"], SEED + 1)
+    one = slides if slides is not None else taps
+    assert one is not None
+    scores = {} if slides is None else slides.scores
+    found = tables(scores, (), one.labels["stimulus"], one.labels["number"], SEED, (of_taps, tap_means))
+    if "z_mm" in names_of(targets) and slides is not None:
+        depth = slides.labels["pose"][:, 2]
+        drawn = (slides.labels["stimulus"], slides.labels["number"], SEED)
+        found["pose_by_depth"] = pose_by_depth(scores, depth, float(depth.min()), float(depth.max()), *drawn)
+    return _with_unsheared(found)
+
+
+def _with_unsheared(found: dict[str, Any]) -> dict[str, Any]:
+    kind = shown_kind(found["pose_mae"])
+    for table in (found, found["spread"]):
+        for name in ("pose_mae", "pose_recovery"):
+            if kind in table[name] and kind != "sheared":
+                table[name][UNSHEARED] = table[name][kind]
+    return found
+
+
+def _of_slides(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:
+    """Scores of slides: what is read off a partner is no reading of a tap; without partners there is no likeness."""
+    kept = {}
+    for name, score in scores.items():
+        table, kind, *rest = name.split("/")
+        if not paired and table != "pose":
+            continue
+        if kind == "tap":
+            if paired:
+                kept["/".join([table, PARTNER, *rest])] = score
+        else:
+            kept[name] = score
+    return kept
+
+
+def _alone(batches: Iterator[Batch]) -> Iterator[Batch]:
+    """Slides without partners, in the form of pairs."""
+    for batch in batches:
+        yield batch | {IMAGES[0]: batch[IMAGES[1]], PINS[0]: batch[PINS[1]]}
+
+
+def _as_pairs(batches: Iterator[Batch]) -> Iterator[Batch]:
+    """Taps in the form of pairs, each its own slide."""
+    for batch in batches:
+        yield batch | dict.fromkeys(IMAGES, batch["image"]) | dict.fromkeys(PINS, batch["pins"])
+
+
+def _pin_error(slides: Gathered | None, test: Test, over: bool) -> dict[str, dict[str, float | None]]:
+    """In px; how many mm these are no recording says."""
+    if slides is None or not test.paired:
+        return {}
+    if over:
+        means = {
+            name.removeprefix("pins/"): float(np.sqrt(np.nanmean(np.square(score))))
+            for name, score in slides.scores.items()
+            if name.startswith("pins/")
+        }
+        means["true_slide"] = means.pop("sheared")
+        return {kind: {"rms_px": value, "rms_mm": None} for kind, value in means.items()}
+    sure = np.isfinite(slides.pins["sheared_pins"]).all(axis=(1, 2)) & np.isfinite(slides.pins["canonical_pins"]).all(
+        axis=(1, 2)
+    )
+    if not sure.any():
+        return {}
+    kept = {kind: images[sure] for kind, images in slides.images.items()}
+    found = pin_errors(kept, slides.pins["canonical_pins"][sure], slides.pins["sheared_pins"][sure], 1.0)
+    return {
+        kind: {name: None if name == "rms_mm" else value for name, value in row.items()} for kind, row in found.items()
+    }
+
+
+def _recordings(experiment: Experiment, stored: RecordedSet) -> dict[str, Any]:
+    settings = stored.settings
+    counts = stored.metadata["counts"]
+    return {
+        "taps": settings.taps,
+        "slides": settings.slides,
+        "digest": settings.digest,
+        "sensor": experiment.sensor.name,
+        "pins": experiment.sensor.pins,
+        "pins_sure": stored.metadata["pins"]["sure"],
+        **{name: counts[name] for name in ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")},
+        "labelled": settings.labelled,
+        "notes": stored.metadata["notes"][:20],
+    }
+
+
+def _pairing(experiment: Experiment, test: Test, targets: Targets) -> dict[str, Any]:
+    """How slides are paired, and how far the partners' poses are off."""
+    recorded = recorded_of(experiment)
+    if recorded is None or test.slides is None or not test.paired:
+        return {"way": "none", "gaps": {}}
+    shown: dict[str, Any] = {}
+    for split in ("train", "test"):
+        count = test.slides.length(split)
+        if not count:
+            continue
+        gap = test.slides.take(split, np.arange(count), ("gap",))["gap"]
+        shown[split] = {
+            target.name: {
+                "median": float(np.median(gap[:, target.column])),
+                "p95": float(np.quantile(gap[:, target.column], 0.95)),
+            }
+            for target in targets
+        } | {"pairs": count}
+    return {"way": recorded.pairing, "gaps": shown}
+
+
+def _counts(stored: RecordedSet, slides: Gathered | None, taps: Gathered | None) -> dict[str, Any]:
+    written = stored.metadata["counts"]["written"]
+    unsure = 0 if slides is None else int(np.sum(slides.labels["sure"] == 0))
+    return {
+        **{split: written[split] for split in ("train", "validation", "test")},
+        "test_poses": 0 if slides is None else len(slides.labels["number"]),
+        "test_taps": 0 if taps is None else len(taps.labels["number"]),
+        "test_unsure": unsure,
+        "test_by_stimulus": {},
+        "pin_images": 0 if slides is None else len(slides.kept),
+    }

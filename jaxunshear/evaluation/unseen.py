@@ -1,0 +1,91 @@
+"""A finished run scored on recordings that it has never seen: other days, other poses, of the same sensor.
+
+>>> results = score_recordings(experiment, Path("runs/recorded"), Path("other_day"), Path("datasets"), command)
+>>> results["pose_mae"]["unsheared"]["y_mm"]
+
+All of them are scored; nothing is fitted to them. Pins are identified by the untouched ones of the training taps.
+"""
+
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.dataset.preparing import prepare
+from jaxunshear.dataset.recorded import Contacts, digest_of, everything
+from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet, frame_from
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation import recorded
+from jaxunshear.evaluation.measurements import rounded
+from jaxunshear.experiment import Experiment, recorded_of
+from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.storage import read_json
+from jaxunshear.training.checkpoint import check_finished, read_targets
+from jaxunshear.training.examples import FRAME
+
+
+def score_recordings(
+    experiment: Experiment, run_dir: Path, recordings: Path, data_dir: Path, command: str
+) -> dict[str, Any]:
+    """Results in the form of results.json. Raises UserError where the run is about simulated touches, or nothing can be read or scored."""
+    settings = recorded_of(experiment)
+    if settings is None:
+        raise UserError(
+            f"{run_dir} learnt from simulated touches: `jaxunshear unshear` and `pose` take recordings there"
+        )
+    started = time.perf_counter()
+    for network in experiment.networks:
+        check_finished(run_dir / network)
+    digest = digest_of((str(recordings),))
+    if digest == settings.digest:
+        raise UserError(
+            f"{recordings} is what {run_dir} learnt from: its held-out tenth is scored by `jaxunshear evaluate {run_dir}`"
+        )
+    settings = replace(settings, taps=str(recordings), slides=str(recordings), digest=digest, pairs="")
+    if settings.pairing == "file":
+        settings = replace(settings, pairing="pose_id")
+    contacts = everything(settings)
+    folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
+    stored = _prepared(experiment, run_dir, contacts, settings, folder)
+    targets = read_targets(run_dir / experiment.networks[-1])
+    unseen = replace(experiment, paired=settings)
+    test = recorded.test_of(unseen, stored, targets, run_dir)
+    slides, taps = recorded.gathered_of(unseen, run_dir, stored, test, targets)
+    results = recorded.results_of(unseen, stored, targets, slides, taps, test)
+    shutil.rmtree(folder, ignore_errors=True)
+    more = {
+        "trained_in": run_dir.name,
+        "ms_per_image": {},
+        "time_s": {"evaluate": time.perf_counter() - started},
+        "machine": machine(),
+        "versions": versions(),
+        "command": command,
+    }
+    return rounded(results | more)
+
+
+def _prepared(experiment: Experiment, run_dir: Path, contacts: Contacts, settings: Any, folder: Path) -> RecordedSet:
+    """The recordings as a set, seen as the run's sensor sees."""
+    known = read_json(run_dir / FRAME)
+    frame = frame_from(known)
+    paths = prepare(contacts, settings, frame, folder, f"read {settings.slides}")
+    return RecordedSet(settings, UnstoredSet(contacts, paths, known))
+
+
+def table(results: dict[str, Any]) -> str:
+    """What a person wants to know at once: errors of pose by what was looked at."""
+    names = [target["name"] for target in results["targets"]]
+    ways = [way for way in ("tap", "sheared", "unsheared", "sheared_learnt") if way in results["pose_mae"]]
+    lines = [f"{'error':<16}" + "".join(f"{name:>10}" for name in names)]
+    for way in ways:
+        lines.append(f"{way:<16}" + "".join(f"{results['pose_mae'][way][name]:>10.3f}" for name in names))
+    recovery = results["pose_recovery"].get("unsheared")
+    if recovery:
+        shown = ("      none" if recovery[name] is None else f"{recovery[name]:>10.2f}" for name in names)
+        lines.append(f"{'recovery':<16}" + "".join(shown))
+    counts = results["counts"]
+    lines.append(
+        f"{counts['test_taps']} taps, {counts['test_poses']} slides, {counts['test_unsure']} of them with unsure pins"
+    )
+    return "\n".join(lines)

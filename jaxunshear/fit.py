@@ -1,0 +1,118 @@
+"""A laboratory's recordings -> an experiment about them: which networks these allow, which sensor they are of.
+
+>>> experiment = with_recordings(BASE, taps="recordings/tap", slides="recordings/slide")
+"""
+
+import dataclasses
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.dataset.recorded import digest_of, sensor_of, survey
+from jaxunshear.dataset.settings import Recorded, RecordedTaps
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import POSENETS, Experiment
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training.settings import Training
+
+BASE = Experiment(
+    name="recorded",
+    claim="A network that learnt from a sensor's own taps and slides takes the slide out of its images.",
+    networks=("disentangled", "posenet", "posenet_sheared"),
+    paired=Recorded(),
+    pose=RecordedTaps(),
+    unshear=UnshearNet(widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256),
+    train=Training(
+        epochs=8,
+        batch=8,
+        optimiser="muon",
+        learning_rate=6e-3,
+        shift=0.0,
+        reconstruction_weight=0.3,
+        validate_every=250,
+        validation_images=512,
+    ),
+    train_posenet=Training(
+        epochs=10,
+        batch=16,
+        optimiser="muon",
+        learning_rate=1.5e-3,
+        shift=0.0,
+        validate_every=250,
+        validation_images=512,
+    ),
+)
+
+
+def with_recordings(experiment: Experiment, taps: str = "", slides: str = "", pairs: str = "") -> Experiment:
+    """`experiment` about the taps and slides in these folders, which may be one. Networks that they do not allow are left out: without
+    taps nothing unshears, and poses are learnt from slides alone. Raises UserError.
+    """
+    recorded = experiment.paired
+    if not isinstance(recorded, Recorded):
+        raise UserError(
+            f"'{experiment.name}' is about simulated touches: recordings are for experiments such as experiments/recorded.py"
+        )
+    digest = digest_of(tuple(folder for folder in (taps, slides) if folder), pairs)
+    recorded = replace(recorded, taps=taps, slides=slides, digest=digest, pairs=pairs)
+    if pairs:
+        recorded = replace(recorded, pairing="file")
+    contacts = survey(recorded)
+    networks = allowed(experiment.networks, bool((~contacts.slid).any()), bool(contacts.slid.any()))
+    if not networks:
+        raise UserError(f"networks: none of {', '.join(experiment.networks)} can learn from these recordings")
+    sensor = sensor_of(contacts, recorded.preprocess)
+    return replace(experiment, paired=recorded, networks=networks, sensor=sensor)
+
+
+def allowed(networks: tuple[str, ...], taps: bool, slides: bool) -> tuple[str, ...]:
+    """Those that can learn where there are `taps`, or `slides`, or both; of slides alone, poses."""
+    if taps and slides:
+        return networks
+    if taps:
+        return tuple(name for name in networks if name == "posenet")
+    return ("posenet_sheared",) if set(networks) & set(POSENETS) else ()
+
+
+def as_python(experiment: Experiment) -> str:
+    """The source of an experiment file: every field that is not at its default."""
+    names: set[str] = set()
+    body = _constructed(experiment, names, 0)
+    modules: dict[str, list[str]] = {}
+    for name in sorted(names):
+        modules.setdefault(_MODULES[name], []).append(name)
+    imports = "\n".join(f"from {module} import {', '.join(found)}" for module, found in sorted(modules.items()))
+    return f'"""{experiment.claim}\n\n    jaxunshear run {{this file}}\n"""\n\n{imports}\n\nexperiment = {body}\n'
+
+
+_MODULES = {
+    "Experiment": "jaxunshear.experiment",
+    "Recorded": "jaxunshear.dataset.settings",
+    "RecordedTaps": "jaxunshear.dataset.settings",
+    "Preprocess": "jaxunshear.image.settings",
+    "Sensor": "jaxunshear.scene.sensor",
+    "Training": "jaxunshear.training.settings",
+    "UnshearNet": "jaxunshear.model.settings",
+    "PoseNet": "jaxunshear.model.settings",
+    "PinNet": "jaxunshear.model.settings",
+}
+
+
+def _constructed(thing: Any, names: set[str], depth: int) -> str:
+    kind = type(thing).__name__
+    names.add(kind)
+    parts = []
+    for field in dataclasses.fields(thing):
+        value = getattr(thing, field.name)
+        default = field.default_factory() if callable(field.default_factory) else field.default
+        if value != default:
+            inner = _constructed(value, names, depth + 1) if dataclasses.is_dataclass(value) else repr(value)
+            parts.append(f"{'    ' * (depth + 1)}{field.name}={inner},")
+    return f"{kind}(\n" + "\n".join(parts) + f"\n{'    ' * depth})" if parts else f"{kind}()"
+
+
+def write_experiment(experiment: Experiment, file: Path) -> None:
+    """The experiment as a file to run again, and to change."""
+    from jaxunshear.storage import write_text
+
+    write_text(file, as_python(experiment))

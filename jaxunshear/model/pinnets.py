@@ -1,0 +1,167 @@
+"""Networks over pins: the paper's structure with dense layers over the motions of all pins, behind pure functions.
+
+>>> variables = init(PinUnshear(), rest, spread, jax.random.key(0))       # rest (P, 2) px: the untouched pins
+>>> canonical = unshear(net, variables, sheared)                          # pins (B, P, 2) px -> (B, P, 2) px
+>>> outputs = predict(pose_net, pose_variables, canonical)                # -> (B, K), as PoseNet's
+>>> pins = render(renderer, its_variables, outputs)                       # (B, K) in [0, 1] -> the pins of a tap there
+
+Ours, not the paper's, whose networks read images. A pin that is not seen is NaN, and counts as one that has not moved; with
+`hidden_pins` some are hidden at random in training. `rest` and `spread` scale what goes in and what comes out; they are constants
+that the variables carry.
+"""
+
+from typing import Any
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from jaxunshear.model.settings import PinNet, PinPoseNet, PinRenderer, PinUnshear
+
+Variables = dict[str, Any]
+
+
+class Trunk(nn.Module):
+    """Dense layers, each normalised over its units."""
+
+    net: PinNet
+
+    @nn.compact
+    def __call__(self, x: Array) -> Array:
+        for _ in range(self.net.layers):
+            x = nn.gelu(nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=nn.initializers.he_normal())(x)))
+        return x
+
+
+class Dense(nn.Module):
+    """A trunk with a linear output, which starts near zero."""
+
+    net: PinNet
+    outputs: int
+
+    @nn.compact
+    def __call__(self, x: Array) -> Array:
+        small = nn.initializers.variance_scaling(0.01, "fan_in", "truncated_normal")
+        return nn.Dense(self.outputs, kernel_init=small)(Trunk(self.net)(x))
+
+
+class Codes(nn.Module):
+    """E, DC and DS under their names in the paper, over motions (B, 2 P)."""
+
+    net: PinUnshear
+    motions: int
+
+    def setup(self) -> None:
+        net = self.net
+        self.E, self.pose, self.DC = Trunk(net), nn.Dense(net.pose_code), Dense(net, self.motions)
+        if net.shear_code:
+            self.shear, self.DS = nn.Dense(net.shear_code), Dense(net, self.motions)
+
+    def encode(self, x: Array) -> tuple[Array, Array | None]:
+        z = self.E(x)
+        return self.pose(z), self.shear(z) if self.net.shear_code else None
+
+    def decode_canonical(self, z_p: Array) -> Array:
+        return self.DC(z_p)
+
+    def decode_sheared(self, z_p: Array, z_s: Array) -> Array:
+        return self.DS(jnp.concatenate([z_p, z_s], -1))
+
+    def __call__(self, x: Array) -> tuple[Array, Array | None]:
+        z_p, z_s = self.encode(x)
+        return self.DC(z_p), None if z_s is None else self.decode_sheared(z_p, z_s)
+
+
+def init(net: PinNet, rest: ArrayLike, spread: float, key: Array, outputs: int = 0) -> Variables:
+    """Fresh variables for pins that stand untouched at `rest` (P, 2) px and move by `spread` px (root mean square). `outputs`: of the
+    pose targets together, for all but PinUnshear."""
+    motions = int(np.size(rest))
+    given = outputs if isinstance(net, PinRenderer) else motions
+    params = _module(net, motions, outputs).init(key, jnp.zeros((1, given)))["params"]
+    constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
+    return {"params": params, "batch_stats": constants}
+
+
+def unshear(net: PinUnshear, variables: Variables, pins: Array) -> Array:
+    """Sheared pins (B, P, 2) px -> canonical ones; runs neither the shear code nor DS."""
+    z_p, _ = encode(net, variables, pins)
+    return decode_canonical(net, variables, z_p)
+
+
+def encode(net: PinUnshear, variables: Variables, pins: Array) -> tuple[Array, Array | None]:
+    """Pins (B, P, 2) px -> (z_p (B, pose_code), z_s (B, shear_code) or None)."""
+    return _codes(net, variables, "encode", _motions(variables, pins))
+
+
+def decode_canonical(net: PinUnshear, variables: Variables, z_p: Array) -> Array:
+    """DC: pose code -> pins (B, P, 2) px of the tap."""
+    return _places(variables, _codes(net, variables, "decode_canonical", z_p))
+
+
+def decode_sheared(net: PinUnshear, variables: Variables, z_p: Array, z_s: Array) -> Array:
+    """DS: both codes -> pins (B, P, 2) px of the slide."""
+    return _places(variables, _codes(net, variables, "decode_sheared", z_p, z_s))
+
+
+def reconstruct(net: PinUnshear, variables: Variables, pins: Array, key: Array) -> tuple[Array, Array | None]:
+    """The training pass over sheared pins, spoilt a little: canonical and sheared ones (None without DS), (B, P, 2) px."""
+    z_p, z_s = encode(net, variables, spoilt(net, pins, key))
+    return decode_canonical(net, variables, z_p), None if z_s is None else decode_sheared(net, variables, z_p, z_s)
+
+
+def predict(net: PinPoseNet, variables: Variables, pins: Array) -> Array:
+    """Pins (B, P, 2) px -> outputs (B, K), scaled as PoseNet's but not bounded."""
+    return _dense(net, variables, _motions(variables, pins))
+
+
+def render(net: PinRenderer, variables: Variables, outputs: Array) -> Array:
+    """Poses as PoseNet's outputs (B, K) in [0, 1] -> pins (B, P, 2) px of a tap there."""
+    return _places(variables, _dense(net, variables, 2 * outputs - 1))
+
+
+def distance(pins: Array, target: Array, variables: Variables) -> Array:
+    """(B,) mean squared distance of pins (B, P, 2) in units of `spread`, over those that the target shows."""
+    seen = jnp.isfinite(target)
+    square = jnp.where(seen, jnp.square((pins - jnp.where(seen, target, 0)) / variables["batch_stats"]["spread"]), 0)
+    return square.sum((1, 2)) / jnp.maximum(seen.sum((1, 2)), 1)
+
+
+def spoilt(net: PinNet, pins: Array, key: Array) -> Array:
+    """Pins with noise, of which a share, `net.hidden_pins` at most, is hidden at random: NaN."""
+    noise_key, share_key, pin_key = jax.random.split(key, 3)
+    pins = pins + net.noise_px * jax.random.normal(noise_key, pins.shape)
+    if not net.hidden_pins:
+        return pins
+    share = net.hidden_pins * jax.random.uniform(share_key, (len(pins), 1, 1))
+    return jnp.where(jax.random.uniform(pin_key, (*pins.shape[:2], 1)) < share, jnp.nan, pins)
+
+
+def _module(net: PinNet, motions: int, outputs: int) -> nn.Module:
+    if isinstance(net, PinUnshear):
+        return Codes(net, motions)
+    return Dense(net, motions if isinstance(net, PinRenderer) else outputs)
+
+
+def _dense(net: PinNet, variables: Variables, x: Array) -> Array:
+    params = variables["params"]
+    return Dense(net, len(params["Dense_0"]["bias"])).apply({"params": params}, x)  # type: ignore[return-value]
+
+
+def _codes(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -> Any:
+    module = Codes(net, variables["batch_stats"]["rest"].size)
+    return module.apply({"params": variables["params"]}, *inputs, method=method)
+
+
+def _motions(variables: Variables, pins: Array) -> Array:
+    """(B, 2 P) in units of `spread`; 0 for pins that are not seen."""
+    constants = variables["batch_stats"]
+    motion = (pins - constants["rest"]) / constants["spread"]
+    return jnp.where(jnp.isfinite(motion), motion, 0).reshape(len(pins), -1)
+
+
+def _places(variables: Variables, motions: Array) -> Array:
+    constants = variables["batch_stats"]
+    return constants["rest"] + constants["spread"] * motions.reshape(len(motions), *constants["rest"].shape)

@@ -1,0 +1,73 @@
+"""What a training over pins does with a batch: losses as named terms per example, as in tasks.py.
+
+`rest` (P, 2) px are the untouched pins, `spread` px how far pins move (root mean square), both of training examples alone. A field
+{"weight"} (B,) weighs the examples; one whose pins are not sure should have none.
+"""
+
+from functools import partial
+
+from jax.typing import ArrayLike
+
+from jaxunshear.model import pinnets, posenet
+from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
+from jaxunshear.targets import Targets
+from jaxunshear.training import losses
+from jaxunshear.training.settings import Training
+from jaxunshear.training.tasks import Task, pose_error_terms, weighed
+
+
+def pin_unshear_task(net: PinUnshear, training: Training, targets: Targets, rest: ArrayLike, spread: float) -> Task:
+    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px."""
+
+    def terms(variables, batch, key):
+        canonical, sheared = pinnets.reconstruct(net, variables, batch["sheared_pins"], key)
+        named = {"supervised": pinnets.distance(canonical, batch["canonical_pins"], variables)}
+        if sheared is not None:
+            named["reconstruction"] = pinnets.distance(sheared, batch["sheared_pins"], variables)
+        return weighed(named, batch), variables["batch_stats"]
+
+    def validate(variables, batch):
+        z_p, z_s = pinnets.encode(net, variables, batch["sheared_pins"])
+        canonical = pinnets.decode_canonical(net, variables, z_p)
+        named = {"supervised": pinnets.distance(canonical, batch["canonical_pins"], variables)}
+        if z_s is not None:
+            sheared = pinnets.decode_sheared(net, variables, z_p, z_s)
+            named["reconstruction"] = pinnets.distance(sheared, batch["sheared_pins"], variables)
+        return weighed(named, batch)
+
+    weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight}
+    init = partial(pinnets.init, net, rest, spread)
+    return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised")
+
+
+def pin_posenet_task(net: PinPoseNet, training: Training, targets: Targets, rest: ArrayLike, spread: float) -> Task:
+    """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets."""
+    weights = posenet.output_weights(targets)
+
+    def terms(variables, batch, key):
+        outputs = pinnets.predict(net, variables, pinnets.spoilt(net, batch["pins"], key))
+        loss = losses.absolute_pose(outputs, posenet.pose_targets(batch, targets), weights)
+        return weighed({"pose": loss}, batch), variables["batch_stats"]
+
+    def validate(variables, batch):
+        outputs = pinnets.predict(net, variables, batch["pins"])
+        loss = losses.absolute_pose(outputs, posenet.pose_targets(batch, targets), weights)
+        return weighed({"pose": loss} | pose_error_terms(outputs, batch, targets), batch)
+
+    init = partial(pinnets.init, net, rest, spread, outputs=posenet.outputs_of(targets))
+    return Task("pin_posenet", net, targets, init, terms, {"pose": 1.0}, validate, "pose")
+
+
+def renderer_task(net: PinRenderer, training: Training, targets: Targets, rest: ArrayLike, spread: float) -> Task:
+    """Of PinRenderer; batches {"pins"} (B, P, 2) px of taps and the fields of the targets."""
+
+    def terms(variables, batch, key):
+        drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets))
+        return weighed({"pins": pinnets.distance(drawn, batch["pins"], variables)}, batch), variables["batch_stats"]
+
+    def validate(variables, batch):
+        drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets))
+        return weighed({"pins": pinnets.distance(drawn, batch["pins"], variables)}, batch)
+
+    init = partial(pinnets.init, net, rest, spread, outputs=posenet.outputs_of(targets))
+    return Task("renderer", net, targets, init, terms, {"pins": 1.0}, validate, "pins")

@@ -1,0 +1,244 @@
+"""Pose targets: what is written, what is known of the data, and the way from labels to outputs and back."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.errors import UserError
+from jaxunshear.metrics import pose_errors
+from jaxunshear.model import posenet
+from jaxunshear.targets import (
+    CIRCLE,
+    RANGE,
+    RECORDED,
+    SIMULATED,
+    Target,
+    fields_of,
+    from_json,
+    names_of,
+    of_labels,
+    of_ranges,
+    parsed,
+    to_json,
+    true_values,
+)
+from jaxunshear.training.tasks import _pose_errors
+
+USUAL = of_ranges((), Ranges())
+SEVERAL = ("depth_mm", "y_mm", "yaw_deg:range:2", "edge_deg:circle:0.5", "edge_mm")
+
+
+def recorded(count=60):
+    """Poses (N, 6) whose z_mm and Ry_deg stay where they are, and whose Rz_deg goes all the way round."""
+    poses = np.random.default_rng(0).uniform(-1, 1, (count, 6)) * [3, 4, 0, 10, 0, 180] + [10, 0, 2, 5, 1, 0]
+    poses[:2, 5] = -179, 179
+    return poses
+
+
+def simulated(count=50):
+    """Labels of a simulated set, all within the default ranges."""
+    rng = np.random.default_rng(0)
+    pose = rng.uniform(-1, 1, (count, 4)) * [5, 5, 45, 2.5] + [0, 0, 0, 3.5]
+    edge = rng.uniform(-1, 1, (count, 2)) * [7, 179]
+    return {"pose": jnp.asarray(pose, jnp.float32), "edge": jnp.asarray(edge, jnp.float32)}
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("x_mm", ("x_mm", None, 1.0)),
+        ("edge_deg:circle", ("edge_deg", CIRCLE, 1.0)),
+        ("edge_mm:range:4", ("edge_mm", RANGE, 4.0)),
+        ("yaw_deg:circle:0.5", ("yaw_deg", CIRCLE, 0.5)),
+    ],
+)
+def test_a_target_is_a_name_with_or_without_its_kind_and_weight(text, found):
+    assert parsed(text, SIMULATED) == found
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("z_mm", "target 'z_mm' is unknown: use x_mm, y_mm, yaw_deg, depth_mm, edge_mm, edge_deg"),
+        ("", "target '' is unknown"),
+        ("x_mm:circle", "'x_mm:circle': only an angle goes round a circle; write x_mm:range"),
+        ("yaw_deg:round", "'yaw_deg:round' is not understood: write yaw_deg, yaw_deg:range"),
+        ("yaw_deg:", "is not understood"),
+        ("yaw_deg:4", "is not understood"),
+        ("yaw_deg:range:4:4", "is not understood"),
+        *((f"x_mm:range:{weight}", "weight in the loss is a number above 0") for weight in ("0", "-1", "nan", "inf")),
+        ("x_mm:range:much", "weight in the loss is a number above 0"),
+        ("x_mm:range:", "weight in the loss is a number above 0"),
+    ],
+)
+def test_what_is_no_target_is_refused(text, line):
+    with pytest.raises(UserError, match=line):
+        parsed(text, SIMULATED)
+    with pytest.raises(UserError, match=line):
+        of_ranges((text,), Ranges())
+
+
+def test_a_simulated_set_has_the_papers_two_and_the_edge():
+    assert names_of(USUAL) == ("x_mm", "yaw_deg", "edge_mm", "edge_deg")
+    assert [target.weight for target in USUAL] == [1, 1, 4, 1]
+    assert [target.circle for target in USUAL] == [False, False, False, True]
+    assert [target.reach for target in USUAL[:3]] == [5, 45, pytest.approx(5 * 2**0.5)]
+    assert posenet.outputs_of(USUAL) == 5 and posenet.output_weights(USUAL) == (1, 1, 4, 1, 1)
+    assert fields_of(USUAL) == ("pose", "edge") and fields_of(USUAL[:2]) == ("pose",)
+
+
+@pytest.mark.parametrize(
+    ("ranges", "names"),
+    [
+        (Ranges(lateral_mm=0), ("yaw_deg", "edge_deg")),
+        (Ranges(yaw_deg=0), ("x_mm", "edge_mm", "edge_deg")),
+        (Ranges(lateral_mm=0, yaw_deg=0), ()),
+    ],
+)
+def test_what_does_not_vary_is_no_target(ranges, names):
+    assert names_of(of_ranges((), ranges)) == names
+
+
+@pytest.mark.parametrize(
+    ("text", "ranges"),
+    [
+        ("x_mm", Ranges(lateral_mm=0)),
+        ("edge_mm:range:4", Ranges(lateral_mm=0)),
+        ("yaw_deg", Ranges(yaw_deg=0)),
+        ("edge_deg:circle", Ranges(lateral_mm=0, yaw_deg=0)),
+        ("depth_mm", Ranges(depth_min_mm=2, depth_max_mm=2)),
+    ],
+)
+def test_naming_what_does_not_vary_is_refused(text, ranges):
+    with pytest.raises(UserError, match=f"target '{text.split(':')[0]}' does not vary"):
+        of_ranges((text,), ranges)
+
+
+def test_named_targets_come_in_their_order_and_take_middle_and_reach_of_their_range():
+    depth, y, yaw, angle, _ = of_ranges(SEVERAL, Ranges(lateral_mm=3, yaw_deg=90, depth_min_mm=1, depth_max_mm=5))
+    assert depth == Target("depth_mm", "pose", 3, 3.0, 2.0)
+    assert y == Target("y_mm", "pose", 1, 0.0, 3.0)
+    assert yaw == Target("yaw_deg", "pose", 2, 0.0, 90.0, weight=2.0)
+    assert angle == Target("edge_deg", "edge", 1, circle=True, weight=0.5)
+
+
+@pytest.mark.parametrize(
+    ("half", "text", "circle"),
+    [(150, "yaw_deg", False), (151, "yaw_deg", True), (151, "yaw_deg:range", False), (20, "yaw_deg:circle", True)],
+)
+def test_an_angle_is_a_circle_where_it_is_asked_for_or_goes_round(half, text, circle):
+    (target,) = of_ranges((text,), Ranges(yaw_deg=half))
+    assert target.circle == circle
+    assert target.outputs == (2 if circle else 1)
+
+
+def test_recorded_labels_that_vary_are_targets():
+    targets = of_labels((), recorded())
+    assert names_of(targets) == ("x_mm", "y_mm", "Rx_deg", "Rz_deg")
+    assert [target.circle for target in targets] == [False, False, False, True]
+    assert [target.column for target in targets] == [0, 1, 3, 5] and fields_of(targets) == ("pose",)
+
+
+def test_recorded_labels_fill_the_outputs_from_end_to_end():
+    poses = recorded()
+    wanted = np.asarray(posenet.pose_targets({"pose": poses}, of_labels(("x_mm", "y_mm", "Rx_deg"), poses)))
+    np.testing.assert_allclose(wanted.min(axis=0), 0, atol=1e-6)
+    np.testing.assert_allclose(wanted.max(axis=0), 1, atol=1e-6)
+    turned = of_labels(("Rz_deg:range",), poses)
+    wanted = np.asarray(posenet.pose_targets({"pose": poses}, turned))[:2, 0]
+    np.testing.assert_allclose(wanted, [0, 1], atol=1e-2)
+
+
+def test_rows_with_an_unknown_label_tell_nothing_of_ranges():
+    poses = recorded()
+    unknown = poses.copy()
+    unknown[:, 0] = 1e3
+    unknown[:, 4] = np.nan
+    assert of_labels((), np.concatenate([poses, unknown])) == of_labels((), poses)
+    assert of_labels((), unknown) == of_labels((), poses[:0]) == ()
+
+
+@pytest.mark.parametrize("text", ["z_mm", "Ry_deg:circle"])
+def test_naming_a_label_that_stays_where_it_is_is_refused(text):
+    with pytest.raises(UserError, match="does not vary in this data set: leave it out"):
+        of_labels((text,), recorded())
+
+
+def test_recorded_and_simulated_sets_have_names_of_their_own():
+    with pytest.raises(UserError, match="target 'edge_mm' is unknown: use x_mm, y_mm, z_mm, Rx_deg, Ry_deg, Rz_deg"):
+        of_labels(("edge_mm",), recorded())
+    assert set(RECORDED) & set(SIMULATED) == {"x_mm", "y_mm"}
+
+
+@pytest.mark.parametrize("jit", [True, False])
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5])
+def test_labels_come_back_from_their_outputs(count, jit):
+    targets, batch = of_ranges(SEVERAL[:count], Ranges()), simulated()
+
+    def there_and_back(batch):
+        outputs = posenet.pose_targets(batch, targets)
+        return outputs, posenet.pose_from_outputs(outputs, targets)
+
+    outputs, back = (jax.jit(there_and_back) if jit else there_and_back)(batch)
+    assert outputs.shape == (50, posenet.outputs_of(targets)) == (50, len(posenet.output_weights(targets)))
+    assert 0 <= float(outputs.min()) < float(outputs.max()) <= 1
+    true = true_values(targets, batch)
+    assert tuple(true) == names_of(targets) and set(back) == set(true)
+    for name, values in true.items():
+        np.testing.assert_allclose(back[name], values, atol=1e-3 if name.endswith("_deg") else 1e-5)
+
+
+def test_simulated_outputs_are_the_very_numbers_they_were():
+    """Of the default targets: labels over the largest there can be, or cosine and sine, moved from [-1, 1] to [0, 1]."""
+    batch, ranges = simulated(), Ranges()
+    pose, edge, angle = batch["pose"], batch["edge"], jnp.deg2rad(batch["edge"][:, 1])
+    lateral, yaw, distance = ranges.lateral_mm, ranges.yaw_deg, 2**0.5 * ranges.lateral_mm
+    signed = (pose[:, 0] / lateral, pose[:, 2] / yaw, edge[:, 0] / distance, jnp.cos(angle), jnp.sin(angle))
+    former = (jnp.stack(signed, -1) + 1) / 2
+    np.testing.assert_array_equal(posenet.pose_targets(batch, USUAL), former)
+    back, signed = posenet.pose_from_outputs(former, USUAL), 2 * former - 1
+    for i, (name, scale) in enumerate({"x_mm": lateral, "yaw_deg": yaw, "edge_mm": distance}.items()):
+        np.testing.assert_array_equal(back[name], scale * signed[:, i])
+    np.testing.assert_array_equal(back["edge_deg"], jnp.rad2deg(jnp.arctan2(signed[:, 4], signed[:, 3])))
+
+
+@pytest.mark.parametrize("kind", [CIRCLE, RANGE])
+@pytest.mark.parametrize(("label", "answer", "error"), [(179, -179, 2), (-180, 180, 0), (-10, 10, 20), (90, -90, 180)])
+def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
+    """In training and in evaluation, and whether the angle is one output or two."""
+    labels, answers = np.zeros((2, 6), np.float32), np.zeros((2, 6), np.float32)
+    labels[:, 5], answers[:, 5] = (label, 10), (answer, 10)
+    targets = of_labels((f"Rz_deg:{kind}",), np.array([[0, 0, 0, 0, 0, -180.0], [0, 0, 0, 0, 0, 180.0]]))
+    outputs, batch = posenet.pose_targets({"pose": answers}, targets), {"pose": labels}
+    np.testing.assert_allclose(_pose_errors(outputs, batch, targets)["Rz_deg"], [error, 0], atol=1e-3)
+    read = {name: np.asarray(value) for name, value in posenet.pose_from_outputs(outputs, targets).items()}
+    np.testing.assert_allclose(pose_errors(read, true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3)
+
+
+def test_errors_of_lengths_do_not_wrap():
+    (target,) = targets = of_labels(("x_mm",), np.array([[-200.0, 0, 0, 0, 0, 0], [200.0, 0, 0, 0, 0, 0]]))
+    assert (target.middle, target.reach) == (0, 200)
+    outputs = posenet.pose_targets({"pose": np.full((1, 6), -190, np.float32)}, targets)
+    assert float(_pose_errors(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)["x_mm"][0]) == 380
+
+
+def test_the_mean_of_two_answers_goes_round_only_for_a_circle():
+    one, other = {"yaw_deg": np.array([170.0])}, {"yaw_deg": np.array([-170.0])}
+    circle, plain = (of_ranges((f"yaw_deg:{kind}",), Ranges(yaw_deg=180)) for kind in (CIRCLE, RANGE))
+    assert abs(float(posenet.mean_pose(one, other, circle)["yaw_deg"][0])) == pytest.approx(180, abs=1e-3)
+    assert float(posenet.mean_pose(one, other, plain)["yaw_deg"][0]) == 0
+
+
+@pytest.mark.parametrize("targets", [USUAL, of_ranges(SEVERAL, Ranges()), of_labels((), recorded()), ()])
+def test_targets_come_back_from_json(targets):
+    assert from_json(json.loads(json.dumps(to_json(targets))), "model.json") == targets
+
+
+@pytest.mark.parametrize("stored", [[{"name": "x_mm"}], [{"title": "x_mm"}], ["x_mm"], 5, None])
+def test_json_of_another_form_is_refused(stored):
+    with pytest.raises(UserError, match=r"posenet/model\.json tells no pose targets that this version knows"):
+        from_json(stored, "posenet/model.json")
