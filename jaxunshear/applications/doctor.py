@@ -15,7 +15,7 @@ import numpy as np
 
 from jaxunshear.applications.halves import Column, Pairing, column, pairing, taps_and_slides
 from jaxunshear.applications.sampled import Seen, seen
-from jaxunshear.applications.uses import Use, halves_of, lacks_of, uses_of
+from jaxunshear.applications.uses import Use, lacks_of, learnt_from, uses_of
 from jaxunshear.dataset.labels import MOVE_COLUMNS, POSE_COLUMNS, Problem, columns_of, read_table, table_of
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
@@ -50,7 +50,7 @@ class Part:
 class Diagnosis:
     path: Path
     parts: tuple[Part, ...]
-    pairing: Pairing  # of the folder of taps and that of slides which go together, or of all contacts
+    pairing: Pairing  # of the folders that training would take, or of all contacts
     problems: tuple[Problem, ...]  # what is broken, and where
     lacks: tuple[str, ...]  # what is not there, a line each
     uses: tuple[Use, ...]
@@ -86,7 +86,7 @@ def examine(path: str | Path) -> Diagnosis:
         raise UserError(f"none of {len(recordings)} images in {path} can be used; the last: {problems[-1]}")
     found = tuple(parts)
     pairs = _pairs(recordings, list(rows.values()), found)
-    return Diagnosis(path, found, pairs, tuple(problems), lacks_of(found, pairs), uses_of(path, found, pairs))
+    return Diagnosis(path, found, pairs, tuple(problems), lacks_of(found, pairs), uses_of(path, found))
 
 
 def rows_of(diagnosis: Diagnosis) -> dict[str, Any]:
@@ -112,14 +112,9 @@ def _row(part: Part) -> dict[str, Any]:
 
 
 def _pairs(recordings: Recordings, rows: list[list[int]], parts: tuple[Part, ...]) -> Pairing:
-    """Of the two folders that go together; of all contacts where there are no such two."""
-    halves = halves_of(parts)
-    kept = [
-        row
-        for own, part in zip(rows, parts, strict=True)
-        if not halves or any(part is half for half in halves)
-        for row in own
-    ]
+    """Of the folders that training would take; of all contacts where there are none."""
+    taken = {part.path for part in learnt_from(parts) or parts}
+    kept = [row for own, part in zip(rows, parts, strict=True) if part.path in taken for row in own]
     poses, moves, ids = (
         None if labels is None else labels[kept] for labels in (recordings.poses, recordings.moves, recordings.pose_ids)
     )

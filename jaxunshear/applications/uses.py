@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shlex
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,7 +74,7 @@ def _sensor_lacks(part: Part) -> list[str]:
     return lacks
 
 
-def uses_of(path: Path, parts: tuple[Part, ...], pairs: Pairing) -> tuple[Use, ...]:
+def uses_of(path: Path, parts: tuple[Part, ...]) -> tuple[Use, ...]:
     """Of recordings at `path`, the command lines to give next."""
     ready = [part for part in parts if part.seen and not part.seen.pixels.negative]
     alike = len(ready) == len(parts) and len({_camera(part) for part in ready}) == 1
@@ -83,7 +84,7 @@ def uses_of(path: Path, parts: tuple[Part, ...], pairs: Pairing) -> tuple[Use, .
     else:
         why = "the pins are dark: invert the images first" if any(part.seen for part in parts) else "no usable images"
         uses = [Use(_line("pins", path), why), Use(_line("unshear", path, "--out", "unsheared"), why)]
-    return (*uses, *_trained(ready, pairs))
+    return (*uses, *_trained(parts))
 
 
 def _line(*words: str | Path) -> str:
@@ -106,47 +107,61 @@ def _released(place: Path, pins: Pins) -> tuple[Use, ...]:
     return tuple(Use(line, why, "" if why else SIMULATED) for line in lines)
 
 
-def _trained(parts: Sequence[Part], pairs: Pairing) -> tuple[Use, ...]:
-    """What learns from taps and slides with poses."""
-    found = halves_of(parts)
-    why = "" if found else _no_halves(parts, pairs)
-    tap, slide = (part.path for part in found) if found else ("DIR", "DIR")
-    both = os.path.commonpath([tap, slide])
-    return (
-        Use(_line("fit", "--taps", tap, "--slides", slide), why),
-        Use(_line("run", "experiments/recorded.py", "--recordings", both), why),
-    )
+def learnt_from(parts: Sequence[Part]) -> list[Part]:
+    """The folders that training would take: of known poses, moves and pins, and of the one camera that has most contacts."""
+    known = [part for part in parts if part.posed and part.taps + part.slides and _of_sensor(part)]
+    contacts: Counter[tuple[object, ...]] = Counter()
+    for part in known:
+        contacts[_camera(part)] += part.taps + part.slides
+    return [part for part in known if _camera(part) == contacts.most_common(1)[0][0]]
 
 
-def halves_of(parts: Sequence[Part]) -> tuple[Part, Part] | None:
-    """A folder of taps and one of slides that go together: for training where there is a choice, and large."""
-    parts = [part for part in parts if part.seen and not part.seen.pixels.negative]
-    taps = [part for part in parts if part.posed and part.taps and part.slides <= FEW * part.taps]
-    slides = [part for part in parts if part.posed and part.slides and part.taps <= FEW * part.slides]
-    pairs = [(tap, slide) for tap in taps for slide in slides if _camera(tap) == _camera(slide)]
-    return max(pairs, key=_worth, default=None)
+def _of_sensor(part: Part) -> bool:
+    return part.seen is not None and not part.seen.pixels.negative and part.seen.pins.sensor is not None
 
 
 def _camera(part: Part) -> tuple[object, ...]:
     return part.size, part.seen and part.seen.pins.sensor
 
 
-def _worth(pair: tuple[Part, Part]) -> tuple[bool, bool, int]:
-    tap, slide = pair
-    alike = tap.path.name == slide.path.name
-    return alike, "train" in tap.path.name and "train" in slide.path.name, min(tap.taps, slide.slides)
+def _trained(parts: Sequence[Part]) -> tuple[Use, Use]:
+    """What learns from taps and slides with poses."""
+    kept = learnt_from(parts)
+    if not kept:
+        why = _not_learnt_from(parts)
+        run = _line("run", "experiments/recorded.py", "--recordings", "DIR")
+        return Use(_line("fit", "--taps", "DIR", "--slides", "DIR"), why), Use(run, why)
+    mixed = any(FEW < part.taps / (part.taps + part.slides) < 1 - FEW for part in kept)
+    taps = [part for part in kept if mixed or part.taps > part.slides]
+    slides = [part for part in kept if mixed or part.taps <= part.slides]
+    named = [(option, _folder(half, parts)) for option, half in (("--taps", taps), ("--slides", slides)) if half]
+    note = "" if taps and slides else "of taps or slides alone networks learn to read poses, not to unshear"
+    above = _above(kept)
+    why = "" if _alone(above, kept, parts) else f"{above} holds recordings of another kind too: use `fit`"
+    return (
+        Use(_line("fit", *(word for words in named for word in words)), note=note),
+        Use(_line("run", "experiments/recorded.py", "--recordings", above), why, note),
+    )
 
 
-def _no_halves(parts: Sequence[Part], pairs: Pairing) -> str:
-    if not parts:
-        return "no usable images"
+def _folder(some: Sequence[Part], parts: Sequence[Part]) -> Path:
+    """What to name for some of the parts: the folder above them, if it holds no others; else the largest of them."""
+    above = _above(some)
+    return above if _alone(above, some, parts) else max(some, key=lambda part: part.images).path
+
+
+def _above(parts: Sequence[Part]) -> Path:
+    return Path(os.path.commonpath([part.path for part in parts]))
+
+
+def _alone(folder: Path, some: Sequence[Part], parts: Sequence[Part]) -> bool:
+    """Whether a folder holds none but some of the parts."""
+    return {part.path for part in parts if part.path.is_relative_to(folder)} <= {part.path for part in some}
+
+
+def _not_learnt_from(parts: Sequence[Part]) -> str:
+    if not any(_of_sensor(part) for part in parts):
+        return "there are no usable images of a known sensor"
     if not any(part.posed for part in parts):
         return "no poses are known"
-    if not any(part.moved for part in parts):
-        return "which contacts are taps is not known: name the folders of both yourself"
-    if not pairs.taps or not pairs.slides:
-        lacking = "taps" if not pairs.taps else "slides"
-        return f"there are no {lacking} here: name the folder above, if these lie beside it"
-    if any(part.taps and part.slides for part in parts):
-        return "taps and slides share a folder: give each a folder of its own"
-    return "taps and slides are of different sensors or sizes"
+    return "which contacts are taps is not known: name the folders of both yourself"

@@ -88,19 +88,20 @@ def test_taps_and_slides_of_each_layout(tmp_path, columns, images, layout):
             ("run", "experiments/recorded.py", "--recordings", root),
         )
     ]
-    for command in works(diagnosis)[:3]:
+    for command in works(diagnosis):
         _parser().parse_args(shlex.split(command)[1:])
 
 
-def test_one_half_alone_does_not_train(tmp_path):
-    recorded(tmp_path / "tap")
-    diagnosis = examine(tmp_path / "tap")
-    assert diagnosis.lacks == ("no slides: every known move is 0",)
-    refused = {use.command.split()[1]: use.why_not for use in diagnosis.uses if not use.works}
-    assert refused.keys() == {"fit", "run"}
-    assert "no slides here" in refused["fit"]
-    recorded(tmp_path / "slide", slide=1.0)
-    assert examine(tmp_path / "slide").lacks == ("no taps: no known move is 0",)
+def test_one_kind_alone_teaches_poses(tmp_path):
+    for name, slide, lacks in (("tap", 0.0, "no slides: every known move is 0"), ("slide", 1.0, "no taps: no known")):
+        root = recorded(tmp_path / name, slide=slide)
+        diagnosis = examine(root)
+        assert len(diagnosis.lacks) == 1 and diagnosis.lacks[0].startswith(lacks)
+        assert works(diagnosis)[-2:] == [
+            f"jaxunshear fit --{name}s {root}",
+            f"jaxunshear run experiments/recorded.py --recordings {root}",
+        ]
+        assert "note: of taps or slides alone networks learn to read poses, not to unshear" in text_of(diagnosis)
 
 
 def test_poses_without_moves(tmp_path):
@@ -118,33 +119,49 @@ def test_taps_and_slides_in_one_folder(tmp_path):
     file.write_text(file.read_text().replace("-100,1.0", "-100,0.0"))
     diagnosis = examine(root)
     assert (diagnosis.parts[0].taps, diagnosis.parts[0].slides) == (1, 2)
-    (fit,) = (use for use in diagnosis.uses if " fit " in use.command)
-    assert fit.why_not == "taps and slides share a folder: give each a folder of its own"
+    assert f"jaxunshear fit --taps {root} --slides {root}" in works(diagnosis)
 
 
-def test_halves_of_different_sensors_are_not_put_together(tmp_path):
-    recorded(tmp_path / "tap")
-    recorded(tmp_path / "slide", TACTIP_127, slide=1.0)
+def test_different_sensors_are_not_put_together(tmp_path):
+    taps = recorded(tmp_path / "tap")
+    recorded(tmp_path / "slide", TACTIP_127, slide=1.0, count=2)
     diagnosis = examine(tmp_path)
-    (fit,) = (use for use in diagnosis.uses if "fit" in use.command)
-    assert fit.why_not == "taps and slides are of different sensors or sizes"
-    assert f"jaxunshear pins {tmp_path / 'tap'}" in works(diagnosis)
-    assert f"jaxunshear pins {tmp_path / 'slide'} --sensor tactip127" in works(diagnosis)
+    assert works(diagnosis)[:2] == [
+        f"jaxunshear pins {tmp_path / 'slide'} --sensor tactip127",
+        f"jaxunshear pins {taps}",
+    ]
+    assert f"jaxunshear fit --taps {taps}" in works(diagnosis)
+    assert f"jaxunshear run experiments/recorded.py --recordings {taps}" in works(diagnosis)
+    assert (diagnosis.pairing.taps, diagnosis.pairing.slides) == (3, 0)
 
 
-def test_the_training_halves_are_chosen(tmp_path):
+def test_folders_above_splits_and_those_beside_others(tmp_path):
     for split in ("csv_train", "csv_val"):
-        recorded(tmp_path / "tap" / split)
-        recorded(tmp_path / "shear" / split, slide=1.0)
-    (fit,) = (line for line in works(examine(tmp_path)) if " fit " in line)
-    assert fit.endswith(f"--taps {tmp_path / 'tap' / 'csv_train'} --slides {tmp_path / 'shear' / 'csv_train'}")
+        recorded(tmp_path / "edge" / "tap" / split, count=2)
+        recorded(tmp_path / "edge" / "shear" / split, slide=1.0, count=2)
+    edge = tmp_path / "edge"
+    both = [
+        f"jaxunshear fit --taps {edge / 'tap'} --slides {edge / 'shear'}",
+        f"jaxunshear run experiments/recorded.py --recordings {edge}",
+    ]
+    assert works(examine(edge))[-2:] == both
+    recorded(tmp_path / "other", TACTIP_127, count=2)
+    diagnosis = examine(tmp_path)
+    assert works(diagnosis)[-2:] == both
+    assert (diagnosis.pairing.taps, diagnosis.pairing.slides) == (4, 4)
+    recorded(edge / "other", TACTIP_127, count=2)
+    (run,) = (use for use in examine(edge).uses if " run " in use.command)
+    assert run.why_not == f"{edge} holds recordings of another kind too: use `fit`"
 
 
 def test_other_sensors(tmp_path):
     recorded(tmp_path / "127", TACTIP_127)
     diagnosis = examine(tmp_path / "127")
     assert diagnosis.parts[0].seen.pins.sensor == "tactip127"
-    assert works(diagnosis) == [f"jaxunshear pins {tmp_path / '127'} --sensor tactip127"]
+    assert works(diagnosis)[0] == f"jaxunshear pins {tmp_path / '127'} --sensor tactip127"
+    refused = [use for use in diagnosis.uses if not use.works]
+    assert [use.command.split()[1] for use in refused] == ["unshear", "pose"]
+    assert "know 331 pins" in refused[0].why_not
     recorded(tmp_path / "other", OTHER)
     diagnosis = examine(tmp_path / "other")
     assert diagnosis.parts[0].seen.pins.sensor is None
