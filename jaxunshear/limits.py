@@ -13,6 +13,7 @@ from jaxunshear.dataset.settings import PAIRINGS, PairedData, PoseData, Ranges, 
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import (
     ALL_NETWORKS,
+    PAIR_LOSSES,
     PIN_NETWORKS,
     RENDERER,
     TEACHER,
@@ -38,16 +39,6 @@ PRECISIONS = ("float32", "bfloat16")
 INPUTS = ("images", "pins")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
-# Fields of `Training` that no PoseNet's training reads.
-PAIR_LOSSES = (
-    "patch_weight",
-    "crops",
-    "crop_px",
-    "reconstruction_weight",
-    "pose_weight",
-    "pose_target",
-    "label_weight",
-)
 FEWEST_POSES = 5  # the smallest number that 60:20:20 splits exactly
 
 

@@ -68,7 +68,7 @@ def pairs_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_
     """Slides with their partners, drawn by the run's renderer where the pairing asks for one."""
     recorded = recorded_of(experiment)
     rendered = recorded is not None and recorded.pairing == "rendered"
-    return stored.pairs(targets, _render(run_dir / RENDERER) if rendered else None)
+    return stored.pairs(targets, _render(run_dir / RENDERER) if rendered else None, not over_pins(experiment))
 
 
 def pins_of(frame: dict[str, Any]) -> Pins:
@@ -102,9 +102,10 @@ def _render(folder: Path) -> Render:
 
     def render(poses: np.ndarray) -> np.ndarray:
         parts = []
-        for start in range(0, len(poses), POSES_AT_ONCE):
+        for start in range(0, max(1, len(poses)), POSES_AT_ONCE):
             here = poses[start : start + POSES_AT_ONCE]
-            filled = np.resize(here, (POSES_AT_ONCE, here.shape[1]))
+            filled = np.zeros((POSES_AT_ONCE, poses.shape[1]), np.float32)  # one shape to compile
+            filled[: len(here)] = here
             parts.append(np.asarray(run(posenet.pose_targets({"pose": filled}, targets)))[: len(here)])
         return np.concatenate(parts)
 
