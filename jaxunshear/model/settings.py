@@ -62,6 +62,12 @@ class PinNet:
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
 
 
+def without_pin_codes(net: PinNet) -> PinNet:
+    """`net` with what only PinUnshear reads at its default."""
+    plain = PinNet()
+    return replace(net, jitter=plain.jitter, pose_code=plain.pose_code, shear_code=plain.shear_code)
+
+
 @dataclass(frozen=True)
 class PinUnshear(PinNet):
     """Sheared pins to canonical ones, by a pose code."""

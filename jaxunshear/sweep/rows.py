@@ -29,7 +29,7 @@ from jaxunshear.experiment import (
     trained,
     without_pair_losses,
 )
-from jaxunshear.model.settings import without_codes
+from jaxunshear.model.settings import without_codes, without_pin_codes
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
@@ -117,7 +117,9 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         unused = ("name", "claim", *TESTS)
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     if over_pins(experiment) and network in (*POSENETS, RENDERER):
-        part = dataclasses.replace(part, train_pins=without_pair_losses(part.train_pins))
+        part = dataclasses.replace(
+            part, train_pins=without_pair_losses(part.train_pins), pins=without_pin_codes(part.pins)
+        )
     if isinstance(part.paired, Recorded) and network in (RENDERER, TEACHER, "posenet"):  # these learn from taps alone
         part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, pairing="rendered", labelled=1.0))
     if network in WITHOUT_CODES:

@@ -10,7 +10,15 @@ from typing import Any
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained, training_of
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, UNet, UnshearNet, without_codes
+from jaxunshear.model.settings import (
+    PinPoseNet,
+    PinRenderer,
+    PinUnshear,
+    UNet,
+    UnshearNet,
+    without_codes,
+    without_pin_codes,
+)
 from jaxunshear.model.unshearnet import as_large_entangled
 from jaxunshear.targets import fields_of
 from jaxunshear.training import pin_tasks, tasks
@@ -28,12 +36,12 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     if network == RENDERER or over_pins(experiment):
         field = {"posenet": "pins", TEACHER: "pins", RENDERER: "pins"}.get(network, "sheared_pins")
         known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
-        net = asdict(experiment.pins)
+        plain, net = asdict(without_pin_codes(experiment.pins)), asdict(experiment.pins)
         sure = ("sure",) if recorded_of(experiment) else ()  # simulated pins are all known
         if network == RENDERER:
-            return pin_tasks.renderer_task(PinRenderer(**net), training, *known), ("pins", *sure, *labels)
+            return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
         if network in POSENETS:
-            return pin_tasks.pin_posenet_task(PinPoseNet(**net), training, *known), (field, *sure, *labels)
+            return pin_tasks.pin_posenet_task(PinPoseNet(**plain), training, *known), (field, *sure, *labels)
         codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
         teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
         render = _renderer(folder) if RENDERER in trained(experiment) else None
