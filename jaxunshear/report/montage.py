@@ -13,6 +13,7 @@ from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, pictures, words
 from jaxunshear.storage import BROKEN_NPZ
 
+WIDE = 22  # letters that do not fit above an image
 Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
 
 
@@ -77,7 +78,7 @@ def drawing(shown: Shown, results: dict[str, Any]) -> bytes:
             axes.set(xticks=[], yticks=[])
             axes.set_xlabel(text, fontsize=8)
             if row == rows[0]:
-                axes.set_title(head, fontsize=9)
+                axes.set_title(head if len(head) < WIDE else head.replace(" against", "\nagainst"), fontsize=9)
         line[0].set_ylabel("\n".join(_words(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})

@@ -31,7 +31,7 @@ def similarity(results: dict[str, Any]) -> str:
         for kind in ours
     ]
     name, size = results["metric"]["ms_ssim"], results["metric"]["image_px"]
-    drawn = " of pins, drawn" if words.over_pins(results) else ""
+    drawn = " of drawn pins" if words.over_pins(results) else ""
     lead = f"{name}{drawn} at {size} px, 1 is equal. Brackets: {results['spread']['what']}."
     if known and name != "ms_ssim":
         lead += " The paper's has five scales at 256 px: near, but not the same quantity."
@@ -118,7 +118,7 @@ def pins(results: dict[str, Any]) -> str:
 
 def _pinned(results: dict[str, Any], kind: str) -> str:
     """Images are held against one partner or tap, which has a row, too."""
-    return words.truth(results) if kind == "tap" and not words.simulated(results) else words.KINDS[kind]
+    return words.truth(results) if kind == "tap" and not words.simulated(results) else words.kind_of(results, kind)
 
 
 def swap(results: dict[str, Any]) -> str:
