@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxunshear import __version__, cli_applications, cli_checks, cli_sweep
+from jaxunshear import __version__, cli_applications, cli_checks, cli_recordings, cli_sweep
 from jaxunshear.errors import Note, UserError
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
@@ -165,6 +165,7 @@ def _parser() -> _Parser:
         _add_json(command)
 
     cli_applications.add_parsers(commands)
+    cli_recordings.add_parsers(commands)
     cli_sweep.add_parser(commands)
     cli_checks.add_parsers(commands)
     for name in DRAWN:
@@ -214,6 +215,8 @@ def _run(argv: list[str]) -> int:
         return cli_sweep.run(arguments, fields, command)
     elif arguments.command in cli_applications.COMMANDS:
         return cli_applications.run(arguments, command)
+    elif arguments.command in cli_recordings.COMMANDS:
+        return cli_recordings.run(arguments, command)
     elif arguments.command in cli_checks.COMMANDS:
         return cli_checks.run(arguments, command)
     else:

@@ -9,7 +9,7 @@ from jaxunshear.errors import UserError
 FLAGS = ("--help", "--version", "--retry-failed")  # no value follows
 OWN_OPTIONS = (
     *FLAGS,
-    *("--out", "--data", "--json", "--seeds", "--engine", "--ray-address", "--ray-cores"),
+    *("--out", "--data", "--json", "--seeds", "--engine", "--ray-address", "--ray-cores", "--recordings"),
 )
 
 
@@ -22,6 +22,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("file", metavar="FILE", type=Path, help="such as experiments/lambda_split.py, or an experiment")
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("runs/sweeps"), help="DIR/<name> (runs/sweeps)")
     parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+    parser.add_argument("--recordings", metavar="DIR", type=Path, help="taps and slides that the sweep's base is about")
     parser.add_argument("--seeds", metavar="N,N,...", help="instead of those in FILE")
     parser.add_argument(
         "--engine", choices=("serial", "ray"), default="serial", help="one row after the other (serial)"
@@ -45,6 +46,11 @@ def run(arguments: argparse.Namespace, fields: list[str], command: str) -> int:
     sweep = with_overrides(load_sweep(arguments.file), fields)
     if arguments.seeds is not None:
         sweep = dataclasses.replace(sweep, seeds=parse_seeds(arguments.seeds))
+    if arguments.recordings is not None:
+        from jaxunshear.fit import with_recordings
+
+        words = (str(arguments.recordings), str(arguments.recordings))
+        sweep = dataclasses.replace(sweep, base=with_recordings(sweep.base, *words))
     check(sweep, str(arguments.file))
 
     from jaxunshear.storage import write_json

@@ -31,6 +31,10 @@ PINS = Training(
     beta1=0.9,
     averaging=0.999,
     shift=0.0,
+    patch_weight=0.0,
+    reconstruction_weight=0.3,
+    pose_weight=0.1,
+    pose_target="label",
     validate_every=500,
     validation_images=10_000,
 )
@@ -83,7 +87,8 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
     unshears = set(experiment.networks) - set(POSENETS)
     recorded = recorded_of(experiment)
     rendered = (RENDERER,) if recorded and recorded.pairing == "rendered" and unshears else ()
-    taught = (TEACHER,) if experiment.train.pose_weight and unshears and not over_pins(experiment) else ()
+    training = experiment.train_pins if over_pins(experiment) else experiment.train
+    taught = (TEACHER,) if training.pose_weight and unshears else ()
     return (*rendered, *taught, *experiment.networks)
 
 
@@ -96,10 +101,10 @@ def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData |
 
 def training_of(experiment: Experiment, network: str) -> Training:
     """How `network` is trained."""
-    if network == TEACHER:
-        return experiment.train_teacher
     if network == RENDERER or over_pins(experiment):
         return experiment.train_pins
+    if network == TEACHER:
+        return experiment.train_teacher
     return experiment.train_posenet if network in POSENETS else experiment.train
 
 

@@ -23,7 +23,7 @@ from jaxunshear.experiment import (
 )
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import Sensor, sensor_rules
-from jaxunshear.targets import RECORDED, SIMULATED, of_ranges, parsed
+from jaxunshear.targets import RECORDED, SIMULATED, names_of, of_ranges, parsed
 from jaxunshear.training.settings import Training
 
 Rule = tuple[bool, str, str]
@@ -71,6 +71,7 @@ def _simulated(experiment: Experiment, paired: PairedData, pose: PoseData) -> It
         yield from _seen_alike(paired, pose)
         yield from _kept_out(experiment, paired, pose)
         yield from _covered(paired.ranges, pose.ranges)
+        yield from _same_targets(experiment, paired, pose)
     yield from _tests(experiment, paired, pose)
     pairs = _train_poses(paired) * len(paired.stimuli) * paired.slides
     taps = _train_poses(pose) * len(pose.stimuli)
@@ -114,7 +115,7 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
     for field in ("unseen", "other_jitters_mm"):
         yield not getattr(experiment, field), field, "is a test of simulated touches: leave it empty"
     yield from _trainings(experiment, LARGEST_PX**2, LARGEST_PX**2)
-    for name in ("train", *_posenets(experiment), "train_pins"):
+    for name in ("train", *_posenets(experiment)):
         yield (
             not getattr(experiment, name).mirror,
             f"{name}.mirror",
@@ -146,10 +147,19 @@ def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
         yield from _without_pair_losses(getattr(experiment, name), name)
     if over_pins(experiment) or RENDERER in trained(experiment):
         yield from _training(experiment.train_pins, "train_pins", min(pairs, taps))
+        for field in ("patch_weight", "label_weight", "mirror"):
+            value = getattr(experiment.train_pins, field)
+            yield not value, f"train_pins.{field}", "is for networks over images: leave it at 0"
+        yield (
+            experiment.train_pins.pose_target in POSE_TARGETS,
+            "train_pins.pose_target",
+            f"use {' or '.join(POSE_TARGETS)}",
+        )
 
 
 def _posenets(experiment: Experiment) -> list[str]:
-    return ["train_posenet", "train_teacher"] if TEACHER in trained(experiment) else ["train_posenet"]
+    taught = TEACHER in trained(experiment) and not over_pins(experiment)
+    return ["train_posenet", "train_teacher"] if taught else ["train_posenet"]
 
 
 def _without_pair_losses(training: Training, name: str) -> Iterator[Rule]:
@@ -212,6 +222,16 @@ def _target_texts(targets: tuple[str, ...], known: Mapping[str, object]) -> Iter
             wrong = str(error)
         yield not wrong, "targets", wrong
     yield len(set(names)) == len(names), "targets", "name each once"
+
+
+def _same_targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    """PoseNet, which learns from taps, is judged by the poses of pairs; a teacher's outputs are compared one by one."""
+    pairs, taps = (of_ranges(experiment.targets, part.ranges) for part in (paired, pose))
+    remedy = f"pairs vary {', '.join(names_of(pairs))} and taps {', '.join(names_of(taps))}: name those that both vary"
+    yield names_of(pairs) == names_of(taps), "targets", remedy
+    for pair, tap in zip(pairs, taps, strict=False):
+        remedy = f"{pair.name} goes round a circle in taps alone, and a teacher reads both: write {pair.name}:circle"
+        yield TEACHER not in trained(experiment) or pair.circle == tap.circle, "targets", remedy
 
 
 def _train_poses(data: PairedData | PoseData) -> int:

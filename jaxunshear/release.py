@@ -10,6 +10,7 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.storage import read_json, write_json, write_text
+from jaxunshear.targets import to_json
 
 PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none is named
     "disentangled": ("E", "pose", "DC", "head"),
@@ -27,7 +28,16 @@ def release(run_dir: Path, out: Path) -> Path:
     The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
     Raises `UserError` where the run is not finished or evaluated.
     """
-    from jaxunshear.training.checkpoint import MODEL, check_finished, holds_model, load_best, read_net, write_weights
+    from jaxunshear.training.checkpoint import (
+        MODEL,
+        check_finished,
+        holds_model,
+        load_best,
+        read_net,
+        read_targets,
+        write_weights,
+    )
+    from jaxunshear.training.examples import FRAME
 
     run_dir, out = Path(run_dir), Path(out)
     for name in ("experiment.json", "results.json"):
@@ -40,17 +50,31 @@ def release(run_dir: Path, out: Path) -> Path:
         text, settings = card(results, out.name), settings | {"name": out.name}  # not a sweep's row
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
-    names = [name for name in PARTS if name in NEEDED or holds_model(run_dir / name)]
+    needed = NEEDED if results["simulated"] else ()
+    names = [name for name in PARTS if name in needed or holds_model(run_dir / name)]
+    if not names:
+        raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
+    targets = {}
     for name in names:
         check_finished(run_dir / name)
         read_net(run_dir / name)  # refuses a damaged one
+        targets[name] = read_targets(run_dir / name)
     variables = {name: load_best(run_dir / name) for name in names}
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     for name in names:
         write_weights(part / name, variables[name], PARTS[name])
         model = read_json(run_dir / name / MODEL)
-        write_json(part / name / MODEL, {known: model[known] for known in ("kind", "net", "targets")})
+        write_json(part / name / MODEL, {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])})
+    if not results["simulated"]:
+        write_json(part / FRAME, read_json(run_dir / FRAME))
+        settings["paired"] |= {
+            "taps": "recorded taps" * bool(settings["paired"]["taps"]),
+            "slides": "recorded slides",
+            "pairs": "",
+        }
+        if settings["paired"]["pairing"] == "file":  # the table stays with the recordings
+            settings["paired"]["pairing"] = "pose_id"
     write_json(part / "experiment.json", settings)
     write_text(part / CARD, text)
     part.rename(out)
@@ -59,6 +83,44 @@ def release(run_dir: Path, out: Path) -> Path:
 
 def card(results: dict[str, Any], name: str) -> str:
     """The model card, in Markdown, all of it from the run's results."""
+    return _simulated_card(results, name) if results["simulated"] else _recorded_card(results, name)
+
+
+def _recorded_card(results: dict[str, Any], name: str) -> str:
+    """Of networks that learnt from recordings."""
+    metric, counts, recordings = results["metric"], results["counts"], results["recordings"]
+    targets = [target["name"] for target in results["targets"]]
+    reads = "pins, found in images" if metric["input"] == "pins" else "images"
+    lines = [
+        f"# {name}",
+        "",
+        f"{results['claim']}",
+        "",
+        f"Networks for a soft optical tactile sensor of {recordings['pins']} pins; they read {reads} of {metric['image_px']} px. "
+        "Kernels are stored as float16; the figures below are of the networks as trained.",
+        "",
+        f"    jaxunshear unshear RECORDINGS --model {name} --out unsheared",
+        f"    jaxunshear pose RECORDINGS --model {name}",
+        "",
+        f"* **Learnt from** recordings (digest {recordings['digest']}): {recordings['taps']['train']} taps and "
+        f"{recordings['slides']['train']} slides, {recordings['labelled']:.0%} of the slides' labels; "
+        f"pairing: {results['pairing']['way']}.",
+        f"* **Poses** {', '.join(targets)}, in the names, the frame and the units of the recorded labels.",
+        "* **Not measured**: another sensor, another object, another camera.",
+        f"* **Seed** {results['seeds']['experiment']}.",
+        "",
+        f"Mean absolute error on recorded contacts kept out of training, {counts['test_taps']} taps and {counts['test_poses']} slides:",
+        "",
+        f"| read off | {' | '.join(targets)} |",
+        "| --- |" + " --- |" * len(targets),
+    ]
+    for way, errors in results["pose_mae"].items():
+        lines.append(f"| {way} | " + " | ".join(f"{errors[target]:.3g}" for target in targets) + " |")
+    machine, versions = (json.dumps(results[what]) for what in ("machine", "versions"))
+    return "\n".join([*lines, "", f"Machine: {machine}", "", f"Versions: {versions}", ""])
+
+
+def _simulated_card(results: dict[str, Any], name: str) -> str:
     from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE
 
     settings, metric = results["settings"], results["metric"]

@@ -4,10 +4,8 @@ Every stage leaves its work under one folder and finds it again, so the same com
 knows their order.
 """
 
-import dataclasses
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,26 +14,19 @@ from jaxunshear.config import from_json, to_json
 from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import (
-    POSENETS,
-    RENDERER,
     TEACHER,
     TRAINABLE,
     Experiment,
-    over_pins,
     recorded_of,
     training_of,
 )
 from jaxunshear.infer import model_folder
 from jaxunshear.locks import locked
-from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, UNet, UnshearNet, without_codes
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
-from jaxunshear.targets import fields_of
 from jaxunshear.training.origin import check_origin, origin_of
-from jaxunshear.training.settings import labelled
 
 if TYPE_CHECKING:
-    from jaxunshear.training.examples import Examples
-    from jaxunshear.training.tasks import Task
+    pass
 
 TEACHER_SEED = 1000  # beyond the run's own
 TIMES = "times.json"
@@ -137,6 +128,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
             )
         check_origin(experiment, network, folder)
         return False
+    from jaxunshear.training.building import first, renamed, task_of
     from jaxunshear.training.examples import FRAME, open_examples, stored_of
     from jaxunshear.training.loop import train
     from jaxunshear.training.start import Start
@@ -145,14 +137,14 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     training, examples = training_of(experiment, network), open_examples(experiment, network, data, folder)
     if recorded_of(experiment):
         write_json(folder / FRAME, stored_of(experiment, data).frame)
-    task, fields = _task(experiment, network, examples, folder)
+    task, fields = task_of(experiment, network, examples, folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields, training.mirror)
     begin = start_folder(training.start, network)
     summary = train(
         task,
         training,
-        lambda start: map(_renamed, batches(start)),
-        _first(examples.reader.split, training.validation_images, fields),
+        lambda start: map(renamed, batches(start)),
+        first(examples.reader.split, training.validation_images, fields),
         seed,
         folder / network,
         epoch_images=examples.reader.length("train"),
@@ -176,79 +168,6 @@ def start_folder(model: str, network: str) -> Path | None:
             f"start: {folder} holds no {network}: name a run that trained it, or released weights that have it"
         )
     return folder / network
-
-
-def _teacher(experiment: Experiment, folder: Path) -> Callable[[Any], Any]:
-    from jaxunshear.model import posenet
-    from jaxunshear.training.checkpoint import load_best, read_net
-
-    path = folder / TEACHER
-    if not (path / "summary.json").exists():
-        raise UserError(f"{path} is missing, and train.pose_weight needs it: train {TEACHER} first")
-    check_origin(experiment, TEACHER, folder)
-    net: Any = read_net(path)
-    return partial(posenet.predict, net, load_best(path))
-
-
-def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
-    """The settings of one of the networks that unshear, all derived from `net`."""
-    from jaxunshear.model.unshearnet import as_large_entangled
-
-    if network == "unet":
-        return UNet(net.size, net.widths, net.residual, net.both_sides)
-    if network == "entangled_large":
-        return as_large_entangled(dataclasses.replace(net, disentangled=True))
-    if network == "entangled":
-        return dataclasses.replace(without_codes(net), disentangled=False)
-    return dataclasses.replace(net, disentangled=True)
-
-
-def _task(experiment: Experiment, network: str, examples: "Examples", folder: Path) -> tuple["Task", tuple[str, ...]]:
-    """What `network` learns, and the fields of a batch that this takes."""
-    from jaxunshear.training import pin_tasks, tasks
-    from jaxunshear.training.examples import spread_of
-
-    training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
-    weighed = ("weight",) if recorded_of(experiment) and network not in POSENETS and network != RENDERER else ()
-    if network == RENDERER or over_pins(experiment):
-        field = {"posenet": "pins", RENDERER: "pins"}.get(network, "sheared_pins")
-        known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
-        net = asdict(experiment.pins)
-        if network == RENDERER:
-            return pin_tasks.renderer_task(PinRenderer(**net), training, *known), ("pins", *labels)
-        if network in POSENETS:
-            return pin_tasks.pin_posenet_task(PinPoseNet(**net), training, *known), (field, *labels)
-        codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
-        return pin_tasks.pin_unshear_task(codes, training, *known), ("canonical_pins", "sheared_pins", *weighed)
-    if network in POSENETS:
-        seen = "sheared" if network == "posenet_sheared" else "image"
-        return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
-    teacher = _teacher(experiment, folder) if training.pose_weight else None
-    task = tasks.unshear_task(unshear_net(experiment.unshear, network), training, teacher, targets)
-    return task, ("canonical", "sheared", *weighed, *(labels if labelled(training) else ()))
-
-
-def _renamed(batch: dict[str, Any]) -> dict[str, Any]:
-    """Trainings that read poses name whatever they look at "image", or "pins"."""
-    if "canonical" in batch or "canonical_pins" in batch:
-        return batch
-    return {{"sheared": "image", "sheared_pins": "pins"}.get(name, name): x for name, x in batch.items()}
-
-
-def _first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Any]]:
-    """The first `count` validation examples, in batches."""
-    batch = 64
-
-    def batches() -> Iterator[Any]:
-        taken = 0
-        for examples in split("validation", batch, fields):
-            examples = {name: values[: count - taken] for name, values in examples.items()}
-            taken += len(examples[fields[0]])
-            yield _renamed(examples)
-            if taken >= count:
-                return
-
-    return batches
 
 
 def _halfway(experiment: Experiment, stage: str, folder: Path, data: Path) -> bool:

@@ -103,3 +103,40 @@ def test_a_tests_poses_are_none_that_posenet_learnt():
 def test_posenet_knows_the_poses_of_pairs(field, value):
     assert f"pose.ranges.{field}" in refusal(f"--paired.ranges.{field} {value}")
     validate(override(PLAIN, [f"--paired.ranges.{field}", str(value), f"--pose.ranges.{field}", str(value)]))
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--targets z_mm", "target 'z_mm' is unknown"),
+        ("--targets x_mm:circle", "only an angle goes round a circle"),
+        ("--targets x_mm,x_mm:range:2", "name each once"),
+        ("--targets yaw_deg --pose.ranges.yaw_deg 0 --paired.ranges.yaw_deg 0", "target 'yaw_deg' does not vary"),
+        (
+            "--paired.ranges.lateral_mm 0 --paired.ranges.yaw_deg 0 --networks disentangled,posenet_sheared",
+            "there is none: the ranges of the poses leave nothing to predict",
+        ),
+        (
+            "--paired.ranges.yaw_deg 0",
+            "pairs vary x_mm, edge_mm, edge_deg and taps x_mm, yaw_deg, edge_mm, edge_deg: name those that both vary",
+        ),
+        ("--pose.ranges.yaw_deg 180 --train.pose_weight 1", "write yaw_deg:circle"),
+    ],
+)
+def test_targets_are_those_that_the_data_vary(words, line):
+    refused = refusal(words)
+    assert refused.startswith("--targets") and line in refused
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--targets y_mm,depth_mm,yaw_deg:circle:2",
+        "--paired.ranges.yaw_deg 0 --targets x_mm,edge_mm:range:4,edge_deg",
+        "--paired.ranges.yaw_deg 0 --networks disentangled,posenet_sheared",
+        "--pose.ranges.yaw_deg 180",
+        "--pose.ranges.yaw_deg 180 --train.pose_weight 1 --targets x_mm,yaw_deg:circle",
+    ],
+)
+def test_targets_that_all_sets_vary_are_taken(words):
+    validate(override(PLAIN, words.split()))

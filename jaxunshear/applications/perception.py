@@ -119,15 +119,19 @@ def read_look(model: Path, way: str, precision: str = "float32") -> tuple[Look, 
     names = WAYS[way]
     for name in names:
         check_finished(model / name)
-    targets = {name: read_targets(model / name) for name in names}
     nets = {name: read_net(model / name) for name in names}
     variables = {name: load_best(model / name) for name in names}
+    targets = {name: read_targets(model / name) for name in names}
     if way not in OF_CODE:
         return look_of(nets, targets, precision), variables, targets[names[-1]]
     if pose_head.of(variables["disentangled"]) is None:
         raise UserError(
             f"{model / 'disentangled'} has no head that reads the pose code: train with --train.label_weight above zero, "
             "or perceive another way"
+        )
+    if not targets["disentangled"]:
+        raise UserError(
+            f"{model / 'disentangled'} does not tell what its head reads: train it again, or perceive another way"
         )
     return look_of(nets, targets, precision, by_head=True), variables, targets["disentangled"]
 

@@ -89,7 +89,7 @@ class Reader:
             offset = np.rint(generator.uniform(-most, most, 2)).astype(int)
             tap = generator.choice(siblings[row])
             example = self._images({name: rows[name][tap if name in OF_TAP else row] for name in wanted})
-            example = shifted(example, *offset.tolist())
+            example = shifted(example, *offset.tolist()) if offset.any() else example
             return mirrored(example) if mirror and generator.random() < 0.5 else example
 
         steps = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
@@ -168,8 +168,8 @@ def _siblings(rows: Batch) -> list[np.ndarray]:
     """For every row the rows at the same pose of the same stimulus: each holds one of the pose's taps."""
     poses = np.stack([rows["stimulus"], rows["pose_id"]], axis=-1)
     _, group = np.unique(poses, axis=0, return_inverse=True)
-    members = [np.flatnonzero(group == index) for index in range(group.max() + 1)]
-    return [members[index] for index in group]
+    members = np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
+    return [members[index] for index in group.reshape(-1)]
 
 
 def _remedy(folder: Path) -> str:

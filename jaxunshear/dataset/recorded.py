@@ -202,20 +202,31 @@ def _contacts(recordings: Recordings, slid: np.ndarray) -> Contacts:
 
 
 def _split(contacts: Contacts, settings: Recorded) -> Contacts:
-    """By the folders' names; what they leave open by a hash of the pose, for taps and slides alike."""
+    """By the folders' names; what they leave open by a hash of the pose, for taps and slides alike.
+
+    Names count only where some contacts are left to learn from: a folder that happens to be called `test` is no split.
+    """
     named = np.array([_named_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)])
     split = np.zeros(len(named), int)
     drawn = _drawn(contacts, settings.seed)
     for slid in (False, True):
         here = contacts.slid == slid
-        there = set(named[here].tolist())
-        test = settings.test if "test" not in there else 0.0
-        validation = settings.validation if "validation" not in there else 0.0
+        opened = here & ((named == "") | (named == "train"))
+        if not opened.any():
+            named, opened = np.where(here, "", named), here
         for index, name in enumerate(SPLITS):
             split[here & (named == name)] = index
-        opened = here & ((named == "") | (named == "train"))
-        split[opened & (drawn < test + validation)] = SPLITS.index("validation")
-        split[opened & (drawn < test)] = SPLITS.index("test")
+        start = 0.0
+        for name, share in (("test", settings.test), ("validation", settings.validation)):
+            if name in named[here]:
+                continue
+            chosen = opened & (drawn >= start) & (drawn < start + share)
+            if not chosen.any() and (left := opened & (split == 0)).sum() > len(
+                SPLITS
+            ):  # of few contacts chance may take none
+                chosen = left & (drawn == drawn[left].min())
+            split[chosen] = SPLITS.index(name)
+            start += share
     return contacts._replace(split=split)
 
 

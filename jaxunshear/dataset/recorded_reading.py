@@ -30,9 +30,9 @@ from jaxunshear.targets import Targets, of_labels
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 
 
-def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path) -> "RecordedSet":
-    """Raises UserError where the set is missing or damaged."""
-    return RecordedSet(settings, open_set(RECORDED_SET, settings, data_dir, sensor))
+def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0) -> "RecordedSet":
+    """`seed` draws which slides are labelled, where not all are. Raises UserError where the set is missing or damaged."""
+    return RecordedSet(settings, open_set(RECORDED_SET, settings, data_dir, sensor), seed)
 
 
 def frame_from(stored: dict[str, Any]) -> Frame:
@@ -80,7 +80,8 @@ class UnstoredSet:
 
 
 class RecordedSet:
-    def __init__(self, settings: Recorded, stored: SetReader | UnstoredSet) -> None:
+    def __init__(self, settings: Recorded, stored: SetReader | UnstoredSet, seed: int = 0) -> None:
+        self.seed = seed
         self.settings, self.stored, self.metadata = settings, stored, stored.metadata
         self.size = settings.preprocess.size
 
@@ -127,7 +128,7 @@ class RecordedSet:
         rows = self._of(split, True)
         kept = np.isfinite(rows["pose"]).all(axis=1)
         if split != "test":
-            kept &= _share(rows["number"], self.settings.seed) < self.settings.labelled
+            kept &= _share(rows["number"], self.seed) < self.settings.labelled
         rows = _taken(rows, kept)
         batch = {name: rows[name] for name in ("pose", "move", "sure", "number", "pose_id", "stimulus")}
         return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from jaxunshear.dataset.labels import UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
+from jaxunshear.dataset.labels import TABLES, UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Preprocess
 
@@ -223,7 +223,7 @@ def _check_json(folder: Path, notes: list[str]) -> None:
 
 def _targets(folder: Path, images: list[Path], notes: list[str]) -> Targets:
     """What the folder's table tells of its images."""
-    for file in (folder / "targets.csv", folder / "targets_images.csv"):
+    for file in (folder / name for name in TABLES):
         if file.is_file():
             try:
                 targets, problems = read_targets(read_table(file), [image.name for image in images])

@@ -42,12 +42,12 @@ def load(
     folders = {name: Path(run_dir) / name for name in names}
     nets = {name: read_net(folder) for name, folder in folders.items()}
     variables = {name: load_best(folder) for name, folder in folders.items()}
+    targets = {name: read_targets(folder) for name, folder in folders.items()}
     for name, folder in folders.items():
-        if "head" in variables[name]["params"] and pose_head.of(variables[name]) is None:
+        if "head" in variables[name]["params"] and (pose_head.of(variables[name]) is None or not targets[name]):
             raise UserError(
                 f"{folder} was trained with an earlier form of the head for poses: delete it to train again"
             )
-    targets = {name: read_targets(folder) for name, folder in folders.items()}
     if pins is not None:
         return partial(jax.jit(pin_run_of(nets, targets, pins)), variables)
     return partial(jax.jit(run_of(nets, targets, precision)), variables, taps)

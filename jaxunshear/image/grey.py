@@ -72,3 +72,15 @@ def is_binary(grey: np.ndarray) -> bool:
 
 def middle_level(grey: np.ndarray) -> float:
     return float(np.min(grey) + np.max(grey)) / 2
+
+
+def check_seen(grey: np.ndarray) -> None:
+    """Raises UserError for a frame of one level."""
+    if np.ptp(grey) < 0.05:
+        raise UserError("this image is one flat grey: there is nothing to see in it")
+
+
+def check_frame(raw: np.ndarray) -> None:
+    """Raises UserError for an array that is no image, too small, or of one level."""
+    if white_pixels(raw) is None:
+        check_seen(to_grey(raw))

@@ -22,7 +22,7 @@ from skimage.measure import label
 from threadpoolctl import ThreadpoolController
 
 from jaxunshear.errors import UserError
-from jaxunshear.image.grey import is_binary, middle_level, to_grey, white_of, white_pixels
+from jaxunshear.image.grey import check_seen, is_binary, middle_level, to_grey, white_of, white_pixels
 from jaxunshear.image.pins import in_company
 from jaxunshear.image.settings import Preprocess
 
@@ -102,7 +102,7 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) 
     grey = white_pixels(raw)
     if grey is None:
         grey = to_grey(raw, dict(view.whites).get(raw.dtype.name, 0.0))
-        _check_seen(grey)
+        check_seen(grey)
     square = crop(grey, view.box or _box(preprocess, grey))
     if square.dtype == bool and len(square) == preprocess.size:
         return (square & _mask(preprocess)).view(np.uint8) * np.uint8(255)
@@ -163,7 +163,7 @@ def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
     It goes by the dark dome disc in a light surround; without such a disc by the pins; without pins it is the middle square.
     Raises UserError for a frame of one flat grey.
     """
-    _check_seen(grey)
+    check_seen(grey)
     smallest = min(grey.shape)
     disc = _fit_circle(_disc_rim(grey))
     if disc is not None and 0.15 * smallest < disc.radius < 0.75 * smallest and disc.off < 0.05 * disc.radius:
@@ -171,11 +171,6 @@ def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
     window = 2 * (smallest // 14) + 1
     pins = _pin_circle(grey > ndimage.uniform_filter(grey, window) + 0.1)
     return _middle(grey.shape) if pins is None else _square(pins.row, pins.column, pins.radius / outer_pins)
-
-
-def _check_seen(grey: np.ndarray) -> None:
-    if np.ptp(grey) < 0.05:
-        raise UserError("this image is one flat grey: there is nothing to see in it")
 
 
 def _disc_rim(grey: np.ndarray) -> np.ndarray:

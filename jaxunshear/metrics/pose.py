@@ -6,14 +6,16 @@ import numpy as np
 
 
 def pose_errors(predicted: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Absolute errors of all that is `predicted`, each (B,) float32; angles the short way round, so at most 180.
+    """Absolute errors of all that is `predicted`, in the order of the labels, each (B,) float32; angles the short way round, so at
+    most 180.
 
     Raises `ValueError` where a label is missing or lengths differ.
     """
+    unknown = [name for name in predicted if name not in true]
+    if unknown:
+        raise ValueError(f"pose quantity {unknown[0]!r} is missing")
     errors = {}
-    for name in predicted:
-        if name not in true:
-            raise ValueError(f"pose quantity {name!r} is missing")
+    for name in (name for name in true if name in predicted):  # what comes out of a jitted function is sorted by name
         a, b = np.asarray(predicted[name], np.float64), np.asarray(true[name], np.float64)
         if a.shape != b.shape or a.ndim != 1:
             raise ValueError(f"{name}: shapes {a.shape} and {b.shape} are not one (B,)")

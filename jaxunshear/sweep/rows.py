@@ -16,8 +16,9 @@ from typing import Any
 
 from jaxunshear.config import replaced, show, to_json, validate
 from jaxunshear.dataset.configs import VERSION, floats
+from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, Experiment, trained
+from jaxunshear.experiment import ALL_NETWORKS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained
 from jaxunshear.model.settings import without_codes
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
@@ -100,7 +101,13 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     plain = Experiment(name="", claim="")
     taught = len(needed(experiment, network)) > 1
     unused = ("name", "claim", *TESTS, *(UNUSED_BY_TAUGHT if taught else UNUSED.get(network, UNUSED_BY_UNSHEARERS)))
+    if recorded_of(experiment) or over_pins(
+        experiment
+    ):  # one set for taps and slides; one training for all networks over pins
+        unused = ("name", "claim", *TESTS)
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
+    if isinstance(part.paired, Recorded) and network in (RENDERER, TEACHER, "posenet"):  # these learn from taps alone
+        part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, pairing="rendered", labelled=1.0))
     if network in WITHOUT_CODES:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))
     own = _digest({"experiment": to_json(part), "network": network})

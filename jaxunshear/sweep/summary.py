@@ -7,13 +7,16 @@ import numpy as np
 
 from jaxunshear.config import show, to_json
 from jaxunshear.evaluation import spread
+from jaxunshear.experiment import recorded_of
 from jaxunshear.report.frontier_figure import efficient
 from jaxunshear.sweep.bootstrap import SEED, interval, resampled
 from jaxunshear.sweep.rows import Cell, axis_values, name_of
 from jaxunshear.sweep.settings import Sweep, base_of, names_of
 
 TABLES = ("pin_error",)  # of a run's results: figures that are no means over contacts
-NOT_CONTACTS = ("config", "camera", "nuisance", "preprocess")  # of the paired data: a name, and how contacts look
+# of the paired data: names, how contacts look, what is made of recorded ones
+NOT_CONTACTS = ("config", "camera", "nuisance", "preprocess", "pairing", "pairs", "labelled", "taps", "slides")
+TAPS = "taps"  # the test of recorded taps, which are no pairs of the slides
 COSTS = ("train_seconds", "images_per_second", "ms_per_image", "wall_seconds", "peak_memory_bytes", "device", "host")
 
 
@@ -40,7 +43,7 @@ def summarise(
     summary = {
         "sweep": sweep.name,
         "claim": sweep.claim,
-        "simulated": True,
+        "simulated": recorded_of(sweep.base) is None,
         "axes": [
             {"name": name_of(axis[0], sweep), "fields": names_of(axis[0]), "values": axis_values(axis)}
             for axis in sweep.grid
@@ -137,36 +140,42 @@ def recoveries(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
     Left out where the slide does no damage; without an interval where it does none in some of the resamples.
     """
     found: dict[str, dict[str, Any]] = {}
-    for test, name in _names(rows):
+    names = _names(rows)
+    for test, name in names:
         table, kind, *quantity = name.split("/")
-        ends = [f"pose/{other}/{'/'.join(quantity)}" for other in ("tap", "sheared")]
-        if table != "pose" or name in ends or any((test, end) not in _names(rows) for end in ends):
+        if table != "pose" or kind in ("tap", "sheared"):
             continue
-        values, poses = np.stack([_stacked(rows, test, each) for each in (*ends, name)]), _poses(rows, test)
+        tap, sheared = (f"pose/{other}/{'/'.join(quantity)}" for other in ("tap", "sheared"))
+        of_taps = next((where for where in (test, TAPS) if (where, tap) in names), None)
+        if of_taps is None or (test, sheared) not in names:
+            continue
+        errors = [
+            (_stacked(rows, where, each), _poses(rows, where))
+            for where, each in ((of_taps, tap), (test, sheared), (test, name))
+        ]
         own = f"pose_recovery/{kind}/{'/'.join(quantity)}"
-        places = {_called(test, own): np.ones(len(poses), bool)}
-        places |= {
-            _called(f"{test}, {shape}" if test else shape, own): inside for shape, inside in _shapes(rows, test).items()
-        }
-        for place, inside in places.items():
-            figure = _recovery(list(rows), values[..., inside], poses[inside])
-            found |= {place: figure} if figure else {}
+        figure = _recovery(list(rows), errors)
+        found |= {_called(test, own): figure} if figure else {}
+        for shape, inside in _shapes(rows, test).items() if of_taps == test else ():
+            figure = _recovery(list(rows), [(values[:, inside], poses[inside]) for values, poses in errors])
+            found |= {_called(f"{test}, {shape}" if test else shape, own): figure} if figure else {}
     return found
 
 
-def _recovery(seeds: Sequence[int], values: np.ndarray, poses: np.ndarray) -> dict[str, Any] | None:
-    """Of errors (3: tap, sheared, unsheared; seeds, N) at poses (N,); None where the slide does no damage."""
-    tap, sheared, unsheared = values.mean(axis=(1, 2))
+def _recovery(seeds: Sequence[int], errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, Any] | None:
+    """Of errors of tap, sheared and unsheared, (seeds, N) at poses (N,) each; None where the slide does no damage."""
+    tap, sheared, unsheared = (values.mean() for values, _ in errors)
     if sheared <= tap:
         return None
-    redrawn = [resampled(value, poses) for value in values]
+    redrawn = [resampled(values, poses) for values, poses in errors]
     bounded = bool(np.all(redrawn[1] > redrawn[0]))
+    by_seed = zip(*(values.mean(axis=1) for values, _ in errors), strict=True)
     return {
         "mean": float((sheared - unsheared) / (sheared - tap)),
         "interval": spread.interval((redrawn[1] - redrawn[2]) / (redrawn[1] - redrawn[0])) if bounded else None,
         "per_seed": {
             str(seed): float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
-            for seed, row in zip(seeds, values.mean(axis=2).T, strict=True)
+            for seed, row in zip(seeds, by_seed, strict=True)
         },
     }
 
@@ -267,7 +276,8 @@ def _shapes(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     """Which contacts (N,) of a test are with which shape."""
     first = next(iter(rows.values()))
     results = first.outcome["results"]
-    names = results["tests"][test]["stimuli"] if test else results["settings"]["paired"]["stimuli"]
+    own = results["tests"].get(test, {}) if test else results["settings"]["paired"]
+    names = own.get("stimuli", ())  # of recordings none is known
     stimulus = np.asarray(first.tests[test]["stimulus"])
     return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
 
@@ -282,7 +292,7 @@ def _same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], 
 def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, Any]:
     """The settings that decide the contacts of a test."""
     results = next(iter(rows.values())).outcome["results"]
-    settings, own = results["settings"], results["tests"][test] if test else {}
+    settings, own = results["settings"], results["tests"].get(test, {}) if test else {}
     paired = {name: own.get(name, value) for name, value in settings["paired"].items() if name not in NOT_CONTACTS}
     return paired | {"sensor": settings["sensor"]}
 

@@ -4,6 +4,8 @@ from typing import Any
 
 from jaxunshear.report.frontier_figure import ranked
 
+LEARNT_SHEARED = "sheared_learnt"  # as evaluation calls what `posenet_sheared` reads
+
 MAIN = ("ms_ssim/*", "pose/*/edge_mm", "pose/*/edge_deg", "swap/DS(z_p,z_s)/mse")  # *: each network
 
 
@@ -46,8 +48,13 @@ def _frontiers(summary: dict[str, Any]) -> list[str]:
 
 def main_metrics(summary: dict[str, Any]) -> list[str]:
     """The figures that the table has room for, of those that any cell has."""
-    there = {name for cell in summary["cells"] for name in cell["metrics"]}
-    wanted = [pattern.replace("*", network) for pattern in MAIN for network in summary["networks"]]
+    there = {name: None for cell in summary["cells"] for name in cell["metrics"]}
+    patterns: tuple[str, ...] = MAIN
+    if not any(name.endswith("/edge_mm") for name in there):  # other targets: the first two
+        read = [name.rpartition("/")[2] for name in there if name.startswith("pose/")]
+        patterns = (MAIN[0], *(f"pose/*/{target}" for target in list(dict.fromkeys(read))[:2]))
+    shown = [LEARNT_SHEARED if network == "posenet_sheared" else network for network in summary["networks"]]
+    wanted = [pattern.replace("*", network) for pattern in patterns for network in shown]
     return [name for name in dict.fromkeys(wanted) if name in there]
 
 

@@ -201,7 +201,10 @@ def read_net(folder: Path) -> Any:
 def read_targets(folder: Path) -> Targets:
     """The pose targets that the network in `folder` has learnt, from model.json; none of one that has learnt no poses. Raises UserError."""
     path = Path(folder) / MODEL
-    return from_json(storage.read_json(path).get("targets", []), str(path))
+    stored = storage.read_json(path)
+    if "targets" not in stored and stored.get("kind") != "posenet":
+        return ()
+    return from_json(stored.get("targets"), str(path))  # a PoseNet that tells none was trained by an earlier version
 
 
 def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -61,7 +61,7 @@ def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
     recorded = recorded_of(experiment)
     if recorded is None:
         raise UserError(f"'{experiment.name}' is about simulated touches, not recordings")
-    return open_recorded(recorded, experiment.sensor, data_dir)
+    return open_recorded(recorded, experiment.sensor, data_dir, experiment.seed)
 
 
 def pairs_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path) -> Reader:

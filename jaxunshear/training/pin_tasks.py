@@ -4,10 +4,13 @@
 {"weight"} (B,) weighs the examples; one whose pins are not sure should have none.
 """
 
+from collections.abc import Callable
 from functools import partial
 
+from jax import Array
 from jax.typing import ArrayLike
 
+from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.targets import Targets
@@ -16,12 +19,35 @@ from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import Task, pose_error_terms, weighed
 
 
-def pin_unshear_task(net: PinUnshear, training: Training, targets: Targets, rest: ArrayLike, spread: float) -> Task:
-    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px."""
+def pin_unshear_task(
+    net: PinUnshear,
+    training: Training,
+    targets: Targets,
+    rest: ArrayLike,
+    spread: float,
+    teacher: Callable[[Array], Array] | None = None,
+) -> Task:
+    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px.
+
+    `teacher` is a trained PinPoseNet, pins (B, P, 2) px -> outputs (B, K), needed for `pose_weight` alone: what it reads off the
+    unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
+    the partner.
+    """
+    if training.pose_weight and teacher is None:
+        raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
+
+    def watched(canonical, batch):
+        if not training.pose_weight or teacher is None:
+            return {}
+        by_label = training.pose_target == "label"
+        wanted = posenet.pose_targets(batch, targets) if by_label else teacher(batch["canonical_pins"])
+        return {"pose": losses.absolute_pose(teacher(canonical), wanted, posenet.output_weights(targets))}
 
     def terms(variables, batch, key):
         canonical, sheared = pinnets.reconstruct(net, variables, batch["sheared_pins"], key)
-        named = {"supervised": pinnets.distance(canonical, batch["canonical_pins"], variables)}
+        named = {"supervised": pinnets.distance(canonical, batch["canonical_pins"], variables)} | watched(
+            canonical, batch
+        )
         if sheared is not None:
             named["reconstruction"] = pinnets.distance(sheared, batch["sheared_pins"], variables)
         return weighed(named, batch), variables["batch_stats"]
@@ -29,13 +55,15 @@ def pin_unshear_task(net: PinUnshear, training: Training, targets: Targets, rest
     def validate(variables, batch):
         z_p, z_s = pinnets.encode(net, variables, batch["sheared_pins"])
         canonical = pinnets.decode_canonical(net, variables, z_p)
-        named = {"supervised": pinnets.distance(canonical, batch["canonical_pins"], variables)}
+        named = {"supervised": pinnets.distance(canonical, batch["canonical_pins"], variables)} | watched(
+            canonical, batch
+        )
         if z_s is not None:
             sheared = pinnets.decode_sheared(net, variables, z_p, z_s)
             named["reconstruction"] = pinnets.distance(sheared, batch["sheared_pins"], variables)
         return weighed(named, batch)
 
-    weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight}
+    weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight, "pose": training.pose_weight}
     init = partial(pinnets.init, net, rest, spread)
     return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised")
 

@@ -170,8 +170,11 @@ def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str
 
 
 def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
-    """Terms (B,) times the weight of each example, where the batch has one."""
-    return {name: term * batch["weight"] for name, term in named.items()} if "weight" in batch else named
+    """Terms (B,) times what each example counts: its weight, and nothing where its pins are not sure; where the batch says so."""
+    for field in ("weight", "sure"):
+        if field in batch:
+            named = {name: term * batch[field] for name, term in named.items()}
+    return named
 
 
 def _unit(images: Array) -> Array:

@@ -117,3 +117,13 @@ def test_ways_that_ask_for_a_head_are_there_where_one_is(model, tmp_path):
     assert ways_of(tmp_path) == ("sheared", "disentangled")
     with pytest.raises(UserError, match="disentangled has no head that reads the pose code: train with"):
         read_look(tmp_path, "both")
+
+
+def test_a_head_that_tells_no_targets_and_an_edge_that_is_none_are_refused(model, tmp_path):
+    variables = checkpoint.load_best(model / "disentangled")
+    kept(tmp_path / "older" / "disentangled", "unshear", NET, variables, ())
+    with pytest.raises(UserError, match="disentangled does not tell what its head reads"):
+        read_look(tmp_path / "older", "code")
+    kept(tmp_path / "other" / "disentangled", "unshear", NET, variables, of_ranges(("x_mm", "yaw_deg"), Ranges()))
+    with pytest.raises(UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"):
+        perceptions(tmp_path / "other", ("code",))

@@ -205,9 +205,12 @@ def test_real_recordings(real_recordings, tmp_path):
         [sys.executable, real_recordings / "unpack.py", tmp_path, "--limit", "3"], check=True, capture_output=True
     )
     recordings = read_recordings(tmp_path, Preprocess(size=128))
-    assert [image.shape for _, _, image in recordings.frames()] == [(128, 128)] * 9
+    assert [image.shape for _, _, image in recordings.frames()] == [(128, 128)] * 12
     assert np.isfinite(recordings.poses).all()
-    assert recordings.notes == []
+    (note,) = recordings.notes  # broken as published
+    assert "env_params.json: this JSON is broken" in note
+    assert sorted(set(recordings.objects)) == ["", "1"]
+    np.testing.assert_array_equal(recordings.pose_ids == -1, ["franka" in name for name in recordings.names])
     raw = read_recordings(real_recordings / "raw", PREPROCESS)
     assert len(list(raw.frames())) == len(raw.poses) == 3
     newer = read_recordings(real_recordings / "surface_3d_sample", PREPROCESS)

@@ -1,7 +1,7 @@
 """The adapter from networks on disk to outputs, and which codes each cell is fed."""
 
 import shutil
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import jax
 import numpy as np
@@ -138,6 +138,16 @@ def test_a_head_of_another_form_is_refused(trained, tmp_path):
     head = pose_head.init((8, 8, 3), 5, jax.random.key(2))
     del head["norm"]
     average = own | {"params": own["params"] | {"head": head}}
+    checkpoint.save(folder, 1, {"average": average}, {"best_step": 1, "history": []})
+    with pytest.raises(UserError, match=r"disentangled was trained with an earlier form of the head .*: delete it"):
+        networks.load(tmp_path, ("disentangled",))
+
+
+def test_a_head_that_tells_no_targets_is_refused(trained, tmp_path):
+    folder = tmp_path / "disentangled"
+    checkpoint.write_settings(folder, {"kind": "unshear", "net": asdict(networks.read_net(trained / "disentangled"))})
+    own = networks.load_best(trained / "disentangled")
+    average = own | {"params": own["params"] | {"head": pose_head.init((8, 8, 3), 5, jax.random.key(2))}}
     checkpoint.save(folder, 1, {"average": average}, {"best_step": 1, "history": []})
     with pytest.raises(UserError, match=r"disentangled was trained with an earlier form of the head .*: delete it"):
         networks.load(tmp_path, ("disentangled",))

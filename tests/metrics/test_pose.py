@@ -30,6 +30,12 @@ def test_true_values_take_the_right_columns():
     assert {name: value[0] for name, value in true.items()} == {"x_mm": 1, "yaw_deg": 3, "edge_mm": 5, "edge_deg": 6}
 
 
+def test_errors_come_in_the_order_of_the_labels():
+    true = quantities(0, 0, 0, 0)
+    assert tuple(pose_errors({name: true[name] for name in sorted(true)}, true)) == tuple(true)
+    assert tuple(pose_errors({"edge_mm": true["edge_mm"]}, true)) == ("edge_mm",)
+
+
 def test_missing_quantities_and_lengths_are_refused():
     good = quantities(0, 0, 0, 0)
     with pytest.raises(ValueError, match="edge_mm"):

@@ -205,6 +205,20 @@ def test_a_simulated_run_may_have_other_targets(made_up_run, read_page):
     assert "Recovery, the part" in told and "depth 7" in told.split("Recovery, the part")[1]
 
 
+def test_other_targets_are_shown_by_their_own_names(made_up_run):
+    """Where edge distance is none of them, and one kind of image is read for less than the others."""
+    folder, results = made_up_run
+    results = json.loads(json.dumps(results).replace('"edge_mm"', '"y_mm"'))
+    del results["pose_mae"]["entangled"]["y_mm"]
+    (folder / "results.json").write_text(json.dumps(results))
+    html = write_report(folder).read_text()
+    read(html)
+    table = html.split("What a pose network reads")[1].split("</table>")[0]
+    assert "<th>y<br>mm" in table and "edge distance" not in table
+    assert f"<td>{results['pose_mae']['sheared']['y_mm']:.2f} <small>" in table
+    assert "y_mm" not in table and "Error in distance to the edge" not in html and "Error in edge angle" in html
+
+
 def test_a_figure_without_an_interval_is_still_told(made_up_run):
     folder, results = made_up_run
     clover = results["pose_by_stimulus"]["clover"]

@@ -7,8 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.targets import of_ranges, to_json
 from jaxunshear.training import checkpoint
 
 STATE = {
@@ -118,6 +120,18 @@ def test_settings_there_and_back(tmp_path, kind, net):
     assert checkpoint.read_net(tmp_path) == net
     with pytest.raises(UserError, match=r"net\.size"):
         checkpoint.write_settings(tmp_path, {"kind": kind, "net": net.__dict__ | {"size": 8}})
+
+
+def test_a_posenet_tells_its_targets_and_others_may(tmp_path):
+    targets = of_ranges((), Ranges())
+    for name, more in (("told", {"targets": to_json(targets)}), ("older", {})):
+        for kind in ("posenet", "unshear"):
+            checkpoint.write_settings(tmp_path / name / kind, {"kind": kind, **more})
+    assert checkpoint.read_targets(tmp_path / "told" / "posenet") == targets
+    assert checkpoint.read_targets(tmp_path / "told" / "unshear") == targets
+    assert checkpoint.read_targets(tmp_path / "older" / "unshear") == ()
+    with pytest.raises(UserError, match=r"older.posenet.model\.json tells no pose targets .*: train again"):
+        checkpoint.read_targets(tmp_path / "older" / "posenet")
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"kind": "other"}', '{"kind": "unshear", "net": {}}'])

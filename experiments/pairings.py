@@ -1,0 +1,20 @@
+"""Claim: partners that a renderer draws are worth at least as much as the nearest recorded taps.
+
+    jaxunshear sweep experiments/pairings.py --recordings DIR --unshear.input pins
+
+One row for each way to pair a recorded slide with a tap; the same slides and the same PoseNets in all of them. Recordings with true pairs
+take a third: `--paired.pairing pose_id` in an experiment of its own.
+"""
+
+from dataclasses import replace
+
+from jaxunshear.fit import BASE
+from jaxunshear.sweep.settings import Sweep
+
+sweep = Sweep(
+    name="pairings",
+    claim="Which partner a recorded slide should have.",
+    base=replace(BASE, name="pairings"),
+    grid=(("paired.pairing", ("rendered", "nearest")),),
+    seeds=(0, 1, 2),
+)

@@ -1,0 +1,89 @@
+"""What each network of an experiment learns, and from which fields of its examples."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, training_of
+from jaxunshear.model import pinnets, posenet
+from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, UNet, UnshearNet, without_codes
+from jaxunshear.model.unshearnet import as_large_entangled
+from jaxunshear.targets import fields_of
+from jaxunshear.training import pin_tasks, tasks
+from jaxunshear.training.checkpoint import load_best, read_net
+from jaxunshear.training.examples import Examples, spread_of
+from jaxunshear.training.origin import check_origin
+from jaxunshear.training.settings import labelled
+from jaxunshear.training.tasks import Task
+
+
+def task_of(experiment: Experiment, network: str, examples: Examples, folder: Path) -> tuple[Task, tuple[str, ...]]:
+    """What `network` learns, and the fields of a batch that this takes."""
+    training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
+    weighed = ("weight",) if recorded_of(experiment) and network not in POSENETS and network != RENDERER else ()
+    if network == RENDERER or over_pins(experiment):
+        field = {"posenet": "pins", TEACHER: "pins", RENDERER: "pins"}.get(network, "sheared_pins")
+        known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
+        net = asdict(experiment.pins)
+        sure = ("sure",) if recorded_of(experiment) else ()  # simulated pins are all known
+        if network == RENDERER:
+            return pin_tasks.renderer_task(PinRenderer(**net), training, *known), ("pins", *sure, *labels)
+        if network in POSENETS:
+            return pin_tasks.pin_posenet_task(PinPoseNet(**net), training, *known), (field, *sure, *labels)
+        codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
+        teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
+        named = ("canonical_pins", "sheared_pins", *sure, *weighed, *(labels if labelled(training) else ()))
+        return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
+    if network in POSENETS:
+        seen = "sheared" if network == "posenet_sheared" else "image"
+        return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
+    teacher = _teacher(experiment, folder, posenet.predict) if training.pose_weight else None
+    task = tasks.unshear_task(unshear_net(experiment.unshear, network), training, teacher, targets)
+    return task, ("canonical", "sheared", *weighed, *(labels if labelled(training) else ()))
+
+
+def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
+    """The settings of one of the networks that unshear, all derived from `net`."""
+    if network == "unet":
+        return UNet(net.size, net.widths, net.residual, net.both_sides)
+    if network == "entangled_large":
+        return as_large_entangled(dataclasses.replace(net, disentangled=True))
+    if network == "entangled":
+        return dataclasses.replace(without_codes(net), disentangled=False)
+    return dataclasses.replace(net, disentangled=True)
+
+
+def renamed(batch: dict[str, Any]) -> dict[str, Any]:
+    """Trainings that read poses name whatever they look at "image", or "pins"."""
+    if "canonical" in batch or "canonical_pins" in batch:
+        return batch
+    return {{"sheared": "image", "sheared_pins": "pins"}.get(name, name): x for name, x in batch.items()}
+
+
+def first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Any]]:
+    """The first `count` validation examples, in batches."""
+    batch = 64
+
+    def batches() -> Iterator[Any]:
+        taken = 0
+        for examples in split("validation", batch, fields):
+            examples = {name: values[: count - taken] for name, values in examples.items()}
+            taken += len(examples[fields[0]])
+            yield renamed(examples)
+            if taken >= count:
+                return
+
+    return batches
+
+
+def _teacher(experiment: Experiment, folder: Path, predict: Callable[..., Any]) -> Callable[[Any], Any]:
+    path = folder / TEACHER
+    if not (path / "summary.json").exists():
+        raise UserError(f"{path} is missing, and train.pose_weight needs it: train {TEACHER} first")
+    check_origin(experiment, TEACHER, folder)
+    net: Any = read_net(path)
+    return partial(predict, net, load_best(path))

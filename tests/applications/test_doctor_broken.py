@@ -1,0 +1,300 @@
+"""Two hundred broken folders of recordings: the reader and the doctor name what is wrong, by file and row, and never fail otherwise."""
+
+import hashlib
+import json
+import os
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.cli import main
+from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.errors import UserError
+from jaxunshear.image.settings import Preprocess
+
+COLUMNS = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
+NAMES = [f"image_{i}.png" for i in range(1, 5)]
+LEAST_CASES = 150
+
+
+def dots(seed, size=48):
+    """A grid of dots, each moved a little."""
+    image = np.zeros((size, size), np.uint8)
+    generator = np.random.default_rng(seed)
+    for row in range(9, size - 9, 5):
+        for column in range(9, size - 9, 5):
+            down, right = generator.integers(0, 2, 2)
+            image[row + down : row + down + 2, column + right : column + right + 2] = 255
+    return image
+
+
+def sound(root):
+    (root / "images").mkdir(parents=True)
+    lines = [",".join(["sensor_image", "obj_id", "pose_id", *COLUMNS])]
+    for i, name in enumerate(NAMES):
+        Image.fromarray(dots(i)).save(root / "images" / name)
+        lines.append(",".join([name, "1", str(i), *(f"{0.25 * i + j}" for j in range(12))]))
+    (root / "targets.csv").write_text("\n".join(lines) + "\n")
+    (root / "meta.json").write_text('{"tap_depth": 5}')
+    return root
+
+
+def image_with(data):
+    def spoil(root):
+        (root / "images" / NAMES[1]).write_bytes(data(root / "images" / NAMES[1]) if callable(data) else data)
+
+    return spoil
+
+
+def drawn(pixels, **how):
+    def spoil(root):
+        Image.fromarray(pixels).save(root / "images" / NAMES[1], **how)
+
+    return spoil
+
+
+def table(change):
+    """Of the lines of the table, or of its bytes."""
+
+    def spoil(root):
+        file = root / "targets.csv"
+        changed = change(file.read_text().splitlines())
+        file.write_bytes(changed if isinstance(changed, bytes) else "\n".join(changed).encode())
+
+    return spoil
+
+
+def cell(row, column, value):
+    def change(lines):
+        cells = lines[row - 1].split(",")
+        cells[lines[0].split(",").index(column)] = value
+        return [*lines[: row - 1], ",".join(cells), *lines[row:]]
+
+    return table(change)
+
+
+def without(column):
+    def change(lines):
+        at = lines[0].split(",").index(column)
+        return [",".join(c for i, c in enumerate(line.split(",")) if i != at) for line in lines]
+
+    return table(change)
+
+
+def meta(data):
+    return lambda root: (root / "meta.json").write_bytes(data)
+
+
+def instead(name, make):
+    """Another thing in the place of a file."""
+
+    def spoil(root):
+        (root / name).unlink()
+        make(root / name)
+
+    return spoil
+
+
+def bomb(file):
+    """A PNG that claims 60,000 pixels a side."""
+    data = file.read_bytes()
+    return data[:16] + struct.pack(">II", 60_000, 60_000) + data[24:]
+
+
+IMAGE, TABLE, META = NAMES[1], "targets.csv", "meta.json"
+FLAT = np.zeros((48, 48), np.uint8)
+# what is done, the file that must be named, and the row
+CASES = {
+    **{f"image cut at {n}": (image_with(lambda f, n=n: f.read_bytes()[:n]), IMAGE, None) for n in (1, 8, 20, 33, 45)},
+    "image half": (image_with(lambda f: f.read_bytes()[: f.stat().st_size // 2]), IMAGE, None),
+    "image of no bytes": (image_with(b""), IMAGE, None),
+    "text named png": (image_with(b"see the other folder\n"), IMAGE, None),
+    "table named png": (image_with(lambda f: (f.parents[1] / TABLE).read_bytes()), IMAGE, None),
+    "bomb": (image_with(bomb), IMAGE, None),
+    "one pixel": (drawn(FLAT[:1, :1]), IMAGE, None),
+    "black": (drawn(FLAT), IMAGE, None),
+    "another size": (drawn(dots(1, 64)), IMAGE, None),
+    "folder named png": (instead(f"images/{IMAGE}", Path.mkdir), TABLE, 3),
+    "no image": (instead(f"images/{IMAGE}", lambda file: None), TABLE, 3),
+    "link to nothing": (instead(f"images/{IMAGE}", lambda file: file.symlink_to("absent")), TABLE, 3),
+    "link to itself": (instead(f"images/{IMAGE}", lambda file: file.symlink_to(file)), TABLE, 3),
+    "queue named png": (instead(f"images/{IMAGE}", os.mkfifo), TABLE, 3),
+    "image of no row": (lambda root: Image.fromarray(dots(9)).save(root / "images" / "image_9.png"), TABLE, None),
+    "colour": (drawn(np.repeat(dots(1)[..., None], 3, -1)), "", None),
+    "16 bits": (drawn(dots(1).astype(np.uint16) * 257), "", None),
+    "empty table": (table(lambda lines: b""), TABLE, None),
+    "heading only": (table(lambda lines: lines[:1]), TABLE, None),
+    "no heading": (table(lambda lines: lines[1:]), TABLE, 1),
+    "semicolons": (table(lambda lines: [line.replace(",", ";") for line in lines]), TABLE, 1),
+    "utf-16": (table(lambda lines: "\n".join(lines).encode("utf-16")), TABLE, 1),
+    "latin-1": (table(lambda lines: "\n".join(lines).replace("image_3", "bild_\xfc").encode("latin-1")), TABLE, 4),
+    "byte order mark": (table(lambda lines: "\n".join(lines).encode("utf-8-sig")), "", None),
+    "carriage returns": (table(lambda lines: "\r".join(lines).encode()), "", None),
+    "NUL bytes": (table(lambda lines: "\n".join(lines).replace("0.25", "0.\x0025").encode()), TABLE, 3),
+    "noise": (table(lambda lines: np.random.default_rng(1).bytes(900)), TABLE, 1),
+    "open quote": (table(lambda lines: [*lines[:2], '"' + lines[2], *lines[3:]]), TABLE, 3),
+    "endless cell": (table(lambda lines: [*lines[:3], "9" * 200_000]), TABLE, 4),
+    "column twice": (table(lambda lines: [lines[0].replace("pose_2", "pose_1"), *lines[1:]]), TABLE, 1),
+    "short row": (table(lambda lines: [*lines[:3], lines[3][:30], lines[4]]), TABLE, 4),
+    "long row": (table(lambda lines: [*lines[:3], lines[3] + ",1,2", lines[4]]), TABLE, 4),
+    "row again": (table(lambda lines: [*lines, lines[2]]), TABLE, 6),
+    "row again, other": (table(lambda lines: [*lines, lines[2].replace("0.25", "0.5")]), TABLE, 6),
+    "folder named csv": (instead(TABLE, Path.mkdir), "", None),
+    **{f"no {name}": (without(name), TABLE, None) for name in ("sensor_image", "pose_3", "move_6")},
+    **{f"no {name}": (without(name), "", None) for name in ("obj_id", "pose_id")},
+    **{
+        f"{value or 'nothing'} in {column}": (cell(4, column, value), TABLE, 4)
+        for value in ("abc", "", "nan", "inf", "1e400", "-1e308", "0x10", "--", "\u221e")
+        for column in ("pose_1", "move_4")
+    },
+    **{f"{value} in pose_id": (cell(2, "pose_id", value), TABLE, 2) for value in ("x", "1.5", "-7", "1e99", "nan")},
+    "name in another folder": (cell(3, "sensor_image", "elsewhere/image_77.png"), TABLE, 3),
+    "no name": (cell(3, "sensor_image", ""), TABLE, 3),
+    "broken JSON": (meta(b'{"a": 1}}'), META, None),
+    "deep JSON": (meta(b"[" * 100_000), META, None),
+    "latin-1 JSON": (meta(b'{"a": "\xfc"}'), META, None),
+    "folder named json": (instead(META, Path.mkdir), META, None),
+    "link that leads back": (lambda root: (root / "again").symlink_to(root), "", None),
+    "unreadable table": (lambda root: (root / TABLE).chmod(0), "" if os.geteuid() == 0 else TABLE, None),
+    "unreadable image": (lambda root: (root / "images" / IMAGE).chmod(0), "" if os.geteuid() == 0 else IMAGE, None),
+}
+RANDOM = [
+    *(("images/" + IMAGE, how, seed) for how in ("flip", "cut", "insert") for seed in range(20)),
+    *((TABLE, how, seed) for how in ("flip", "cut", "insert") for seed in range(15)),
+    *((META, how, seed) for how in ("flip", "cut") for seed in range(4)),
+]
+
+
+def spoilt(data, how, seed):
+    generator = np.random.default_rng(seed)
+    at = int(generator.integers(0, len(data)))
+    if how == "cut":
+        return data[:at]
+    if how == "insert":
+        return data[:at] + generator.bytes(int(generator.integers(1, 40))) + data[at:]
+    changed = bytearray(data)
+    for place in generator.integers(0, len(data), 1 + seed % 8):
+        changed[place] ^= 1 << int(generator.integers(0, 8))
+    return bytes(changed)
+
+
+def contents(root):
+    return {
+        path.relative_to(root): hashlib.sha1(path.read_bytes()).hexdigest() if path.is_file() else ""
+        for path in sorted(root.rglob("*"))
+    }
+
+
+def refusal(root):
+    """What the reader says of a folder that it cannot read; nothing where it can."""
+    try:
+        recordings = read_recordings(root, Preprocess(size=32))
+        list(recordings.frames())
+    except UserError as error:
+        return str(error)
+    return "".join(note for note in recordings.notes if "\n" in note)
+
+
+def examined(root, capsys, *options):
+    """Code, lines and error of the doctor, which leaves what it examines as it is; the reader goes first."""
+    before = contents(root)
+    assert "\n" not in refusal(root)
+    code = main(["doctor", str(root), *options])
+    out, err = capsys.readouterr()
+    assert contents(root) == before
+    assert "Traceback" not in out + err
+    errors = [line for line in err.splitlines() if not line.startswith("doctor ")]
+    assert len(errors) == (1 if code == 2 else 0)
+    assert code in (0, 1) or str(root) in errors[0]
+    assert code != 2 or not out
+    return code, out.splitlines(), "".join(errors)
+
+
+def test_there_are_enough():
+    assert len(CASES) + len(RANDOM) >= LEAST_CASES
+
+
+def test_a_sound_folder_has_nothing_broken(tmp_path, capsys):
+    code, lines, _ = examined(sound(tmp_path / "set"), capsys)
+    assert code == 0 and "broken: nothing" in lines
+
+
+@pytest.mark.parametrize(("spoil", "file", "row"), CASES.values(), ids=CASES)
+def test_what_is_broken_is_named(tmp_path, capsys, spoil, file, row):
+    root = sound(tmp_path / "set")
+    spoil(root)
+    code, lines, _ = examined(root, capsys)
+    broken = [line for line in lines if line.startswith("broken: ")]
+    assert code == 0  # three images are left
+    if not file:
+        assert broken == ["broken: nothing"]
+    elif row:
+        assert any(f"{file}, row {row}: " in line for line in broken)
+    else:
+        assert any(file in line for line in broken)
+
+
+@pytest.mark.parametrize(("name", "how", "seed"), RANDOM)
+def test_random_damage_is_survived(tmp_path, capsys, name, how, seed):
+    root = sound(tmp_path / "set")
+    (root / name).write_bytes(spoilt((root / name).read_bytes(), how, seed))
+    code, lines, _ = examined(root, capsys)
+    assert code == 0
+    assert any(line.startswith("broken: ") for line in lines)
+
+
+def no_images(root):
+    for name in NAMES:
+        (root / "images" / name).unlink()
+
+
+def all_as(data):
+    def spoil(root):
+        for name in NAMES:
+            (root / "images" / name).write_bytes(data)
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (no_images, "holds no images"),
+        (all_as(b""), "none of 4 images"),
+        (all_as(b"text"), "none of 4 images"),
+        (lambda root: [drawn(FLAT)(root), all_as((root / "images" / IMAGE).read_bytes())(root)], "one flat grey"),
+        (lambda root: [drawn(FLAT[:1, :1])(root), all_as((root / "images" / IMAGE).read_bytes())(root)], "too small"),
+    ],
+    ids=["none", "empty", "text", "black", "pixels"],
+)
+def test_where_nothing_can_be_read_nothing_is_written(tmp_path, capsys, spoil, says):
+    root = sound(tmp_path / "set")
+    spoil(root)
+    code, _, error = examined(root, capsys, "--json", str(tmp_path / "found.json"), "--out", str(tmp_path / "out"))
+    assert code == 2 and says in error
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["set"]
+
+
+def test_a_broken_folder_among_sound_ones(tmp_path, capsys):
+    root = tmp_path / "all"
+    for name in ("a", "b", "c"):
+        sound(root / name)
+    all_as(b"")(root / "b")
+    out = tmp_path / "out"
+    code, lines, _ = examined(root, capsys, "--json", str(tmp_path / "found.json"), "--out", str(out))
+    assert code == 0
+    assert "lacking: no usable images in b" in lines
+    assert sum(line.startswith("broken: ") for line in lines) == len(NAMES)
+    assert sorted(path.name for path in out.iterdir()) == ["doctor.json", "doctor.png"]
+    for file in (tmp_path / "found.json", out / "doctor.json"):
+        assert [row["name"] for row in json.loads(file.read_text())["rows"]] == ["a", "b", "c"]
+
+
+def test_names_that_are_no_text(tmp_path, capsys):
+    root = sound(tmp_path / "set")
+    (root / "images" / IMAGE).rename(root / "images" / "b\udce9 \n.png")
+    code, lines, _ = examined(root, capsys)
+    assert code == 0 and any("b\\udce9" in line for line in lines)

@@ -1,0 +1,45 @@
+"""Pins as dots: found again where they were drawn."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.pairing import background_of, drawn
+from jaxunshear.image.dots import dots
+from jaxunshear.image.pins import find_pins
+from jaxunshear.scene.sensor import TACTIP_127, pin_lattice
+
+SIZE = 128
+FLAT = pin_lattice(TACTIP_127)
+PINS = (SIZE - 1) / 2 + 0.375 * SIZE * FLAT / np.linalg.norm(FLAT, axis=-1).max()
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.3])
+def test_dots_are_found_where_they_were_drawn(shift):
+    image = np.asarray(dots(jnp.asarray(PINS[None] + shift, jnp.float32), 2.1, SIZE))[0, ..., 0]
+    found = find_pins((image * 255).astype(np.uint8))
+    assert len(found) == len(PINS)
+    apart = np.linalg.norm(found[:, None] - (PINS + shift), axis=-1).min(axis=1)
+    assert apart.max() < 0.35
+    assert image.sum() / len(PINS) == pytest.approx(np.pi * 2.1**2, rel=0.1)
+
+
+def test_pins_that_are_not_seen_are_not_drawn():
+    holes = PINS.copy()
+    holes[:30] = np.nan
+    image = np.asarray(dots(jnp.asarray(holes[None], jnp.float32), 2.1, SIZE))[0, ..., 0]
+    assert len(find_pins((image * 255).astype(np.uint8))) == len(PINS) - 30
+
+
+def test_both_ways_of_drawing_agree():
+    plain = drawn(PINS[None], 2.1, np.zeros((SIZE, SIZE), bool))[0] / 255
+    np.testing.assert_array_equal(plain, np.asarray(dots(jnp.asarray(PINS[None], jnp.float32), 2.1, SIZE))[0, ..., 0])
+
+
+def test_the_background_is_what_most_images_show_beyond_the_pins():
+    ring = np.zeros((5, SIZE, SIZE), np.uint8)
+    ring[:, :3] = 255
+    ring[:2, -3:] = 255
+    ring += drawn(np.repeat(PINS[None], 5, 0), 2.1, np.zeros((SIZE, SIZE), bool))
+    found = background_of(ring, PINS, 7.0)
+    assert found[:3].all() and not found[-3:].any() and not found[40:90, 40:90].any()

@@ -1,0 +1,93 @@
+"""Networks over pins: shapes, what reaches what, pins that are not seen."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.model import pinnets
+from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
+
+SMALL = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
+REST = np.random.default_rng(0).uniform(10, 100, (19, 2)).astype(np.float32)
+
+
+def made(kind, outputs=0, **changes):
+    net = kind(**SMALL | changes)
+    return net, pinnets.init(net, REST, 1.5, jax.random.key(0), outputs)
+
+
+def moved(seed=1, count=3):
+    return jnp.asarray(REST + np.random.default_rng(seed).normal(0, 1.5, (count, *REST.shape)), jnp.float32)
+
+
+@pytest.mark.parametrize("jit", [False, True])
+def test_shapes_and_batches(jit):
+    net, variables = made(PinUnshear)
+    unshear = jax.jit(pinnets.unshear, static_argnums=0) if jit else pinnets.unshear
+    pins = moved()
+    z_p, z_s = pinnets.encode(net, variables, pins)
+    assert (z_p.shape, z_s.shape) == ((3, 5), (3, 2))
+    canonical = unshear(net, variables, pins)
+    assert canonical.shape == pins.shape
+    np.testing.assert_allclose(unshear(net, variables, pins[1:2])[0], canonical[1], rtol=1e-5, atol=1e-4)
+    assert pinnets.decode_sheared(net, variables, z_p, z_s).shape == pins.shape
+
+
+def test_the_canonical_pins_do_not_know_the_shear_code():
+    """By gradients that are exactly zero: of DC's answer to the shear code's layer, and to DS."""
+    net, variables = made(PinUnshear)
+
+    def total(params):
+        return pinnets.unshear(net, variables | {"params": params}, moved()).sum()
+
+    slopes = jax.grad(total)(variables["params"])
+    assert all(np.all(leaf == 0) for part in ("shear", "DS") for leaf in jax.tree.leaves(slopes[part]))
+    assert all(
+        np.any(leaf != 0)
+        for part in ("E", "pose", "DC")
+        for leaf in jax.tree.leaves(slopes[part]["Dense_0"] if part == "DC" else slopes[part])
+    )
+
+
+def test_no_shear_code_builds_no_ds():
+    net, variables = made(PinUnshear, shear_code=0)
+    assert set(variables["params"]) == {"E", "pose", "DC"}
+    assert pinnets.encode(net, variables, moved())[1] is None
+
+
+def test_a_pin_that_is_not_seen_counts_as_one_that_has_not_moved():
+    net, variables = made(PinPoseNet, 4)
+    pins = moved()
+    hidden = pins.at[:, 7].set(jnp.nan)
+    still = pins.at[:, 7].set(REST[7])
+    outputs = pinnets.predict(net, variables, hidden)
+    assert outputs.shape == (3, 4) and np.isfinite(outputs).all()
+    np.testing.assert_array_equal(outputs, pinnets.predict(net, variables, still))
+    assert np.isfinite(pinnets.unshear(*made(PinUnshear), jnp.full_like(pins, jnp.nan))).all()
+
+
+def test_distance_is_in_units_of_the_spread_and_skips_what_is_not_seen():
+    _, variables = made(PinUnshear)
+    target = moved()
+    assert float(pinnets.distance(target + 3.0, target, variables)[0]) == pytest.approx(4.0, rel=1e-5)
+    holes = target.at[0, :10].set(jnp.nan)
+    far = target.at[0, :10].add(100.0) + 1.5
+    assert float(pinnets.distance(far, holes, variables)[0]) == pytest.approx(1.0, rel=1e-5)
+    slope = jax.grad(lambda pins: pinnets.distance(pins, holes, variables).sum())(far)
+    assert np.isfinite(slope).all() and np.all(slope[0, :10] == 0)
+
+
+def test_a_fresh_renderer_draws_nearly_the_untouched_pins():
+    net, variables = made(PinRenderer, 4)
+    drawn = pinnets.render(net, variables, jnp.full((2, 4), 0.7))
+    assert drawn.shape == (2, *REST.shape) and 0 < np.abs(drawn - REST).max() < 1.0
+
+
+def test_spoiling_hides_at_most_its_share_and_adds_its_noise():
+    net = PinUnshear(**SMALL, noise_px=0.5, hidden_pins=0.4)
+    pins = jnp.asarray(np.tile(REST, (400, 1, 1)))
+    spoilt = pinnets.spoilt(net, pins, jax.random.key(3))
+    gone = np.isnan(np.asarray(spoilt)[..., 0])
+    assert 0.15 < gone.mean() < 0.25
+    assert np.nanstd(spoilt - pins) == pytest.approx(0.5, rel=0.05)

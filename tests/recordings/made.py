@@ -1,0 +1,87 @@
+"""Recordings in the published layouts, made in milliseconds: pins that move as smooth functions of pose and slide, drawn as dots.
+
+No contact is solved: what matters is that pose and slide can be read off the pins, and that files lie where a laboratory's lie.
+"""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from jaxunshear.dataset.pairing import drawn
+from jaxunshear.scene.sensor import TACTIP_127, Sensor, pin_lattice
+
+SIZE = 96
+OLDER = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
+NEWER = [f"{kind}_{i}" for kind in ("pose", "shear") for i in ("x", "y", "z", "Rx", "Ry", "Rz")]
+
+
+def rest_px(sensor: Sensor = TACTIP_127, size: int = SIZE) -> np.ndarray:
+    """(P, 2) px, the untouched pins."""
+    flat = pin_lattice(sensor)
+    return (size - 1) / 2 + 0.375 * size * flat / np.linalg.norm(flat, axis=-1).max()
+
+
+def pins_px(pose: np.ndarray, move: np.ndarray, sensor: Sensor = TACTIP_127, size: int = SIZE) -> np.ndarray:
+    """(P, 2) px of a contact: an edge at y, deep by z, turned by Rz, spreads the pins on its side; a slide drags those in touch."""
+    rest = rest_px(sensor, size)
+    unit = (rest - (size - 1) / 2) / (0.375 * size)
+    angle = np.radians(pose[5])
+    normal = np.array([np.cos(angle), np.sin(angle)])
+    inside = 1 / (1 + np.exp(-6 * (unit @ normal - pose[1] / 6)))
+    touch = inside * np.exp(-3 * (unit**2).sum(-1)) * pose[2]
+    spread = 0.012 * size * touch[:, None] * (unit + 0.5 * normal)
+    return rest + spread + 0.006 * size * touch[:, None] * move[:2]
+
+
+def contacts(count: int, slid: bool, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Poses and moves (N, 6): y, z and Rz vary; sorted by angle, as published rows are."""
+    rng = np.random.default_rng(seed)
+    pose, move = np.zeros((count, 6)), np.zeros((count, 6))
+    pose[:, 1], pose[:, 2] = rng.uniform(-3, 3, count), rng.uniform(3, 5, count)
+    pose[:, 5] = np.sort(rng.uniform(-180, 180, count))
+    if slid:
+        move[:, :2] = rng.uniform(-3, 3, (count, 2))
+    return np.round(pose, 6), np.round(move, 6)
+
+
+def write(
+    folder: Path,
+    pose: np.ndarray,
+    move: np.ndarray,
+    layout: str = "older",
+    sensor: Sensor = TACTIP_127,
+    pose_id: np.ndarray | None = None,
+    size: int = SIZE,
+) -> Path:
+    """A folder of one recording. Returns it."""
+    images = folder / ("images" if layout == "older" else "processed_images")
+    images.mkdir(parents=True)
+    names = [f"image_{i + 1}.png" for i in range(len(pose))]
+    ids = np.arange(1, len(pose) + 1) if pose_id is None else pose_id
+    for name, own, by in zip(names, pose, move, strict=True):
+        picture = drawn(pins_px(own, by, sensor, size)[None], 0.017 * size, np.zeros((size, size), bool))[0]
+        Image.fromarray(picture).save(images / name)
+    with open(folder / "targets.csv", "w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(
+            [
+                "sensor_image",
+                *(["obj_id", "pose_id"] if layout == "older" else []),
+                *(OLDER if layout == "older" else NEWER),
+            ]
+        )
+        for name, own, by, number in zip(names, pose, move, ids, strict=True):
+            rows.writerow([name, *([1, number] if layout == "older" else []), *own, *by])
+    meta = {"pose_llims": [0] * 6} if layout == "newer" else {"tap_depth": -5.0}
+    (folder / ("collect_params.json" if layout == "newer" else "meta.json")).write_text(json.dumps(meta))
+    return folder
+
+
+def edge(folder: Path, taps: int = 60, slides: int = 60, seed: int = 0, layout: str = "older") -> Path:
+    """Taps and slides of an edge, in two folders below one."""
+    write(folder / "tap" / "csv_train", *contacts(taps, False, seed), layout)
+    write(folder / "shear" / "csv_train", *contacts(slides, True, seed + 1), layout)
+    return folder

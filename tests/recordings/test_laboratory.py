@@ -1,0 +1,228 @@
+"""A laboratory's day, from the command line: from folder to report, scored on what was never seen, put to use."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import made
+import numpy as np
+import pytest
+
+from jaxunshear.config import load_experiment
+
+sys.path.insert(0, str(Path(__file__).parent))
+from conftest import ROOT, SHORT
+
+TARGETS = ["y_mm", "z_mm", "Rz_deg"]
+EXPERIMENT = ROOT / "experiments" / "recorded.py"
+
+
+def rows_of(file):
+    return {row["name"]: row["value"] for row in json.loads(Path(file).read_text())["rows"]}
+
+
+def test_a_run_tells_errors_under_the_names_that_other_tools_rely_on(pins_run):
+    results = json.loads((pins_run / "results.json").read_text())
+    assert results["simulated"] is False
+    for way in ("tap", "sheared", "unsheared", "sheared_learnt"):
+        assert list(results["pose_mae"][way]) == TARGETS
+    assert list(results["pose_recovery"]["unsheared"]) == TARGETS
+    assert results["pose_mae"]["unsheared"] == results["pose_mae"]["disentangled"]
+    assert results["pairing"]["way"] == "rendered"
+    assert (pins_run / "report.html").stat().st_size > 10_000
+
+
+def test_the_network_has_learnt(pins_run):
+    results = json.loads((pins_run / "results.json").read_text())
+    chance, error = results["baselines"]["pose_chance"], results["pose_mae"]
+    assert error["tap"]["Rz_deg"] < 0.35 * chance["Rz_deg"] and error["tap"]["y_mm"] < 0.5 * chance["y_mm"]
+    assert error["unsheared"]["Rz_deg"] < error["sheared"]["Rz_deg"]
+
+
+def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, tmp_path):
+    other = made.edge(tmp_path / "other", 40, 40, seed=50)
+    answer = command(
+        "evaluate", pins_run, "--recordings", other, "--data", place / "datasets", "--json", tmp_path / "o.json"
+    )
+    assert answer.code == 0, answer.err
+    rows = rows_of(tmp_path / "o.json")
+    mae = json.loads((pins_run / "results.json").read_text())["pose_mae"]
+    for way in ("tap", "sheared", "unsheared", "sheared_learnt"):
+        for target in TARGETS:
+            assert 0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
+    assert "recovery" in answer.out and "40 taps, 40 slides" in answer.out
+
+
+def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(command, pins_run, place, tmp_path):
+    for name, slid, there, lacking in (("t", False, "tap", "sheared"), ("s", True, "unsheared", "tap")):
+        folder = made.write(tmp_path / name, *made.contacts(12, slid, 9), "newer")
+        answer = command(
+            "evaluate", pins_run, "--recordings", folder, "--data", place / "datasets", "--json", tmp_path / "o.json"
+        )
+        assert answer.code == 0, answer.err
+        ways = {row.split(".")[1] for row in rows_of(tmp_path / "o.json") if row.startswith("pose_mae")}
+        assert there in ways and lacking not in ways
+
+
+def test_what_a_run_learnt_from_is_not_taken_for_unseen(command, pins_run, place, recording):
+    answer = command("evaluate", pins_run, "--recordings", recording, "--data", place / "datasets")
+    assert answer.code == 2 and "is what" in answer.err and answer.err.count("\n") == 1
+
+
+def test_poses_have_the_labels_names_and_their_errors_are_printed(command, pins_run, recording, tmp_path):
+    slides = recording / "shear"
+    answer = command("pose", slides, "--model", pins_run, "--json", tmp_path / "pose.json")
+    assert answer.code == 0, answer.err
+    rows = list(csv.DictReader(answer.out.splitlines()))
+    assert len(rows) == 160 and {f"unsheared_{target}" for target in TARGETS} <= rows[0].keys()
+    off = np.mean([abs(float(row["unsheared_y_mm"]) - float(row["recorded_pose_y_mm"])) for row in rows])
+    assert rows_of(tmp_path / "pose.json")["pose_mae.unsheared.y_mm"] == pytest.approx(off, abs=2e-3)
+    assert "mean error against the labels, unsheared" in answer.err
+    assert "learnt from recordings of one sensor of 127 pins" in answer.err
+
+
+def test_images_are_unsheared_and_frames_streamed(command, pins_run, recording, tmp_path):
+    slides = recording / "shear"
+    answer = command("unshear", slides, "--model", pins_run, "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    assert "160 images unsheared, 0 left out" in answer.out and "mean error" in answer.out
+    answer = command("stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images")
+    assert answer.code == 0, answer.err
+    lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
+    assert len(lines) == 160 and {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
+    assert "mean error against the labels: y_mm" in answer.err
+
+
+def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):
+    for words in (("servo",), ("geometry",), ("reconstruct",)):
+        answer = command(*words, "--model", pins_run)
+        assert answer.code == 2 and "learnt from recordings" in answer.err and answer.err.count("\n") == 1
+
+
+def test_weights_are_released_and_used_without_the_recordings(command, pins_run, recording, tmp_path):
+    answer = command("release", pins_run, "--out", tmp_path / "ours")
+    assert answer.code == 0, answer.err
+    card = (tmp_path / "ours" / "README.md").read_text()
+    assert "127 pins" in card and str(recording) not in card
+    assert str(recording) not in (tmp_path / "ours" / "experiment.json").read_text()
+    both = [command("pose", recording / "shear", "--model", model).out for model in (pins_run, tmp_path / "ours")]
+    first, second = (
+        np.array([float(row["unsheared_y_mm"]) for row in csv.DictReader(out.splitlines())]) for out in both
+    )
+    np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
+
+
+def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp_path):
+    words = (
+        "--taps",
+        recording / "tap",
+        "--slides",
+        recording / "shear",
+        "--out",
+        tmp_path / "runs",
+        "--data",
+        place / "datasets",
+    )
+    short = (
+        *SHORT[:2],
+        "--train_pins.epochs",
+        "1",
+        *SHORT[4:],
+        "--paired.pairing",
+        "nearest",
+        "--networks",
+        "disentangled,posenet",
+    )
+    answer = command("fit", *words, "--name", "ours", *short)
+    assert answer.code == 0, answer.err
+    experiment = load_experiment(tmp_path / "runs" / "ours.py")
+    assert (experiment.paired.pairing, experiment.unshear.input, experiment.train_pins.epochs) == ("nearest", "pins", 1)
+    answer = command("run", tmp_path / "runs" / "ours.py", "--out", tmp_path / "runs", "--data", place / "datasets")
+    assert answer.code == 0, answer.err
+    results = json.loads((tmp_path / "runs" / "ours" / "results.json").read_text())
+    assert results["pairing"]["gaps"]["train"]["y_mm"]["median"] > 0
+
+
+def test_images_take_the_same_road(command, recording, place, tmp_path):
+    small = (
+        *("--paired.preprocess.size", "32", "--unshear.size", "32", "--posenet.size", "32", "--unshear.widths", "4,4"),
+        *(
+            "--posenet.widths",
+            "4,4,4,4,4",
+            "--posenet.hidden",
+            "8",
+            "--train.epochs",
+            "0.2",
+            "--train_posenet.epochs",
+            "0.5",
+        ),
+        *("--unshear.pose_channels", "4", "--unshear.shear_channels", "4", "--train_pins.epochs", "1"),
+    )
+    words = (
+        "run",
+        EXPERIMENT,
+        "--recordings",
+        recording,
+        "--name",
+        "images",
+        "--out",
+        tmp_path / "runs",
+        "--data",
+        place / "datasets",
+    )
+    answer = command(*words, *small)
+    assert answer.code == 0, answer.err
+    results = json.loads((tmp_path / "runs" / "images" / "results.json").read_text())
+    assert list(results["pose_mae"]["unsheared"]) == TARGETS and results["metric"]["input"] == "images"
+    assert command("ablate", tmp_path / "runs" / "images", "--data", place / "datasets").code == 0
+    answer = command("unshear", recording / "shear", "--model", tmp_path / "runs" / "images", "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+
+
+@pytest.mark.parametrize(("slid", "network"), [(False, "posenet"), (True, "posenet_sheared")])
+def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path, slid, network):
+    folder = made.write(tmp_path / "surface", *made.contacts(60, slid, 4), "newer")
+    words = (
+        "run",
+        EXPERIMENT,
+        "--recordings",
+        folder,
+        "--name",
+        network,
+        "--out",
+        tmp_path / "runs",
+        "--data",
+        tmp_path / "d",
+    )
+    answer = command(*words, *SHORT[:2], "--train_pins.epochs", "2", *SHORT[4:], "--targets", "y_mm,Rz_deg")
+    assert answer.code == 0, answer.err
+    results = json.loads((tmp_path / "runs" / network / "results.json").read_text())
+    assert list(results["pose_mae"]) == (["sheared_learnt"] if slid else ["tap"])
+    assert list(next(iter(results["pose_mae"].values()))) == ["y_mm", "Rz_deg"]
+
+
+REFUSED = [
+    ((), "name your recordings: add --recordings DIR"),
+    (("--recordings", "nowhere"), "nowhere is no folder of recordings"),
+    (("--targets", "q_mm"), "target 'q_mm' is unknown"),
+    (("--targets", "y_mm:circle"), "only an angle goes round a circle"),
+    (("--paired.pairing", "guess"), "is unknown: use one of rendered, nearest, pose_id, file"),
+    (("--paired.labelled", "0"), "a share above 0"),
+    (("--networks", "unet", "--unshear.input", "pins"), "reads images alone"),
+    (("--unseen", "flower"), "is a test of simulated touches"),
+    (("--train.mirror", "true"), "have no mirror image"),
+]
+
+
+@pytest.mark.parametrize(("words", "complaint"), REFUSED)
+def test_what_cannot_work_is_refused_in_one_line(command, recording, tmp_path, words, complaint):
+    named = () if not words or "--recordings" in words else ("--recordings", recording)
+    answer = command("run", EXPERIMENT, "--out", tmp_path / "runs", *named, *words)
+    assert answer.code == 2 and complaint in answer.err and answer.err.count("\n") == 1
+    assert not (tmp_path / "runs").exists()
+
+
+def test_a_simulated_experiment_takes_no_recordings(command, recording):
+    answer = command("run", ROOT / "experiments" / "tiny.py", "--recordings", recording)
+    assert answer.code == 2 and "is about simulated touches" in answer.err

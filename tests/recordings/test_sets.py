@@ -1,0 +1,182 @@
+"""Recordings on their way to a data set: pins by identity, kill and resume, pairing, labels."""
+
+import dataclasses
+import json
+import shutil
+
+import made
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.dataset import preparing
+from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.recorded import sensor_of, survey
+from jaxunshear.dataset.recorded_reading import open_recorded
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.errors import UserError
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.scene.sensor import TACTIP_127
+from jaxunshear.targets import of_labels
+
+SEEN = Preprocess(size=made.SIZE)
+
+
+def settings_of(folder, **changes):
+    return Recorded(str(folder), str(folder), digest=folder.name, preprocess=SEEN, **changes)
+
+
+@pytest.fixture(scope="module")
+def stored(recording, tmp_path_factory):
+    """The recording as a stored set."""
+    data = tmp_path_factory.mktemp("data")
+    make_set(settings_of(recording), TACTIP_127, data)
+    return data
+
+
+@pytest.fixture
+def opened(recording, stored):
+    def opened(seed=0, **changes):
+        return open_recorded(settings_of(recording, **changes), TACTIP_127, stored, seed)
+
+    return opened
+
+
+def test_the_sensor_is_known_by_its_pins(recording, tmp_path):
+    assert sensor_of(survey(settings_of(recording)), SEEN).pins == 127
+    pose, move = made.contacts(20, False, 0)
+    made.write(tmp_path, pose, move)
+    for file in (tmp_path / "images").iterdir():
+        noise = np.random.default_rng(0).random((made.SIZE, made.SIZE)) < 0.02
+        Image.fromarray(noise.astype(np.uint8) * 255).save(file)
+    with pytest.raises(UserError, match="pins are found in an image; known are sensors of 331, 127"):
+        sensor_of(survey(Recorded(taps=str(tmp_path), preprocess=SEEN)), SEEN)
+
+
+def test_every_pin_is_where_it_was_drawn(recording, opened):
+    reader = opened().slides()
+    rows = reader.take("train", np.arange(reader.length("train")), ("sheared_pins", "pose", "move", "sure"))
+    assert rows["sure"].mean() > 0.97
+    true = np.stack([made.pins_px(p, m) for p, m in zip(rows["pose"], rows["move"], strict=True)])
+    apart = np.linalg.norm(rows["sheared_pins"] - true, axis=-1)[rows["sure"] == 1]
+    assert np.nanmedian(apart) < 0.25 and np.nanmax(apart) < 0.5 * 6.0  # half a spacing: none has another's name
+
+
+def test_a_killed_reading_goes_on_to_the_same_bits(recording, tmp_path):
+    settings = settings_of(recording)
+    contacts = survey(settings)
+    frame = preparing.frame_of(contacts, settings, TACTIP_127)
+    whole = preparing.prepare(contacts, settings, frame, tmp_path / "whole")
+    assert len(whole) == 2
+    (tmp_path / "killed").mkdir()
+    shutil.copy(whole[0], tmp_path / "killed")
+    again = preparing.prepare(contacts, settings, frame, tmp_path / "killed")
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in whole]
+
+
+def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):
+    """Crop and untouched pins are those of training frames: other test frames leave them as they are."""
+    other = tmp_path / "edge"
+    shutil.copytree(recording, other)
+    settings = settings_of(other)
+    contacts = survey(settings)
+    for file in contacts.take(np.flatnonzero(contacts.split != SPLITS.index("train"))).files:
+        Image.fromarray(np.asarray(Image.open(file))[::-1, ::-1].T.copy()).save(file)
+    frames = [preparing.frame_of(survey(s), s, TACTIP_127) for s in (settings, settings_of(recording))]
+    np.testing.assert_array_equal(frames[0].place, frames[1].place)
+    assert frames[0].view == frames[1].view
+
+
+def test_targets_are_those_that_the_training_labels_vary(opened):
+    targets = opened().targets(())
+    assert [target.name for target in targets] == ["y_mm", "z_mm", "Rz_deg"]
+    assert [target.circle for target in targets] == [False, False, True]
+    with pytest.raises(UserError, match="'x_mm' does not vary"):
+        opened().targets(("x_mm",))
+
+
+def test_an_unreadable_frame_is_left_out_and_named(tmp_path):
+    folder = made.edge(tmp_path / "edge", 40, 40)
+    (folder / "tap" / "csv_train" / "images" / "image_7.png").write_bytes(b"no image")
+    metadata = make_set(settings_of(folder, test=0.2, validation=0.2), TACTIP_127, tmp_path / "data")
+    assert metadata["counts"]["dropped"] == 1
+    assert "image_7.png" in metadata["counts"]["dropped_frames"][0]
+
+
+def test_the_nearest_tap_weighs_by_its_gap(opened):
+    stored = opened(pairing="nearest")
+    reader = stored.pairs(stored.targets(()))
+    rows = reader.take("train", np.arange(reader.length("train")), ("gap", "weight", "pose"))
+    assert rows["weight"].mean() == pytest.approx(1, rel=1e-5)
+    scaled = np.hypot(rows["gap"][:, 1] / 3, 2 * np.sin(np.radians(rows["gap"][:, 5]) / 2))
+    near, far = scaled < np.quantile(scaled, 0.2), scaled > np.quantile(scaled, 0.8)
+    assert rows["weight"][near].mean() > 2 * rows["weight"][far].mean()
+    assert np.all(rows["gap"][:, [0, 3, 4]] == 0) and 0 < np.median(rows["gap"][:, 5]) < 20
+
+
+def test_rendered_partners_stand_where_the_renderer_says(opened):
+    stored = opened()
+
+    def render(poses):
+        return np.stack([made.pins_px(pose, np.zeros(6)) for pose in poses])
+
+    reader = stored.pairs(stored.targets(()), render)
+    rows = reader.take("test", np.arange(5), ("canonical", "canonical_pins", "pose", "gap", "weight"))
+    np.testing.assert_allclose(rows["canonical_pins"], render(rows["pose"]), rtol=1e-6)
+    assert np.all(rows["gap"] == 0) and np.all(rows["weight"] == 1)
+    assert 0.05 < (rows["canonical"] > 0).mean() < 0.4
+
+
+def test_pairs_of_one_pose_by_its_number(tmp_path):
+    pose, move = made.contacts(50, True, 3)
+    made.write(tmp_path / "edge" / "tap", pose, 0 * move)
+    order = np.random.default_rng(0).permutation(50)
+    twice = np.concatenate([order, order])
+    made.write(tmp_path / "edge" / "slide", pose[twice], np.concatenate([move, -move]), pose_id=twice + 1)
+    settings = dataclasses.replace(settings_of(tmp_path / "edge"), pairing="pose_id", test=0.2, validation=0.2)
+    make_set(settings, TACTIP_127, tmp_path / "data")
+    stored = open_recorded(settings, TACTIP_127, tmp_path / "data")
+    reader = stored.pairs(stored.targets(()))
+    rows = reader.take("train", np.arange(reader.length("train")), ("canonical_pins", "pose", "gap", "pose_id"))
+    assert rows["gap"].max() < 1e-3
+    true = np.stack([made.pins_px(p, np.zeros(6)) for p in rows["pose"]])
+    assert np.nanmedian(np.linalg.norm(rows["canonical_pins"] - true, axis=-1)) < 0.25
+    assert len(np.unique(rows["pose_id"])) == len(rows["pose_id"]) / 2
+
+
+def test_poses_without_taps_of_their_number_are_refused(opened):
+    stored = opened(pairing="pose_id")
+    with pytest.raises(UserError, match="record taps and slides of the same poses"):
+        stored.pairs(stored.targets(())).length("train")
+
+
+@pytest.mark.parametrize("seed", [0, 5])
+def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
+    shares = [0.05, 0.3, 1.0]
+    drawn = []
+    for share in shares:
+        reader = opened(seed=seed, labelled=share).slides()
+        drawn.append(set(reader.take("train", np.arange(reader.length("train")), ("number",))["number"].tolist()))
+        assert opened(seed=seed, labelled=share).slides().length("test") == opened().slides().length("test")
+    assert drawn[0] < drawn[1] < drawn[2]
+    assert abs(len(drawn[1]) / len(drawn[2]) - 0.3) < 0.12
+    poses = opened().stored.rows("train")
+    angle = {n: p[5] for n, p in zip(poses["number"].tolist(), poses["pose"].tolist(), strict=True)}
+    assert np.ptp([angle[n] for n in drawn[1]]) > 250  # rows are sorted by angle: not the first ones
+
+
+def test_labels_of_an_axis_that_stands_still_are_no_target():
+    poses = np.zeros((30, 6))
+    poses[:, 2], poses[:, 3] = np.linspace(1, 5, 30), np.linspace(-25, 25, 30)
+    assert [target.name for target in of_labels((), poses)] == ["z_mm", "Rx_deg"]
+
+
+def test_metadata_hold_what_a_reader_must_know(recording, stored):
+    (folder,) = (stored / "tactip_recorded").glob("recorded-*/1.0.0")
+    metadata = json.loads((folder / "metadata.json").read_text())
+    counts = metadata["counts"]
+    assert counts["contacts"] == 320 and sum(counts["written"].values()) == 320
+    assert all(counts["taps"][split] + counts["slides"][split] == counts["written"][split] for split in SPLITS)
+    assert len(metadata["frame"]["place_px"]) == 127
+    np.testing.assert_allclose(metadata["frame"]["place_px"], made.rest_px(), atol=2.5)

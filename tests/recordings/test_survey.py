@@ -1,0 +1,122 @@
+"""Which contacts are taps, which are slides, and which split each is in."""
+
+import csv
+
+import made
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.recorded import digest_of, survey
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.errors import UserError
+
+
+def both(folder, **changes):
+    return Recorded(taps=str(folder), slides=str(folder), **changes)
+
+
+def by_name(contacts):
+    return dict(zip(contacts.names, contacts.split.tolist(), strict=True))
+
+
+def test_taps_and_slides_of_one_folder_are_known_by_their_moves(recording):
+    contacts = survey(both(recording))
+    assert len(contacts.names) == 320 and contacts.slid.sum() == 160
+    assert all(("shear/" in name) == slid for name, slid in zip(contacts.names, contacts.slid, strict=True))
+    shares = np.bincount(contacts.split, minlength=3) / 320
+    assert 0.7 < shares[0] < 0.9 and 0.04 < shares[1] < 0.17 and 0.04 < shares[2] < 0.17
+
+
+def test_a_split_does_not_depend_on_the_order_of_rows(tmp_path):
+    pose, move = made.contacts(40, True, 3)
+    order = np.random.default_rng(0).permutation(40)
+    one, other = (
+        made.write(tmp_path / str(i), pose[rows], move[rows]) for i, rows in enumerate((np.arange(40), order))
+    )
+    shown = [survey(Recorded(slides=str(folder), test=0.2, validation=0.2)) for folder in (one, other)]
+    splits = [{tuple(p): s for p, s in zip(c.pose.tolist(), c.split.tolist(), strict=True)} for c in shown]
+    assert splits[0] == splits[1]
+
+
+def test_a_tap_and_the_slides_of_its_pose_share_their_split(tmp_path):
+    pose, move = made.contacts(60, True, 3)
+    made.write(tmp_path / "tap", pose, 0 * move)
+    made.write(tmp_path / "slide", np.repeat(pose, 2, 0), np.concatenate([move, -move]))
+    contacts = survey(Recorded(taps=str(tmp_path / "tap"), slides=str(tmp_path / "slide"), test=0.2, validation=0.2))
+    of_pose = {}
+    for own, split in zip(contacts.pose.tolist(), contacts.split.tolist(), strict=True):
+        of_pose.setdefault(tuple(own), set()).add(split)
+    assert len(of_pose) == 60 and all(len(splits) == 1 for splits in of_pose.values())
+
+
+@pytest.mark.parametrize("seed", [0, 1, 7])
+@pytest.mark.parametrize("shares", [(0.1, 0.1), (0.3, 0.2)])
+def test_no_pose_is_in_two_splits_and_larger_shares_hold_the_smaller(recording, seed, shares):
+    contacts = survey(both(recording, seed=seed, test=shares[0], validation=shares[1]))
+    smaller = survey(both(recording, seed=seed, test=0.08, validation=0.1))
+    test = SPLITS.index("test")
+    assert set(np.flatnonzero(smaller.split == test)) <= set(np.flatnonzero(contacts.split == test))
+
+
+def test_folders_name_splits(tmp_path):
+    for i, name in enumerate(("csv_train", "csv_val", "csv_test")):
+        made.write(tmp_path / "tap" / name, *made.contacts(12, False, i))
+    contacts = survey(Recorded(taps=str(tmp_path)))
+    for name, split in by_name(contacts).items():
+        assert SPLITS[split] == {"csv_train": "train", "csv_val": "validation", "csv_test": "test"}[name.split("/")[1]]
+
+
+def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
+    for i, name in enumerate(("train", "test")):
+        made.write(tmp_path / name, *made.contacts(40, True, i), "newer")
+    splits = by_name(survey(Recorded(slides=str(tmp_path), validation=0.2)))
+    assert {SPLITS[s] for n, s in splits.items() if n.startswith("test")} == {"test"}
+    assert {SPLITS[s] for n, s in splits.items() if n.startswith("train")} == {"train", "validation"}
+
+
+def test_named_taps_that_moved_are_left_out_and_said(tmp_path):
+    pose, move = made.contacts(40, True, 3)
+    move[10:] = 0
+    made.write(tmp_path, pose, move)
+    contacts = survey(Recorded(taps=str(tmp_path)))
+    assert len(contacts.names) == 30 and any("10 contacts have a move" in note for note in contacts.notes)
+
+
+def test_labels_that_do_not_part_taps_from_slides_are_refused(tmp_path):
+    made.write(tmp_path / "a", *made.contacts(30, True, 3))
+    (tmp_path / "a" / "targets.csv").unlink()
+    with pytest.raises(UserError, match="no labels that say which contacts are taps"):
+        survey(both(tmp_path))
+
+
+def test_pairs_by_a_table(tmp_path):
+    pose, move = made.contacts(40, True, 3)
+    made.write(tmp_path / "tap", pose, 0 * move)
+    made.write(tmp_path / "slide", pose[::-1], move)
+    table = tmp_path / "pairs.csv"
+    lines = [(f"image_{i + 1}.png", f"image_{40 - i}.png") for i in range(40)]
+    with open(table, "w", newline="") as file:
+        csv.writer(file).writerows([("slide", "tap"), *lines])
+    settings = Recorded(
+        str(tmp_path / "tap"), str(tmp_path / "slide"), pairs=str(table), pairing="file", test=0.2, validation=0.2
+    )
+    contacts = survey(settings)
+    taps, slides = (contacts.take(np.flatnonzero(contacts.slid == slid)) for slid in (False, True))
+    of_id = dict(zip(taps.pose_id.tolist(), range(40), strict=True))
+    partners = [of_id[own] for own in slides.pose_id.tolist()]
+    np.testing.assert_array_equal(taps.pose[partners], slides.pose)
+    np.testing.assert_array_equal(taps.split[partners], slides.split)
+    with open(table, "a") as file:
+        file.write("image_1.png,image_99.png\n")
+    with pytest.raises(UserError, match=r"pairs\.csv.*row 42"):
+        survey(settings)
+
+
+def test_the_digest_tells_changed_labels_and_images(tmp_path):
+    folder = made.write(tmp_path / "a", *made.contacts(12, False, 0))
+    before = digest_of((str(folder),))
+    assert digest_of((str(folder),)) == before
+    text = (folder / "targets.csv").read_text()
+    (folder / "targets.csv").write_text(text.replace("image_1.png,1,1,0.0", "image_1.png,1,1,0.5"))
+    assert digest_of((str(folder),)) != before
