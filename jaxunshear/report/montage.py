@@ -57,8 +57,8 @@ def section(shown: Shown, results: dict[str, Any]) -> str:
         f"<figcaption>In the differences:{key}. Numbers are likeness to the {said.truth}.</figcaption>",
     ]
     if others:
-        more = f"<details><summary>Contacts that went badly, and well (10th and 90th percentile)</summary>{_table(shown, others, said)}"
-        body.append(more + "</details>")
+        summary = "Contacts that went badly, and well (10th and 90th percentile)"
+        body.append(f"<details><summary>{summary}</summary>{_table(shown, others, said)}</details>")
     lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
     if not words.simulated(results):
         lead = f"A held-out slide that is typical: what was felt, what the network made of it, and its {said.truth}."

@@ -87,8 +87,8 @@ def _recovery(results: dict[str, Any]) -> str:
         )
     told = "; ".join(f"{words.word(q)} {_recovered(found[q], spread[q])}" for q in words.targets(results))
     return (
-        f"<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {kind} network: {told}. 1 is as good as taps, 0 as bad as "
-        f"slides as felt.</p><p class=soft>{_of_paper(results)}</p>"
+        f"<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {kind} network: {told}. 1 is as good as taps, "
+        f"0 as bad as slides as felt.</p><p class=soft>{_of_paper(results)}</p>"
     )
 
 
@@ -111,8 +111,8 @@ def _span(interval: list[float] | None, form: str) -> str:
 
 
 def _by_part(results: dict[str, Any], table: str, by: str) -> str:
-    """Each part of `table`, for the network that `poses` names; folded away. Recovery, or where nothing is known of taps errors.
-    Nothing of runs evaluated by an earlier version."""
+    """Each part of `table`, for the network that `poses` names; folded away. Recovery, or where nothing is known of
+    taps errors. Nothing of runs evaluated by an earlier version."""
     names, kind = words.targets(results), shown_kind(results["pose_mae"])
     digits = [_digits(results, q) for q in names]
     recovered, rows = False, []

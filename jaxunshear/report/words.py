@@ -1,4 +1,4 @@
-"""What the page of a run calls things, told from its `results.json`: kinds of contacts, quantities, what a network should have drawn."""
+"""What the page of a run calls things, told from its `results.json`: kinds of contacts, quantities, partners."""
 
 from html import escape
 from typing import Any

@@ -1,4 +1,4 @@
-"""The page of recorded runs, by the evaluation's own tables of made-up scores: over images and pins, with taps or slides missing."""
+"""The page of recorded runs, from the evaluation's tables of made-up scores: over images, over pins, of taps or slides alone."""
 
 import json
 from dataclasses import replace
