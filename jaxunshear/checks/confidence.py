@@ -1,7 +1,8 @@
 """How well `image.understood` tells a sensor's images from others, and where its weights come from.
 
-    calibrate([simulated(sensor, camera, 200, seed=0) ..., recorded(folder, 200, seed=0) ...])   # base and weights
-    measure([...])   # rows: of each set the share of images refused, of each kind of stranger the share accepted and the AUC
+groups = [simulated(TACTIP_331, Camera(), 200, seed=0), recorded(folder, 200, seed=0)]
+base, weights = calibrate([observe(group, seed=0) for group in groups])
+rows = measure([observe(group, seed=1) for group in others])  # shares refused of each set, accepted of each kind; AUC
 """
 
 from pathlib import Path
@@ -17,12 +18,12 @@ from jaxunshear.image.framing import undeformed
 from jaxunshear.image.pins import find_pins
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.image.settings import Camera, Preprocess
-from jaxunshear.image.understood import ALLOWED, ENOUGH, Expected, differences, expected_of, score, seen_of
+from jaxunshear.image.understood import ALLOWED, ENOUGH, Expected, Seen, differences, expected_of, score, seen_of
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 
 SIZE = 128
-LATTICE_FROM = 60  # recorded images, that are not judged
-STRICT = 1e-3  # of the penalty on weights, without which kinds that are told apart at a glance make them endless
+LATTICE_FROM = 60  # recorded images, at most, which are not judged
+STRICT = 3e-4  # of the penalty on weights, without which kinds that are told apart at a glance make them endless
 SURE = 1.96  # standard deviations: intervals of 95 %
 
 
@@ -45,14 +46,13 @@ def recorded(folder: Path, count: int, seed: int, expected: Expected | None = No
     """Of recordings of 331 pins; what is expected comes from others of the same folder where it is not given."""
     recordings = read_recordings(folder, Preprocess(size=SIZE))
     view = recordings.common_view()
-    order = np.random.default_rng(seed).permutation(len(recordings))
-    rows = order[: count + LATTICE_FROM] if expected is None else order[:count]
+    rows = np.random.default_rng(seed).permutation(len(recordings))[: count + LATTICE_FROM]
     images = np.array([prepare_frame(recordings.preprocess, read_image(recordings.files[row]), view) for row in rows])
+    first = min(LATTICE_FROM, len(images) // 2)
     if expected is None:
-        first = max(LATTICE_FROM - max(count + LATTICE_FROM - len(images), 0), 10)
         pins = [find_pins(image) for image in images[:first]]
-        expected, images = expected_of(fit_lattice(pins, layout_of(TACTIP_331)).place, SIZE), images[first:]
-    return Group(f"recorded, {folder.name}", _half_varied(images, seed), expected)
+        expected = expected_of(fit_lattice(pins, layout_of(TACTIP_331)).place, SIZE)
+    return Group(f"recorded, {folder.name}", _half_varied(images[first : first + count], seed), expected)
 
 
 def _half_varied(images: np.ndarray, seed: int) -> np.ndarray:
@@ -60,25 +60,31 @@ def _half_varied(images: np.ndarray, seed: int) -> np.ndarray:
     return np.array([varied(image, rng) if row % 2 else image for row, image in enumerate(images)])
 
 
-def strangers_of(group: Group, seed: int) -> dict[str, np.ndarray]:
-    """As many images of each kind that are not the group's sensor's."""
+class Observed(NamedTuple):
+    """What is seen in a group's images, and in those of strangers."""
+
+    name: str
+    expected: Expected
+    known: list[Seen]
+    strange: dict[str, list[Seen]]  # by kind
+
+
+def observe(group: Group, seed: int, each: int = 20) -> Observed:
+    """Of `each` strangers of every kind, made of the group's first images or of sensors with other pins."""
     rng = np.random.default_rng([seed, 1])
-    made = {kind: np.array([make(image, rng) for image in group.images]) for kind, make in STRANGERS.items()}
+    made = {kind: [seen_of(make(image, rng)) for image in group.images[:each]] for kind, make in STRANGERS.items()}
     others = {kind: sensor for kind, sensor in OTHER_PINS.items() if sensor.pins != group.expected.pins}
-    if group.expected.pins != TACTIP_331.pins:
-        others["331 pins"] = TACTIP_331
-    return made | {kind: touched(sensor, Camera(), len(group.images), seed, SIZE) for kind, sensor in others.items()}
+    made |= {kind: list(map(seen_of, touched(sensor, Camera(), each, seed, SIZE))) for kind, sensor in others.items()}
+    return Observed(group.name, group.expected, list(map(seen_of, group.images)), made)
 
 
-def calibrate(groups: list[Group], seed: int = 0) -> tuple[float, dict[str, float]]:
+def calibrate(observed: list[Observed]) -> tuple[float, dict[str, float]]:
     """Base and weights of `understood.plausibility`: a logistic of the squared differences, known images and strangers counting alike.
 
     Images without a lattice are left out: they are refused whatever the weights.
     """
-    known = np.concatenate([_squares(group.images, group.expected) for group in groups])
-    strange = np.concatenate(
-        [_squares(images, group.expected) for group in groups for images in strangers_of(group, seed).values()]
-    )
+    known = np.concatenate([_squares(each.known, each.expected) for each in observed])
+    strange = np.concatenate([_squares(seen, each.expected) for each in observed for seen in each.strange.values()])
     squares = np.concatenate([known, strange])
     target = np.repeat([1.0, -1.0], [len(known), len(strange)])
     share = np.repeat([0.5 / len(known), 0.5 / len(strange)], [len(known), len(strange)])
@@ -92,31 +98,30 @@ def calibrate(groups: list[Group], seed: int = 0) -> tuple[float, dict[str, floa
     return float(found[0]), dict(zip(ALLOWED, map(float, found[1:]), strict=True))
 
 
-def _squares(images: np.ndarray, expected: Expected) -> np.ndarray:
-    """(N', features) of those images (N, S, S) that show a lattice at all."""
-    seen = [each for each in map(seen_of, images) if each.spacing]
-    off = np.array([[differences(each, expected)[name] / ALLOWED[name] for name in ALLOWED] for each in seen])
-    return off.reshape(-1, len(ALLOWED)) ** 2
+def _squares(seen: list[Seen], expected: Expected) -> np.ndarray:
+    """(N', features) of those that show a lattice at all."""
+    off = [differences(each, expected) for each in seen if each.spacing]
+    return np.array([[each[name] / ALLOWED[name] for name in ALLOWED] for each in off]).reshape(-1, len(ALLOWED)) ** 2
 
 
-def measure(groups: list[Group], seed: int = 1) -> list[dict[str, Any]]:
+def measure(observed: list[Observed]) -> list[dict[str, Any]]:
     """Rows of each group, then of each kind of stranger over all groups, then of all."""
-    known = [_scores(group.images, group.expected) for group in groups]
-    rows = [_row(group.name, "refused", scores < ENOUGH) for group, scores in zip(groups, known, strict=True)]
-    kinds: dict[str, list[np.ndarray]] = {}
-    for group in groups:
-        for kind, images in strangers_of(group, seed).items():
-            kinds.setdefault(kind, []).append(_scores(images, group.expected))
+    known = [_scores(each.known, each.expected) for each in observed]
+    rows = [_row(each.name, "refused", scores < ENOUGH) for each, scores in zip(observed, known, strict=True)]
     own = np.concatenate(known)
-    strange = {kind: np.concatenate(scores) for kind, scores in kinds.items()}
     rows.append(_row("all known", "refused", own < ENOUGH))
+    kinds: dict[str, list[np.ndarray]] = {}
+    for each in observed:
+        for kind, seen in each.strange.items():
+            kinds.setdefault(kind, []).append(_scores(seen, each.expected))
+    strange = {kind: np.concatenate(scores) for kind, scores in kinds.items()}
     for kind, scores in (strange | {"all strangers": np.concatenate(list(strange.values()))}).items():
         rows.append(_row(kind, "accepted", scores >= ENOUGH) | {"auc": auc(own, scores)})
     return rows
 
 
-def _scores(images: np.ndarray, expected: Expected) -> np.ndarray:
-    return np.array([score(seen_of(image), expected) for image in images])
+def _scores(seen: list[Seen], expected: Expected) -> np.ndarray:
+    return np.array([score(each, expected) for each in seen])
 
 
 def _row(name: str, what: str, wrong: np.ndarray) -> dict[str, Any]:

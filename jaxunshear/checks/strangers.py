@@ -14,6 +14,7 @@ from skimage.draw import ellipse, rectangle
 
 from jaxunshear.dataset.chunks import look
 from jaxunshear.dataset.configs import PAIRED
+from jaxunshear.image.pins import glance
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.image.understood import MASK, inverse
@@ -23,6 +24,7 @@ REACH = 2.0  # spacings, the longest way of a pin
 OTHER_PINS = {  # sensors of other pins in the same dome and framing
     "127 pins": replace(TACTIP_331, name="rings127", rings=6, pin_spacing_mm=2.5, pin_radius_mm=0.6),
     "217 pins": replace(TACTIP_331, name="rings217", rings=8, pin_spacing_mm=1.875, pin_radius_mm=0.5),
+    "331 pins": TACTIP_331,
     "469 pins": replace(TACTIP_331, name="rings469", rings=12, pin_spacing_mm=1.25, pin_radius_mm=0.35),
 }
 
@@ -47,7 +49,7 @@ def _moved(sensor: Sensor, rng: Generator) -> np.ndarray:
     flat = tips[:, :2]
     radius = np.linalg.norm(flat, axis=1).max()
     offset = flat - rng.normal(0, 0.35, 2) * radius
-    bump = np.exp(-0.5 * (offset**2).sum(1) / (rng.uniform(0.4, 1.5) * radius) ** 2)
+    bump = np.exp(-0.5 * (offset**2).sum(1) / (rng.uniform(0.7, 1.5) * radius) ** 2)
     held = 1 - 0.5 * (np.linalg.norm(flat, axis=1) / radius) ** 4
     angle = rng.uniform(0, 2 * np.pi)
     way = rng.uniform(0, REACH) * np.array([np.cos(angle), np.sin(angle)])
@@ -66,7 +68,9 @@ def varied(image: np.ndarray, rng: Generator) -> np.ndarray:
     return image
 
 
-def _resampled(image: np.ndarray, scale: float, turn: float = 0.0, shift: np.ndarray | tuple = (0.0, 0.0)) -> np.ndarray:
+def _resampled(
+    image: np.ndarray, scale: float, turn: float = 0.0, shift: np.ndarray | tuple = (0.0, 0.0)
+) -> np.ndarray:
     """Scaled and turned about the middle, then shifted by px as (row, column). The edge of the mask goes on outwards, as housings do:
     pieces of its ring that black cut off would look like pins."""
     middle = (len(image) - 1) / 2
@@ -75,7 +79,9 @@ def _resampled(image: np.ndarray, scale: float, turn: float = 0.0, shift: np.nda
     source = offset @ back.T
     radius = np.linalg.norm(source, axis=-1, keepdims=True)
     source *= np.minimum(1, (MASK * len(image) - 1) / np.maximum(radius, 1))
-    return _masked(ndimage.map_coordinates(image.astype(np.float32), np.moveaxis(middle + source, -1, 0), order=1) > 127)
+    return _masked(
+        ndimage.map_coordinates(image.astype(np.float32), np.moveaxis(middle + source, -1, 0), order=1) > 127
+    )
 
 
 def _masked(white: np.ndarray) -> np.ndarray:
@@ -94,8 +100,8 @@ def _white_noise(image: np.ndarray, rng: Generator) -> np.ndarray:
 
 
 def _blobs(image: np.ndarray, rng: Generator) -> np.ndarray:
-    """Noise of one wavelength, of a pin's to ten pins' spacing: at the finest as many dots as pins."""
-    spacing = len(image) * rng.uniform(0.036, 0.36)
+    """Noise of one wavelength, of usual spacings of pins to ten times that."""
+    spacing = len(image) * 0.036 * 10 ** rng.random()
     wave = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(len(image))])) * spacing
     noise = np.fft.ifft2(np.fft.fft2(rng.normal(size=image.shape)) * np.exp(-(((wave - 1) / 0.2) ** 2))).real
     return _masked(noise > np.quantile(noise, rng.uniform(0.65, 0.85)))
@@ -108,17 +114,18 @@ def _shuffled(image: np.ndarray, rng: Generator) -> np.ndarray:
 def _tiles(image: np.ndarray, rng: Generator) -> np.ndarray:
     side = len(image) // int(rng.choice([8, 16, 32]))
     count = len(image) // side
-    tiles = image[: count * side, : count * side].reshape(count, side, count, side).swapaxes(1, 2).reshape(-1, side, side)
+    tiles = (
+        image[: count * side, : count * side].reshape(count, side, count, side).swapaxes(1, 2).reshape(-1, side, side)
+    )
     shuffled = rng.permutation(tiles).reshape(count, count, side, side).swapaxes(1, 2).reshape(2 * (count * side,))
     return np.pad(shuffled, (0, len(image) - count * side))
 
 
 def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
-    """As many dots as a sensor may have, anywhere in its circle."""
-    size, pins = len(image), rng.integers(100, 400)
-    angle, radius = rng.uniform(0, 2 * np.pi, pins), 0.38 * size * np.sqrt(rng.random(pins))
-    place = size / 2 + radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], -1)
-    return _dots(place, size, 0.22 * size / np.sqrt(pins))
+    """The sensor's own pins, strewn about by a quarter of their spacing or more."""
+    pins = glance(image)
+    spacing = np.median(cKDTree(pins).query(pins, k=2)[0][:, 1])
+    return _dots(pins + rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape), len(image), 0.25 * spacing)
 
 
 def _square_grid(image: np.ndarray, rng: Generator) -> np.ndarray:
