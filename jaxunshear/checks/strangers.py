@@ -75,7 +75,7 @@ def _resampled(
     pieces of its ring that black cut off would look like pins."""
     middle = (len(image) - 1) / 2
     back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) / scale
-    offset = np.stack(np.mgrid[: len(image), : len(image)], -1) - middle - np.asarray(shift)
+    offset = np.moveaxis(np.indices(image.shape), 0, -1) - middle - np.asarray(shift)
     source = offset @ back.T
     radius = np.linalg.norm(source, axis=-1, keepdims=True)
     source *= np.minimum(1, (MASK * len(image) - 1) / np.maximum(radius, 1))

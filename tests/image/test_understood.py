@@ -108,8 +108,8 @@ def test_a_glance_finds_what_find_pins_finds(sets):
 
 def test_a_glance_sets_touching_pins_apart():
     rows, columns = np.mgrid[:128, :128]
-    place = np.array([(20 + 12 * i, 20 + 12 * j) for i in range(8) for j in range(8)], float)
-    place[place[:, 0] == 32] += [-7, 2]  # each of one column touches its neighbour, on a slant
+    place = np.array([(28 + 10 * i, 28 + 10 * j) for i in range(8) for j in range(8)], float)
+    place[place[:, 0] == 38] += [-4.5, 3]  # each of one column touches its neighbour, on a slant
     white = np.min((columns - place[:, 0, None, None]) ** 2 + (rows - place[:, 1, None, None]) ** 2, axis=0) <= 3**2
     found = glance(white.astype(np.uint8) * np.uint8(255))
     off = cKDTree(found).query(place)[0]
