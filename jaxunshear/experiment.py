@@ -93,7 +93,7 @@ def over_pins(experiment: Experiment) -> bool:
 
 def trained(experiment: Experiment) -> tuple[str, ...]:
     """The networks to train, in this order: those of the results, after a renderer and a teacher where one of them needs these."""
-    unshears = set(experiment.networks) - set(POSENETS)
+    unshears = set(experiment.networks) - {*POSENETS, RENDERER}
     recorded = recorded_of(experiment)
     rendered = (RENDERER,) if recorded and recorded.pairing == "rendered" and unshears else ()
     training = experiment.train_pins if over_pins(experiment) else experiment.train
