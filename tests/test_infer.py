@@ -96,7 +96,7 @@ def rows_of(out):
 
 def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, variables, tmp_path):
     out = tmp_path / "out"
-    answer = command("unshear", folder, "--model", model, "--out", out, "--json", tmp_path / "unshear.json")
+    answer = command("unshear", folder, "--force", "--model", model, "--out", out, "--json", tmp_path / "unshear.json")
     assert answer.code == 0, answer.err
     assert "38 images unsheared, 2 left out" in answer.out
     assert "simulated touches only" in answer.out
@@ -126,16 +126,25 @@ def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, 
     assert {row["name"]: row["value"] for row in measured["rows"]}["unshear.images"] == 38
 
 
+@pytest.mark.parametrize("words", [("unshear", "--out", "out"), ("pose",)])
+def test_images_that_are_not_the_sensors_are_refused_by_name(command, model, folder, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    answer = command(words[0], folder, "--model", model, *words[1:])
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "not a lattice" in answer.err and "--force answers all the same" in answer.err
+    assert not (tmp_path / "out").exists() and not answer.out
+
+
 @pytest.mark.parametrize("images", ["images/image_1.png", "images"])
 def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(monkeypatch, model, folder, tmp_path, images):
     monkeypatch.setattr(infer, "time", SimpleNamespace(perf_counter=itertools.count().__next__))  # a second each batch
-    measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", log=lambda line: None)
+    measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", log=lambda line: None, force=True)
     assert measured["rows"][-1]["name"] == "unshear.time_per_image"
     assert measured["rows"][-1]["value"] == pytest.approx(1 / infer.BATCH)
 
 
 def test_pose_tells_both_readings_of_each_image(command, model, folder, tmp_path):
-    answer = command("pose", folder, "--model", model, "--json", tmp_path / "pose.json")
+    answer = command("pose", folder, "--force", "--model", model, "--json", tmp_path / "pose.json")
     assert answer.code == 0, answer.err
     assert "simulated touches only" in answer.err
     rows = list(csv.DictReader(answer.out.splitlines()))
@@ -150,7 +159,7 @@ def test_pose_tells_both_readings_of_each_image(command, model, folder, tmp_path
 
 def test_without_a_posenet_images_are_unsheared_all_the_same(command, model, folder, tmp_path):
     (model / "posenet").rename(tmp_path / "aside")
-    answer = command("unshear", folder, "--model", model, "--out", tmp_path / "out")
+    answer = command("unshear", folder, "--force", "--model", model, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
     assert "no trained PoseNet" in answer.out
     assert "x_mm" not in rows_of(tmp_path / "out")[0]
@@ -158,10 +167,10 @@ def test_without_a_posenet_images_are_unsheared_all_the_same(command, model, fol
 
 def test_one_file_and_names_that_differ_in_their_ending_only(command, model, folder, tmp_path):
     one = folder / "images" / "image_1.png"
-    assert command("unshear", one, "--model", model, "--out", tmp_path / "one").code == 0
+    assert command("unshear", one, "--force", "--model", model, "--out", tmp_path / "one").code == 0
     assert (tmp_path / "one" / "image_1.png").exists()
     Image.open(one).save(folder / "images" / "image_1.bmp")
-    assert command("unshear", folder, "--model", model, "--out", tmp_path / "all").code == 0
+    assert command("unshear", folder, "--force", "--model", model, "--out", tmp_path / "all").code == 0
     assert len({row["image"] for row in rows_of(tmp_path / "all")}) == 39
 
 
@@ -197,10 +206,10 @@ def test_nothing_readable_is_refused(command, model, tmp_path):
 def test_real_recordings_go_through(command, model, real_recordings, tmp_path):
     unpacked = tmp_path / "real"
     subprocess.run([sys.executable, real_recordings / "unpack.py", unpacked, "--limit", "8"], check=True)
-    answer = command("unshear", unpacked, "--model", model, "--out", tmp_path / "out")
+    answer = command("unshear", unpacked, "--force", "--model", model, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
     assert "0 left out" in answer.out
-    answer = command("unshear", real_recordings / "raw", "--model", model, "--out", tmp_path / "raw")
+    answer = command("unshear", real_recordings / "raw", "--force", "--model", model, "--out", tmp_path / "raw")
     assert answer.code == 0, answer.err
     assert len(rows_of(tmp_path / "raw")) == 3
 

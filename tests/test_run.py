@@ -167,7 +167,7 @@ def test_the_networks_take_images_of_people(finished, command, tmp_path):
     Image.fromarray(np.stack([grey] * 3, -1)).save(recordings / "b.png")
     Image.fromarray(grey.astype(np.uint16) * 257).save(recordings / "c.png")
     out = tmp_path / "out"
-    answer = command("unshear", recordings, "--model", finished / "runs" / "tiny", "--out", out)
+    answer = command("unshear", recordings, "--force", "--model", finished / "runs" / "tiny", "--out", out)
     assert answer.code == 0, answer.err
     assert "simulat" in answer.out and "simulat" in (out / "NOTE.txt").read_text()
     assert len((out / "poses.csv").read_text().splitlines()) == 4
