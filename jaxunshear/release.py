@@ -12,10 +12,11 @@ from jaxunshear.errors import UserError
 from jaxunshear.storage import read_json, write_json, write_text
 from jaxunshear.targets import to_json
 
+CONSTANTS = ("rest", "spread")  # of networks over pins
 PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none is named
-    "disentangled": ("E", "pose", "DC", "head"),
+    "disentangled": ("E", "pose", "DC", "head", *CONSTANTS),
     "posenet": (),
-    "entangled": ("E", "DC"),
+    "entangled": ("E", "DC", *CONSTANTS),
     "posenet_sheared": (),
 }
 NEEDED = ("disentangled", "posenet")

@@ -81,7 +81,7 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> Percei
 
     def answer(images: np.ndarray) -> Answers:
         after, poses = jax.device_get(run(images[..., None].astype(np.float32) / 255))
-        return Answers(None if after is None else after[..., 0], poses, np.ones(len(images), bool))
+        return Answers(None if after is None else after[..., 0], _in_order(poses, names), np.ones(len(images), bool))
 
     return Perceiver(experiment.paired.preprocess, view, names, answer, expected_by(model, experiment))
 
@@ -116,6 +116,11 @@ def _look(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, var
     return after, poses
 
 
+def _in_order(poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
+    """In the order of the targets, which a compiled program forgets."""
+    return {way: {name: pose[name] for name in names} for way, pose in poses.items()}
+
+
 def _of_pins(model: Path, experiment: Experiment, run: Any, names: tuple[str, ...]) -> Perceiver:
     """Pins are found and followed first; what comes out is drawn as dots."""
     frame = frame_from(read_json(model / FRAME))
@@ -128,7 +133,7 @@ def _of_pins(model: Path, experiment: Experiment, run: Any, names: tuple[str, ..
         pins = to_image(frame, lattice.place + np.where(sure[:, None, None], motion, np.nan))
         after, poses = jax.device_get(run(pins.astype(np.float32)))
         drawn = None if after is None else np.asarray(dots(after, frame.radius_px, frame.size))[..., 0]
-        return Answers(drawn, poses, sure)
+        return Answers(drawn, _in_order(poses, names), sure)
 
     preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
     return Perceiver(preprocess, frame.view, names, answer, expected_by(model, experiment))

@@ -4,20 +4,16 @@ rows, gap = nearest(targets, slide_poses, tap_poses)
 images = drawn(pins, frame, background)
 """
 
-from functools import partial
+from typing import NamedTuple
 
-import jax
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy import ndimage
+from scipy.spatial import Delaunay, cKDTree
 
-from jaxunshear.image.dots import dots
 from jaxunshear.targets import RECORDED, Targets
 
-DRAWN_AT_ONCE = 64
+REACH = 0.75  # of the pins' spacing: how far beyond the outermost pins an image moves with them
 SAME_POSE = 1e-3  # mm and deg: labels of one `pose_id` that differ by more are not of one pose
-
-
-_dots = partial(jax.jit, static_argnums=(1, 2))(dots)
 
 
 def gaps(slides: np.ndarray, taps: np.ndarray) -> np.ndarray:
@@ -73,21 +69,37 @@ def same_pose(
     return found
 
 
-def drawn(pins: np.ndarray, radius_px: float, background: np.ndarray) -> np.ndarray:
-    """Binary images (N, S, S) uint8 of {0, 255}: a round dot at each pin (N, P, 2) px, over what is white of `background` (S, S)."""
-    images = np.empty((len(pins), *background.shape), np.uint8)
-    for start in range(0, len(pins), DRAWN_AT_ONCE):
-        here = np.resize(pins[start : start + DRAWN_AT_ONCE], (DRAWN_AT_ONCE, *pins.shape[1:]))  # one shape to compile
-        white = np.asarray(_dots(here.astype(np.float32), radius_px, len(background)))[..., 0] > 0
-        images[start : start + DRAWN_AT_ONCE] = np.where(white | background, 255, 0)[: len(pins) - start]
-    return images
+class Spread(NamedTuple):
+    """From motions of pins to motions of pixels: linear between three pins, ending beyond the outermost ones."""
+
+    size: int  # of the images, px
+    pins: np.ndarray  # (S S, 3) whose motions a pixel's is made of
+    share: np.ndarray  # (S S, 3) float32
 
 
-def background_of(images: np.ndarray, place: np.ndarray, spacing_px: float) -> np.ndarray:
-    """(S, S) bool: what is white in most of the images (N, S, S) beyond the outermost pins (P, 2): the housing."""
-    size = images.shape[-1]
-    middle = (place.max(axis=0) + place.min(axis=0)) / 2
-    rim = np.linalg.norm(place - middle, axis=-1).max()
-    columns, rows = np.meshgrid(np.arange(size), np.arange(size))
-    beyond = np.hypot(columns - middle[0], rows - middle[1]) > rim + 0.6 * spacing_px
-    return (images.mean(axis=0, dtype=np.float32) >= 127.5) & beyond
+def spread_over(place: np.ndarray, spacing_px: float, size: int) -> Spread:
+    """Of pins that stand untouched at `place` (P, 2) px as (column, row), in images of `size` px."""
+    pixels = np.stack(np.meshgrid(np.arange(size), np.arange(size)), axis=-1).reshape(-1, 2).astype(float)
+    mesh = Delaunay(place)
+    corner = mesh.find_simplex(pixels)
+    pins = mesh.simplices[corner]
+    turn, origin = mesh.transform[corner, :2], mesh.transform[corner, 2]
+    first = np.einsum("nij,nj->ni", turn, pixels - origin)
+    share = np.column_stack([first, 1 - first.sum(axis=1)])
+    off, nearest_pin = cKDTree(place).query(pixels)
+    outside = corner < 0
+    pins[outside], share[outside] = nearest_pin[outside, None], (1.0, 0.0, 0.0)
+    share[outside & (off > REACH * spacing_px)] = 0
+    return Spread(size, pins, share.astype(np.float32))
+
+
+def warped(images: np.ndarray, motion: np.ndarray, spread: Spread) -> np.ndarray:
+    """Images (N, S, S) uint8 whose pins have moved by `motion` (N, P, 2) px: grey at the edges, which tell parts of a pixel."""
+    rows, columns = np.mgrid[: spread.size, : spread.size].astype(np.float32)
+    moved = np.empty_like(images)
+    for i, image in enumerate(images):
+        across = (motion[i].astype(np.float32)[spread.pins] * spread.share[..., None]).sum(axis=1)
+        across = across.reshape(spread.size, spread.size, 2)
+        places = [rows - across[..., 1], columns - across[..., 0]]
+        moved[i] = ndimage.map_coordinates(image, places, np.uint8, order=1, mode="nearest")
+    return moved

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxunshear.dataset.chunks import load_chunk, pack, unpack
-from jaxunshear.dataset.recorded import Contacts, common_view, probes_of
+from jaxunshear.dataset.recorded import LARGEST_PX, Contacts, common_view, probes_of
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.dataset.shots import SPLITS
@@ -26,7 +26,6 @@ from jaxunshear.scene.sensor import Sensor
 from jaxunshear.storage import write_bytes
 
 CHUNK = 250  # frames in a file
-LARGEST_PX = 256  # pins are found at the frames' own size, at most this
 NOTHING = np.zeros((0, 1), np.uint8)
 LATTICE_FRAMES = 60  # training frames that the untouched pins are found from
 

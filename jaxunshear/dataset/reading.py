@@ -47,7 +47,7 @@ class Reader:
     """Examples in memory. Images are (B, S, S, 1) uint8 in {0, 255}, pins (B, P, 2) float32 px (col, row), poses mm and deg;
     the other fields are those of the data card. `fields` names those wanted, all of them if None.
 
-    `load`: split -> its rows by field, images at one bit a pixel (`chunks.pack`).
+    `load`: split -> its rows by field, images at one bit a pixel (`chunks.pack`), or (N, S, S) uint8 where they are grey.
     """
 
     def __init__(self, load: Callable[[str], Batch], size: int) -> None:
@@ -100,7 +100,12 @@ class Reader:
         return from_step
 
     def _images(self, rows: Batch) -> Batch:
-        return {name: unpack(value, self._size)[..., None] if name in IMAGES else value for name, value in rows.items()}
+        return {name: self._image(value) if name in IMAGES else value for name, value in rows.items()}
+
+    def _image(self, stored: np.ndarray) -> np.ndarray:
+        """One bit a pixel, or grey as it is."""
+        grey = stored.shape[-2:] == (self._size, self._size)
+        return (stored if grey else unpack(stored, self._size))[..., None]
 
 
 class SetReader(Reader):

@@ -9,6 +9,7 @@ Splits are by pose: a tap and the slides to its pose are in the same one, whatev
 
 import hashlib
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,6 +25,7 @@ from jaxunshear.scene.sensor import SENSORS, Sensor
 
 MOVED = 1e-6  # mm or deg: labels of a move below this are of a tap
 SPLIT_NAMES = {"train": "train", "val": "validation", "valid": "validation", "validation": "validation", "test": "test"}
+LARGEST_PX = 256  # pins are found at the frames' own size, at most this
 PROBES = 20  # training frames that crop, sensor and lattice are found from
 COUNTED = 5  # of them, whose pins are counted
 SAME_SENSOR = 0.15  # of a sensor's pins, by which a count may miss
@@ -137,7 +139,9 @@ def _probe_images(contacts: Contacts, preprocess: Preprocess) -> list[np.ndarray
     view, images, problem = common_view(contacts, preprocess), [], ""
     for row in probes_of(contacts):
         try:
-            images.append(prepare_frame(preprocess, read_image(contacts.files[row]), view))
+            raw = read_image(contacts.files[row])
+            own = replace(preprocess, size=min(LARGEST_PX, *raw.shape[:2]))
+            images.append(prepare_frame(own, raw, view))
         except UserError as error:
             problem = f"{contacts.names[row]}: {error}"
     if not images:

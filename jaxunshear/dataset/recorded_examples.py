@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, pack, unpack
-from jaxunshear.dataset.pairing import background_of
+from jaxunshear.dataset.chunks import load_chunk, unpack
 from jaxunshear.dataset.preparing import Frame, frame_of, prepare
 from jaxunshear.dataset.recorded import Contacts, survey
 from jaxunshear.dataset.settings import Recorded
@@ -21,7 +20,6 @@ from jaxunshear.image.png import png
 from jaxunshear.scene.sensor import Sensor
 
 PNG_LEVEL = 4
-BACKGROUND_FROM = 300  # frames that tell what the housing looks like
 NAMED = 20  # frames left out that metadata name, at most
 
 
@@ -54,7 +52,6 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[s
             "radius_px": round(frame.radius_px, 4),
             "size": frame.size,
             "pins_px": frame.pins_px,
-            "background": pack(_background(contacts, frame, chunks)[None])[0].tobytes().hex(),
         },
         "pins": {
             "sure": round(float(sure[usable].mean()), 6),
@@ -64,15 +61,6 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[s
         "notes": list(contacts.notes),
     }
     return counts, more
-
-
-def _background(contacts: Contacts, frame: Frame, chunks: list[dict[str, np.ndarray]]) -> np.ndarray:
-    """(S, S) bool: the housing as training frames show it, taps if there are any."""
-    train = contacts.split == SPLITS.index("train")
-    wanted = train & ~contacts.slid if (train & ~contacts.slid).any() else train
-    bits = np.concatenate([chunk["images"][chunk["usable"] & wanted[chunk["number"]]] for chunk in chunks])
-    chosen = bits[np.unique(np.linspace(0, len(bits) - 1, min(BACKGROUND_FROM, len(bits))).round().astype(int))]
-    return background_of(unpack(chosen, frame.size), frame.place, frame.spacing_px)
 
 
 def counts_of(contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.dataset import pairing
-from jaxunshear.dataset.chunks import load_chunk, pack, unpack
+from jaxunshear.dataset.chunks import load_chunk, unpack
 from jaxunshear.dataset.configs import RECORDED_SET
 from jaxunshear.dataset.preparing import Frame
 from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
@@ -41,11 +41,6 @@ def frame_from(stored: dict[str, Any]) -> Frame:
     view = View(box, tuple((kind, white) for kind, white in stored["whites"]))
     place, shell = np.array(stored["place_px"]), np.array(stored["shell"])
     return Frame(view, place, shell, *(stored[name] for name in ("spacing_px", "radius_px", "size", "pins_px")))
-
-
-def background_of(frame: dict[str, Any]) -> np.ndarray:
-    """(S, S) bool: what is white beyond the pins, from what is stored of a sensor's frames."""
-    return unpack(np.frombuffer(bytes.fromhex(frame["background"]), np.uint8), frame["size"]) > 0
 
 
 class UnstoredSet:
@@ -142,7 +137,7 @@ class RecordedSet:
             pins = render(batch["pose"]).astype(np.float32)
             partner = {"canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
             if images:
-                partner["canonical"] = pack(pairing.drawn(pins, self.frame["radius_px"], background_of(self.frame)))
+                partner["canonical"] = self._redrawn(batch["pose"], pins, targets, render)
             return _numbered(batch | partner | {"weight": np.ones(count, np.float32)})
         taps = self._of(split, False) if split == "train" else _concatenated([self._of(s, False) for s in SPLITS])
         taps = _taken(taps, np.isfinite(taps["pose"]).all(axis=1))
@@ -167,6 +162,17 @@ class RecordedSet:
         }
         batch = batch | partner
         return batch if way in ("pose_id", "file") else _numbered(batch)
+
+    def _redrawn(self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: Render) -> np.ndarray:
+        """(N, S, S) uint8: of each pose (N, 6) the nearest training tap, its pins moved to where the renderer puts them (N, P, 2).
+
+        Real dots and the real housing, which a PoseNet that learnt from taps knows; dots drawn anew look foreign to it.
+        """
+        taps = self._of("train", False)
+        taps = _taken(taps, np.isfinite(taps["pose"]).all(axis=1))
+        row, _ = pairing.nearest(targets, poses, taps["pose"])
+        spread = pairing.spread_over(np.array(self.frame["place_px"]), self.frame["spacing_px"], self.size)
+        return pairing.warped(unpack(taps["image"][row], self.size), pins - render(taps["pose"][row]), spread)
 
     def _of(self, split: str, slid: bool) -> Batch:
         rows = self.stored.rows(split)

@@ -113,7 +113,7 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
 def _recorded(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Scored:
     """On the test split of a recorded set."""
     targets = stored.targets(experiment.targets)
-    test = recorded.test_of(experiment, stored, targets, run_dir)
+    test = recorded.what_to_test(experiment, stored, targets, run_dir)
     slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets)
     results = recorded.results_of(experiment, stored, targets, slides, taps, test)
     shown = None if slides is None or not test.paired else recorded.as_montage(slides)

@@ -84,7 +84,7 @@ def run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: s
             poses[LEARNT_CODE] = posenet.pose_from_outputs(pose_head.predict(head, z_p), targets[kind])
             if kind in poses:
                 poses[LEARNT_BOTH] = posenet.mean_pose(poses[LEARNT_CODE], poses[kind], targets[kind])
-        return Outputs(images, cells, poses), image_scores(images, cells)
+        return Outputs(images, cells, poses, {}), image_scores(images, cells)
 
     return run
 

@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Callable, Container, Mapping
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -37,7 +36,7 @@ class Outputs(NamedTuple):
     images: dict[str, Array]  # by kind, those of KINDS that the run has
     cells: dict[str, Array]  # by cell: CELLS, or fewer where the network has no shear code or codes of two widths
     poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # by kind, those of POSE_KINDS that the run has
-    pins: Mapping[str, Array] = MappingProxyType({})  # (B, P, 2) px by kind, of networks over pins
+    pins: Mapping[str, Array]  # (B, P, 2) px by kind, of networks over pins
 
 
 def cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:

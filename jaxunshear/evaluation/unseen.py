@@ -43,14 +43,12 @@ def score_recordings(
             f"{recordings} is what {run_dir} learnt from: its held-out tenth is scored by `jaxunshear evaluate {run_dir}`"
         )
     settings = replace(settings, taps=str(recordings), slides=str(recordings), digest=digest, pairs="")
-    if settings.pairing == "file":
-        settings = replace(settings, pairing="pose_id")
     contacts = everything(settings)
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
     stored = _prepared(experiment, run_dir, contacts, settings, folder)
     targets = read_targets(run_dir / experiment.networks[-1])
     unseen = replace(experiment, paired=settings)
-    test = recorded.test_of(unseen, stored, targets, run_dir)
+    test = recorded.what_to_test(unseen, stored, targets, run_dir, paired=False)
     slides, taps = recorded.gathered_of(unseen, run_dir, stored, test, targets)
     results = recorded.results_of(unseen, stored, targets, slides, taps, test)
     shutil.rmtree(folder, ignore_errors=True)

@@ -69,7 +69,7 @@ def oracle(whole, sizes=None):
         place[0] += len(tap)
         true = true_values(TARGETS, {name: whole[name][index] for name in ("pose", "edge")})
         poses = {kind: {name: value + wrong[kind] for name, value in true.items()} for kind in KINDS}
-        return Outputs(images, drawn, poses), image_scores(images, drawn)
+        return Outputs(images, drawn, poses, {}), image_scores(images, drawn)
 
     return run
 

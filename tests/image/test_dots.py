@@ -4,7 +4,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.pairing import background_of, drawn
 from jaxunshear.image.dots import dots
 from jaxunshear.image.pins import find_pins
 from jaxunshear.scene.sensor import TACTIP_127, pin_lattice
@@ -29,17 +28,3 @@ def test_pins_that_are_not_seen_are_not_drawn():
     holes[:30] = np.nan
     image = np.asarray(dots(jnp.asarray(holes[None], jnp.float32), 2.1, SIZE))[0, ..., 0]
     assert len(find_pins((image * 255).astype(np.uint8))) == len(PINS) - 30
-
-
-def test_both_ways_of_drawing_agree():
-    plain = drawn(PINS[None], 2.1, np.zeros((SIZE, SIZE), bool))[0] / 255
-    np.testing.assert_array_equal(plain, np.asarray(dots(jnp.asarray(PINS[None], jnp.float32), 2.1, SIZE))[0, ..., 0])
-
-
-def test_the_background_is_what_most_images_show_beyond_the_pins():
-    ring = np.zeros((5, SIZE, SIZE), np.uint8)
-    ring[:, :3] = 255
-    ring[:2, -3:] = 255
-    ring += drawn(np.repeat(PINS[None], 5, 0), 2.1, np.zeros((SIZE, SIZE), bool))
-    found = background_of(ring, PINS, 7.0)
-    assert found[:3].all() and not found[-3:].any() and not found[40:90, 40:90].any()

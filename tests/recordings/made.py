@@ -7,13 +7,15 @@ import csv
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 from PIL import Image
 
-from jaxunshear.dataset.pairing import drawn
+from jaxunshear.image.dots import dots
 from jaxunshear.scene.sensor import TACTIP_127, Sensor, pin_lattice
 
 SIZE = 96
+DOTS = jax.jit(dots, static_argnums=(1, 2))
 OLDER = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
 NEWER = [f"{kind}_{i}" for kind in ("pose", "shear") for i in ("x", "y", "z", "Rx", "Ry", "Rz")]
 
@@ -62,7 +64,7 @@ def write(
     names = [f"image_{i + 1}.png" for i in range(len(pose))]
     ids = np.arange(1, len(pose) + 1) if pose_id is None else pose_id
     for name, own, by in zip(names, pose, move, strict=True):
-        picture = drawn(pins_px(own, by, sensor, size)[None], 0.017 * size, np.zeros((size, size), bool))[0]
+        picture = _drawn(pins_px(own, by, sensor, size)[None], 0.017 * size, size)
         Image.fromarray(picture).save(images / name)
     with open(folder / "targets.csv", "w", newline="") as file:
         rows = csv.writer(file)
@@ -78,6 +80,10 @@ def write(
     meta = {"pose_llims": [0] * 6} if layout == "newer" else {"tap_depth": -5.0}
     (folder / ("collect_params.json" if layout == "newer" else "meta.json")).write_text(json.dumps(meta))
     return folder
+
+
+def _drawn(pins: np.ndarray, radius: float, size: int) -> np.ndarray:
+    return (255 * np.asarray(DOTS(pins.astype(np.float32), radius, size))[0, ..., 0]).astype(np.uint8)
 
 
 def edge(folder: Path, taps: int = 60, slides: int = 60, seed: int = 0, layout: str = "older") -> Path:
