@@ -20,6 +20,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--contacts", metavar="N", type=int, default=400, help="of each folder, at random; 0: all (400)"
     )
+    parser.add_argument(
+        "--told", action="store_true", help="leave edge and tilt of the object where the labels have them"
+    )
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the draw (0)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for validate.png and validate.txt")
     parser.add_argument("--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions")
@@ -38,7 +41,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.out is not None:
         check_beside(arguments.recordings, arguments.out, "--out")
     calibrated = SHIPPED if arguments.calibration is None else read_calibration(arguments.calibration)
-    found = validate(arguments.recordings, calibrated, arguments.contacts or None, arguments.seed, arguments.out)
+    found = validate(
+        arguments.recordings, calibrated, arguments.contacts or None, arguments.seed, arguments.out, told=arguments.told
+    )
     if arguments.json is not None:
         told = {"command": command, "machine": machine(), "versions": versions(), "seed": arguments.seed, **found}
         write_json(arguments.json, told)

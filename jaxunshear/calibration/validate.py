@@ -5,20 +5,19 @@ results["rows"]  # [{"name": "r2.tap", "unit": "1", "value": 0.71, "contacts": 3
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxunshear.calibration.calibrate import IMAGES, LEAST_LABELLED, UNITS
+from jaxunshear.calibration.alignment import STEPS, Matter, find_frame
+from jaxunshear.calibration.calibrate import IMAGES, LEAST_LABELLED
 from jaxunshear.calibration.ceiling import told_by_labels
-from jaxunshear.calibration.fit import fit
 from jaxunshear.calibration.held_out import Parts, held_out
-from jaxunshear.calibration.labels import Motions, motions, to_paths
+from jaxunshear.calibration.labels import Frame, Motions, framed, motions, to_paths
 from jaxunshear.calibration.matching import read_labels
 from jaxunshear.calibration.prediction import Values, displacements, skin_to_gel
-from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.sampling import Recorded, sample
 from jaxunshear.calibration.statistics import Seen, observe
 from jaxunshear.calibration.validation import Compared, centred, mm_per_px, rows_of, settled
@@ -62,11 +61,20 @@ class Aligned(NamedTuple):
     """What labels do not tell of a folder, read off images that are not compared."""
 
     side: int
-    surface_mm: float
+    frame: Frame
     sign: int  # of the moves
     mirrored: bool
     angle: float
-    note: str
+    images: int
+
+    @property
+    def note(self) -> str:
+        frame = self.frame
+        edge = f", edge {frame.across_mm:+.2f} mm from the labels' zero" if self.side else ""
+        return (
+            f"aligned by {self.images} other contacts: surface at {frame.surface_mm:.2f} mm of the depth axis, tilted by "
+            f"{frame.tilt_x_deg:+.2f} and {frame.tilt_y_deg:+.2f} deg{edge}; camera turned by {np.degrees(self.angle):.1f} deg"
+        )
 
 
 SHIPPED = Calibrated(f"preset {TACTIP_331_FITTED.name}", TACTIP_331_FITTED, FITTED_CAMERA, FITTED_FRICTION)
@@ -94,8 +102,10 @@ def validate(
     seed: int = 0,
     out: Path | None = None,
     log: Log = print,
+    told: bool = False,
 ) -> dict[str, Any]:
-    """Compares `each` contacts of every folder at `path` (None: all), drawn at random, that the calibration has not seen.
+    """Compares `each` contacts of every folder at `path` (None: all), drawn at random, that the calibration has not seen. `told`: with
+    edge and tilt of the object where the labels have them.
 
     Returns `rows` (name, unit, value, contacts), `notes`, and `left_out` (image, why). With `out`, writes validate.txt and
     validate.png there, which show no recorded image. Raises `UserError` where nothing can be compared.
@@ -107,7 +117,7 @@ def validate(
     notes += more
     compared, left_out = [], []
     for parts in split:
-        one, lost = _compared(parts, calibrated, notes)
+        one, lost = _compared(parts, calibrated, told, notes)
         left_out += lost
         compared += [] if one is None else [one]
     if not compared:
@@ -148,10 +158,12 @@ def _used(path: Path, calibrated: Calibrated, notes: list[str]) -> tuple[str, ..
     return tuple(name for part in parts if any(known.endswith(part.name) for known in FITTED_TO) for name in part.names)
 
 
-def _compared(parts: Parts, calibrated: Calibrated, notes: list[str]) -> tuple[Compared | None, list[dict[str, str]]]:
+def _compared(
+    parts: Parts, calibrated: Calibrated, told: bool, notes: list[str]
+) -> tuple[Compared | None, list[dict[str, str]]]:
     """One folder's contacts, and those left out. None, with a note, where its labels do not go with its images."""
     name, scored = parts.scored.name, parts.scored
-    aligned = align(parts.align, calibrated)
+    aligned = align(parts.align, calibrated, told)
     if isinstance(aligned, str):
         notes.append(f"{name}: {aligned}")
         return None, []
@@ -165,7 +177,7 @@ def _compared(parts: Parts, calibrated: Calibrated, notes: list[str]) -> tuple[C
     if len(rows) < LEAST_LABELLED:
         notes.append(f"{name}: {len(rows)} contacts are labelled and followed, fewer than {LEAST_LABELLED}")
         return None, left_out
-    contacts = _read(scored, rows, aligned.sign)
+    contacts = framed(_read(scored, rows, aligned.sign), aligned.frame)
     moved, converged = _solved(name, contacts, aligned, calibrated)
     left_out += [
         {"image": scored.names[rows[i]], "why": "out of the simulator's reach, or not converged"}
@@ -184,7 +196,7 @@ def _result(
     sensor, values = calibrated.sensor, calibrated.values
     flat, place = settled(values, sensor, seen.size, seen.place, moved)
     recorded, simulated = centred(seen.place * (128 / seen.size), place * (128 / seen.size))
-    end = to_paths(contacts, sensor, aligned.surface_mm, aligned.side, values.friction).points[:, -1]
+    end = to_paths(contacts, sensor, 0.0, aligned.side, values.friction).points[:, -1]
     return Compared(
         name,
         recorded,
@@ -199,8 +211,11 @@ def _result(
     )
 
 
-def align(part: Recorded, calibrated: Calibrated) -> Aligned | str:
-    """How a folder's labels and images go together, from its images `part`; or why that cannot be told."""
+def align(part: Recorded, calibrated: Calibrated, told: bool = False) -> Aligned | str:
+    """How a folder's labels and images go together, from its images `part`; or why that cannot be told.
+
+    `told`: edge and tilt are where the labels have them, and only the height of the surface is found.
+    """
     sensor, values = calibrated.sensor, calibrated.values
     seen = _observed(part, sensor)
     rows = np.flatnonzero(_labelled(part) & seen.sure)
@@ -212,24 +227,12 @@ def align(part: Recorded, calibrated: Calibrated) -> Aligned | str:
     if reading is None:
         return "its labels do not go with its images"
     turned = seen.take(rows).turned(reading.mirrored, reading.angle)
-    group = Group(part.name, turned, reading.contacts, reading.side)
-    start = replace(values, surface_mm=(reading.surface_mm,))
-    surface = fit([group], sensor, start, [name for name in UNITS if name != "pin_radius_mm"]).values.surface_mm[0]
-    moved, fine = displacements(sensor, reading.contacts, reading.side, values.friction, surface, values.skin_to_gel)
-    more = turn_left(values, sensor, turned.take(np.flatnonzero(fine)), moved[fine])
+    matter = Matter(turned, reading.contacts, reading.side, values, sensor)
+    names = ("surface_mm",) if told else tuple(STEPS)
+    frame = find_frame(matter, Frame(reading.surface_mm), names)
+    more = matter.turn(frame)
     sign = 1 if moves is None or np.allclose(_read(part, rows, 1).tip, reading.contacts.tip) else -1
-    note = (
-        f"aligned by {len(rows)} other contacts: surface at {surface:.2f} mm of the depth axis, "
-        f"camera turned by {np.degrees(reading.angle + more):.1f} deg"
-    )
-    return Aligned(reading.side, surface, sign, reading.mirrored, reading.angle + more, note)
-
-
-def turn_left(values: Values, sensor: Sensor, seen: Seen, moved: np.ndarray) -> float:
-    """The turn (rad) of the camera, as of `Seen.turned`, that is left between recorded motions and simulated ones (N, Q, 3) mm."""
-    recorded, simulated = centred(seen.place, settled(values, sensor, seen.size, seen.place, moved)[1])
-    one, other = (np.nan_to_num(motion) @ np.array([1, 1j]) for motion in (recorded, simulated))
-    return float(np.angle(np.sum(one * np.conj(other))))
+    return Aligned(reading.side, frame, sign, reading.mirrored, reading.angle - more, len(rows))
 
 
 def _observed(part: Recorded, sensor: Sensor) -> Seen:
@@ -264,10 +267,6 @@ def _solved(name: str, contacts: Motions, aligned: Aligned, calibrated: Calibrat
     with Progress(f"contacts of {name}", len(contacts), unit="contacts") as progress:
         for begin in range(0, len(contacts), CHUNK):
             some = contacts.take(np.arange(begin, min(begin + CHUNK, len(contacts))))
-            parts.append(
-                displacements(
-                    calibrated.sensor, some, aligned.side, values.friction, aligned.surface_mm, values.skin_to_gel
-                )
-            )
+            parts.append(displacements(calibrated.sensor, some, aligned.side, values.friction, 0.0, values.skin_to_gel))
             progress.advance(len(some))
     return np.concatenate([moved for moved, _ in parts]), np.concatenate([fine for _, fine in parts])
