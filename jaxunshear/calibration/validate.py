@@ -155,7 +155,8 @@ def _used(path: Path, calibrated: Calibrated, notes: list[str]) -> tuple[str, ..
             notes.append("the calibration does not name its images: some of them may be compared")
         return calibrated.used
     parts, _ = sample(path, IMAGES, 0)
-    return tuple(name for part in parts if any(known.endswith(part.name) for known in FITTED_TO) for name in part.names)
+    fitted = [part for part in parts if any(f"/{known}".endswith(f"/{part.name}") for known in FITTED_TO)]
+    return tuple(name for part in fitted for name in part.names)
 
 
 def _compared(

@@ -81,11 +81,12 @@ def test_names_from_higher_up_and_lower_down():
 
 
 def test_what_the_preset_was_fitted_to(tmp_path):
-    for name in ("edge_2d/tap/csv_train", "edge_2d/shear/csv_train", "edge_2d/other"):
+    for name in ("edge_2d/tap/csv_train", "edge_2d/shear/csv_train", "edge_2d/other", "new/train"):
         _recording(tmp_path / name, 3)
     notes: list[str] = []
     used = _used(tmp_path / "edge_2d", SHIPPED, notes)
     assert len(used) == 6 and not any("other" in name for name in used)
+    assert _used(tmp_path / "new" / "train", SHIPPED, notes) == ()
     assert _used(tmp_path / "edge_2d", replace(SHIPPED, used=("x.png",)), notes) == ("x.png",) and not notes
 
 
