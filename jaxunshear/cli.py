@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from jaxunshear import __version__, cli_applications, cli_checks, cli_recordings, cli_sweep
+from jaxunshear import __version__, cli_applications, cli_checks, cli_recordings, cli_sweep, cli_validate
 from jaxunshear.errors import Note, UserError
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
@@ -171,6 +171,7 @@ def _parser() -> _Parser:
     cli_recordings.add_parsers(commands)
     cli_sweep.add_parser(commands)
     cli_checks.add_parsers(commands)
+    cli_validate.add_parser(commands)
     for name in DRAWN:
         text = f"list or draw the {name}"
         command = commands.add_parser(name, help=text, description=text)
@@ -222,6 +223,8 @@ def _run(argv: list[str]) -> int:
         return cli_recordings.run(arguments, command)
     elif arguments.command in cli_checks.COMMANDS:
         return cli_checks.run(arguments, command)
+    elif arguments.command in cli_validate.COMMANDS:
+        return cli_validate.run(arguments, command)
     else:
         _catalogue(arguments)
     return 0

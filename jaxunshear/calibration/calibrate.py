@@ -103,6 +103,7 @@ def calibrate(
         "preset": _preset(after_sensor, after),
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.seen.found) for group in groups},
+        "image_names": [name for part in recorded for name in part.names],
         "notes": notes,
     }
     text = table(results["rows"], parameters) + "\n" + "".join(f"\nnote: {note}" for note in notes)

@@ -47,6 +47,23 @@ class Motions(NamedTuple):
         return _swing_twist(self.turn[len(self) :])[1]
 
 
+class Frame(NamedTuple):
+    """How the object lies in the frame that labels are told in: what a robot's set-up leaves open, and pins tell."""
+
+    surface_mm: float = 0.0  # of the depth axis, where its top is
+    across_mm: float = 0.0  # from the edge to where labels have it, along the scene's x
+    tilt_x_deg: float = 0.0  # of its top, about the scene's x and y axes through the origin of the labels
+    tilt_y_deg: float = 0.0
+
+
+def framed(contacts: Motions, frame: Frame) -> Motions:
+    """The same contacts as the object has them: its top at depth 0 and level, its edge at x = 0."""
+    turn = Rotation.from_euler("xy", [frame.tilt_x_deg, frame.tilt_y_deg], degrees=True)
+    tip = contacts.tip + np.array([0, 0, frame.surface_mm])
+    tip = turn.apply(tip.reshape(-1, 3)).reshape(tip.shape) + np.array([frame.across_mm, 0, 0])
+    return Motions(tip, turn * contacts.turn, contacts.across)
+
+
 def motions(poses: np.ndarray, moves: np.ndarray | None) -> Motions:
     """From labels (N, 6) mm and degrees. The depth axis is z, or, where z does not vary, the first other one that does."""
     moves = np.zeros_like(poses) if moves is None else np.nan_to_num(moves)

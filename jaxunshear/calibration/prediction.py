@@ -49,23 +49,30 @@ def skin_to_gel(sensor: Sensor) -> float:
 
 
 def probe(sensor: Sensor, ratio: float) -> Sensor:
-    """The same dome with pins everywhere."""
+    """The same dome with pins everywhere, which have no size: they may not overlap."""
+    spacing = sensor.dome_radius_mm * math.radians(PROBE_DEG)
     return replace(
         sensor,
         name=f"{sensor.name}-probe",
         layout="rings",
         rings=PROBE_RINGS,
-        pin_spacing_mm=sensor.dome_radius_mm * math.radians(PROBE_DEG),
+        pin_spacing_mm=spacing,
+        pin_radius_mm=min(sensor.pin_radius_mm, 0.4 * spacing),
         gel_modulus_mpa=sensor.skin_modulus_mpa / ratio,
     )
 
 
 @lru_cache(maxsize=64)
 def interpolation(sensor: Sensor) -> np.ndarray:
-    """(P, Q): the probe's pins to the sensor's, trigonometric around the rings and cubic across them."""
+    """(P, Q): the probe's pins to the sensor's."""
+    return interpolation_at(pin_lattice(sensor), probe(sensor, 1.0).pin_spacing_mm)
+
+
+def interpolation_at(flat: np.ndarray, spacing_mm: float) -> np.ndarray:
+    """(P, Q): the pins of a probe whose rings are `spacing_mm` apart to places (P, 2) mm of arc from the apex; trigonometric around
+    the rings and cubic across them."""
     rings = PROBE_RINGS
-    flat = pin_lattice(sensor)
-    across = np.linalg.norm(flat, axis=-1) / probe(sensor, 1.0).pin_spacing_mm
+    across = np.linalg.norm(flat, axis=-1) / spacing_mm
     angle = np.arctan2(flat[:, 1], flat[:, 0])
     first = np.clip(np.floor(across).astype(int) - 1, 0, rings - 3)
     weights = np.zeros((len(flat), 1 + 3 * rings * (rings + 1)))

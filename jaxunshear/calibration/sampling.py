@@ -22,22 +22,44 @@ class Recorded:
     images: np.ndarray  # (N, S, S) uint8
     poses: np.ndarray | None
     moves: np.ndarray | None
+    names: tuple[str, ...] = ()  # of the images, below the folder of all recordings
 
 
 def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str]]:
-    """A sample of every folder's images at a size that costs them nothing."""
+    """A sample of every folder's images at a size that costs them nothing, and notes on what cannot be read."""
+    recordings, notes = open_recordings(path)
+    folders = rows_by_folder(recordings)
+    generator = np.random.default_rng(seed)
+    count = max(1, images // len(folders))
+    chosen = [_choose(recordings.moves, rows, count, generator) for rows in folders]
+    parts, more = load(recordings, chosen)
+    return parts, notes + more
+
+
+def open_recordings(path: Path) -> tuple[Recordings, list[str]]:
+    """The recordings at a size that costs their images nothing, and notes on what cannot be read."""
     probe = read_recordings(path, Preprocess())
     first = to_grey(_first(probe))
     size = int(np.clip(min(first.shape), *SIZES_PX)) if is_binary(first) else 256
-    recordings = replace(probe, preprocess=Preprocess(size=size))
+    return replace(probe, preprocess=Preprocess(size=size)), list(probe.notes)
+
+
+def rows_by_folder(recordings: Recordings) -> list[np.ndarray]:
+    """The rows of each folder of images."""
     folders = sorted({file.parent for file in recordings.files})
-    generator = np.random.default_rng(seed)
-    parts, notes = [], list(probe.notes)
+    return [np.array([i for i, file in enumerate(recordings.files) if file.parent == folder]) for folder in folders]
+
+
+def load(recordings: Recordings, chosen: list[np.ndarray]) -> tuple[list[Recorded], list[str]]:
+    """The images of the rows chosen of each folder, and notes; a folder of which none can be read is left out. Raises `UserError`
+    where none of any can be."""
+    parts, notes = [], []
     problem: UserError | None = None
-    for folder in folders:
-        rows = np.array([i for i, file in enumerate(recordings.files) if file.parent == folder])
-        chosen = _choose(recordings.moves, rows, max(1, images // len(folders)), generator)
-        sample = _take(recordings, chosen)
+    path = recordings.path
+    for rows in chosen:
+        if not len(rows):
+            continue
+        sample = _take(recordings, rows)
         frames: list[tuple[int, str, np.ndarray]] = []
         try:
             frames += sample.frames()
@@ -49,10 +71,11 @@ def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str
         kept = np.array([row for row, _, _ in frames])
         parts.append(
             Recorded(
-                _name(path, folder) if path.is_dir() else path.name,
+                _name(path, sample.files[0].parent) if path.is_dir() else path.name,
                 np.array([image for _, _, image in frames]),
                 None if sample.poses is None else sample.poses[kept],
                 None if sample.moves is None else sample.moves[kept],
+                tuple(name for _, name, _ in frames),
             )
         )
     if problem is not None and not parts:

@@ -1,0 +1,50 @@
+"""The command that compares the simulator with recordings, pin by pin. Everything heavy is imported when it is needed."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+
+COMMANDS = ("validate",)
+
+
+def add_parser(commands: Any) -> None:
+    """Adds `validate` to an argparse subparsers object."""
+    text = "simulate recorded contacts from their labels and compare the motion of every pin"
+    parser = commands.add_parser("validate", help=text, description=text)
+    parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of labelled recordings")
+    parser.add_argument(
+        "--calibration", metavar="FILE", type=Path, help="calibration.json of `calibrate` (default: the fitted preset)"
+    )
+    parser.add_argument(
+        "--contacts", metavar="N", type=int, default=400, help="of each folder, at random; 0: all (400)"
+    )
+    parser.add_argument(
+        "--told", action="store_true", help="leave edge and tilt of the object where the labels have them"
+    )
+    parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the draw (0)")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for validate.png and validate.txt")
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions")
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Runs `validate`. Returns 0."""
+    if arguments.contacts < 0:
+        raise UserError(f"--contacts {arguments.contacts}: use 1 or more, or 0 for all")
+    if arguments.seed < 0:
+        raise UserError(f"--seed {arguments.seed}: use 0 or more")
+    from jaxunshear.calibration.validate import SHIPPED, read_calibration, validate
+    from jaxunshear.metrics.machine import machine, versions
+    from jaxunshear.storage import check_beside, write_json
+
+    if arguments.out is not None:
+        check_beside(arguments.recordings, arguments.out, "--out")
+    calibrated = SHIPPED if arguments.calibration is None else read_calibration(arguments.calibration)
+    found = validate(
+        arguments.recordings, calibrated, arguments.contacts or None, arguments.seed, arguments.out, told=arguments.told
+    )
+    if arguments.json is not None:
+        told = {"command": command, "machine": machine(), "versions": versions(), "seed": arguments.seed, **found}
+        write_json(arguments.json, told)
+    return 0

@@ -1,0 +1,74 @@
+"""Where on the dome the simulator goes wrong: maps of recorded motion and of what is left, pin by pin, of taps and of slides."""
+
+import io
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+
+from jaxunshear.calibration.validation import Compared, r2, rms
+from jaxunshear.style import COLOURS, FAINT, INK, STYLE
+
+KINDS = ("tap", "slide")
+PIN = 22  # points squared
+AXIS_PX = 4.0  # a line is so many times as long as the residual it stands for
+
+
+def validate_figure(parts: list[Compared]) -> bytes:
+    """A PNG of compared folders; it shows no recorded image."""
+    mine = [(kind, [part.take(np.flatnonzero(part.taps == (kind == "tap"))) for part in parts]) for kind in KINDS]
+    mine = [(kind, [part for part in chosen if len(part.recorded)]) for kind, chosen in mine]
+    mine = [(kind, chosen) for kind, chosen in mine if chosen]
+    with rc_context(STYLE):
+        figure = Figure(figsize=(13, 4.2 * len(mine)), layout="constrained", dpi=110)
+        panels = figure.subplots(len(mine), 3, squeeze=False, width_ratios=(1, 1, 0.9))
+        for row, (kind, chosen) in zip(panels, mine, strict=True):
+            most = max(float(np.nanmax(rms(part.recorded, axis=0))) for part in chosen)
+            for part in chosen:
+                heat = _map(row[0], part, rms(part.recorded, axis=0), most)
+                _map(row[1], part, rms(part.recorded - part.simulated, axis=0), most)
+                _axes_of(row[1], part)
+            figure.colorbar(heat, ax=list(row[:2]), label="px of 128, rms over contacts", shrink=0.8)
+            row[0].set_title(f"{kind}s: recorded motion, each pin less its mean")
+            row[1].set_title(f"{kind}s: left over; lines: its main direction, x {AXIS_PX:g}")
+            _rings(row[2], kind, chosen)
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", metadata={"Software": ""})
+    return buffer.getvalue()
+
+
+def _map(axes, part: Compared, values: np.ndarray, most: float):
+    axes.set(xticks=[], yticks=[], aspect="equal")
+    axes.grid(False)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    return axes.scatter(*part.rest.T, c=values, s=PIN, cmap="viridis", vmin=0, vmax=most)
+
+
+def _axes_of(axes, part: Compared) -> None:
+    off = np.nan_to_num(part.recorded - part.simulated)
+    spread = np.einsum("npi,npj->pij", off, off) / max(1, len(off))
+    size, direction = np.linalg.eigh(spread)
+    half = 0.5 * AXIS_PX * np.sqrt(np.maximum(size[:, 1], 0))[:, None] * direction[..., 1]
+    axes.add_collection(
+        LineCollection(list(np.stack([part.rest - half, part.rest + half], 1)), colors=INK, linewidths=0.7)
+    )
+
+
+def _rings(axes, kind: str, parts: list[Compared]) -> None:
+    shells = np.unique(parts[0].shell)
+    for label, field, colour in (
+        ("simulated", "simulated", COLOURS["disentangled"]),
+        ("labels alone (ceiling)", "ceiling", FAINT),
+    ):
+        scores = [
+            r2(
+                np.concatenate([part.ring(shell).recorded.ravel() for part in parts]),
+                np.concatenate([getattr(part.ring(shell), field).ravel() for part in parts]),
+            )
+            for shell in shells
+        ]
+        axes.plot(shells, scores, "o-", markersize=3, color=colour, label=label)
+    axes.set(xlabel="ring (0: apex)", title=f"{kind}s: share of the motion explained, R2", ylim=(min(0.0, *scores), 1))
+    axes.legend(loc="lower left")

@@ -1,0 +1,136 @@
+"""Scores of known motions: what a simulator that is right gets, what noise costs, and where a pin stands."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.calibration.ceiling import told_by_labels
+from jaxunshear.calibration.labels import motions
+from jaxunshear.calibration.prediction import Values, interpolation, place_of, probe, skin_to_gel
+from jaxunshear.calibration.validation import Compared, centred, mm_per_px, places, r2, rows_of, settled, stand
+from jaxunshear.image.lattice import shells
+from jaxunshear.report.validate_figure import validate_figure
+from jaxunshear.scene.sensor import TACTIP_331_FITTED, pin_lattice, pin_tips
+
+SENSOR = TACTIP_331_FITTED
+VALUES = Values(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, skin_to_gel(SENSOR))
+NOISE_PX = 0.3
+
+
+def _moved(count: int = 30) -> np.ndarray:
+    """Smooth displacements (N, Q, 3) mm of the probe's pins."""
+    rng = np.random.default_rng(0)
+    tips = pin_tips(probe(SENSOR, VALUES.skin_to_gel)) / 20
+    basis = np.concatenate([np.ones((len(tips), 1)), tips, tips[:, :1] * tips, tips[:, 1:2] * tips], axis=1)
+    return np.einsum("qk,nkx->nqx", basis, rng.normal(0, 0.3, (count, basis.shape[1], 3)))
+
+
+def _compared(noise_px: float = 0.0, count: int = 30) -> Compared:
+    place, rest = place_of(VALUES, SENSOR, 128, _moved(count))
+    recorded = place + noise_px * np.random.default_rng(1).standard_normal(place.shape)
+    one, other = centred(recorded, place)
+    slide = np.where(np.arange(count) % 2, 0.0, 2.0)
+    depth = np.linspace(1, 4, count)
+    return Compared(
+        "a", one, other, one, shells(SENSOR), rest, np.ones(len(rest)), slide, depth, np.full(count, np.nan)
+    )
+
+
+def _value(rows, name):
+    return next(row["value"] for row in rows if row["name"] == name)
+
+
+def test_pins_stand_where_the_camera_sees_them():
+    _, rest = place_of(VALUES, SENSOR, 128, None)
+    assert np.abs(stand(VALUES, SENSOR, 128, rest) - pin_lattice(SENSOR)).max() < 2e-3
+
+
+def test_places_on_the_lattice_are_those_of_the_calibration():
+    moved = _moved()
+    here = places(VALUES, SENSOR, 128, pin_lattice(SENSOR), moved)
+    assert np.abs(here - place_of(VALUES, SENSOR, 128, moved)[0]).max() < 1e-4
+    assert np.isfinite(interpolation(SENSOR)).all()
+
+
+def test_rings_with_phases_of_their_own_are_followed():
+    """Pins that stand between the simulated ones: their mean place, which contacts shift, tells where."""
+    moved = _moved()
+    turn = 0.3 + 0.05 * shells(SENSOR)
+    flat = pin_lattice(SENSOR)
+    flat = np.stack(
+        [np.cos(turn) * flat[:, 0] - np.sin(turn) * flat[:, 1], np.sin(turn) * flat[:, 0] + np.cos(turn) * flat[:, 1]],
+        -1,
+    )
+    recorded = places(VALUES, SENSOR, 128, flat, moved)
+    found, simulated = settled(VALUES, SENSOR, 128, recorded, moved)
+    assert np.abs(found - flat).max() < 0.05
+    assert r2(*centred(recorded, simulated)) > 0.999
+    there = places(VALUES, SENSOR, 128, pin_lattice(SENSOR), moved)
+    assert r2(*centred(recorded, there)) < 0.9
+
+
+def test_the_same_motions_score_one():
+    rows = rows_of([_compared()])
+    for kind in ("tap", "slide"):
+        assert _value(rows, f"r2.{kind}") == pytest.approx(1, abs=1e-9)
+        assert _value(rows, f"residual_px.{kind}") < 1e-4
+    assert len({row["name"] for row in rows}) == len(rows)
+
+
+def test_noise_costs_what_it_should():
+    clean, count = _compared(), 400
+    noisy = _compared(NOISE_PX, count)
+    rows = rows_of([noisy])
+    left = NOISE_PX * np.sqrt(2 * (1 - 1 / count))
+    assert _value(rows, "residual_px.slide") == pytest.approx(left, rel=0.02)
+    motion = _value(rows, "motion_px.slide")
+    assert _value(rows, "r2.slide") == pytest.approx(1 - left**2 / motion**2, abs=2e-3)
+    assert _value(rows, "r2.slide") < _value(rows_of([clean]), "r2.slide") - 1e-3
+
+
+def test_an_offset_of_a_pin_costs_nothing_and_a_missing_one_is_left_out():
+    place, _ = place_of(VALUES, SENSOR, 128, _moved())
+    recorded = place + np.random.default_rng(2).normal(0, 3, place.shape[1:])
+    recorded[:5, 7] = np.nan
+    assert r2(*centred(recorded, place)) == pytest.approx(1, abs=1e-9)
+
+
+def test_half_the_motion_explains_three_quarters():
+    one = _compared().recorded
+    assert r2(one, 0.5 * one) == pytest.approx(0.75)
+    assert np.isnan(r2(0 * one, one))
+
+
+def test_rows_by_depth_ring_and_length():
+    names = {row["name"] for row in rows_of([_compared(NOISE_PX)])}
+    assert {"r2.tap", "r2.slide", "residual_px.tap", "residual_px.slide", "residual_mm.tap", "ceiling_r2.tap"} <= names
+    assert not any(".depth." in name for name in names)  # 15 slides in three depths: fewer than a row is worth
+    many = {row["name"] for row in rows_of([_compared(NOISE_PX, 60)])}
+    assert {"r2.slide.length.2.0-3.0", "r2.tap.ring.10", "r2.slide.depth.2.0-3.0"} <= many
+    assert not any(".edge." in name for name in many)
+
+
+def test_scale_at_the_height_of_a_pin():
+    """A step of 0.01 mm along the middle's tangent, seen."""
+    flat = np.array([[0.0, 0.0]])
+    moved = np.zeros((1, len(pin_tips(probe(SENSOR, 1.0))), 3))
+    step = moved.copy()
+    step[..., 0] = 0.01
+    seen = places(VALUES, SENSOR, 128, flat, step) - places(VALUES, SENSOR, 128, flat, moved)
+    assert seen[0, 0, 0] * mm_per_px(VALUES, SENSOR, 128, flat)[0] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_labels_that_tell_all_and_nothing():
+    rng = np.random.default_rng(0)
+    poses, moves = np.zeros((200, 6)), np.zeros((200, 6))
+    poses[:, 1], poses[:, 2], poses[:, 5] = rng.uniform(-3, 3, 200), rng.uniform(3, 5, 200), rng.uniform(-90, 90, 200)
+    moves[:, :2] = rng.uniform(-2, 2, (200, 2))
+    told = np.stack([poses[:, 1] * np.cos(np.radians(poses[:, 5])), poses[:, 2] ** 2], -1)[:, None]
+    told = told - told.mean(axis=0)
+    contacts = motions(poses, moves)
+    assert r2(told, told_by_labels(contacts, told)) > 0.9
+    noise = rng.standard_normal((200, 3, 2))
+    assert r2(noise, told_by_labels(contacts, noise)) < 0.05
+
+
+def test_the_figure_is_a_png():
+    assert validate_figure([_compared(NOISE_PX)]).startswith(b"\x89PNG")
