@@ -164,6 +164,9 @@ def _parser() -> _Parser:
             default=cli_applications.DEFAULT,
             help=f"a finished run (runs/demo), or released weights by name ({cli_applications.DEFAULT})",
         )
+        command.add_argument(
+            "--force", action="store_true", help="answer images that are not of the model's sensor, too"
+        )
         if name == "unshear":
             command.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")
         _add_json(command)
@@ -355,9 +358,9 @@ def _infer(arguments: argparse.Namespace) -> None:
     from jaxunshear import infer
 
     if arguments.command == "unshear":
-        measured = infer.unshear_recordings(arguments.path, arguments.model, arguments.out)
+        measured = infer.unshear_recordings(arguments.path, arguments.model, arguments.out, force=arguments.force)
     else:
-        measured = infer.pose_of_recordings(arguments.path, arguments.model)
+        measured = infer.pose_of_recordings(arguments.path, arguments.model, force=arguments.force)
     if arguments.json:
         from jaxunshear.storage import write_json
 

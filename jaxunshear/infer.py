@@ -32,6 +32,7 @@ FRAMES = (
     "give the nearest edge in the sensor frame; recorded_* are the labels that came with the images, in their own work frame."
 )
 OWN_FRAME = "Poses have the names, the frame and the units of the recorded labels that the networks learnt from."
+SAMPLED = 20  # frames that a folder is judged by
 RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card
 
 Log = Callable[[str], None]
@@ -53,22 +54,24 @@ def learnt_note(experiment: Experiment) -> str:
     )
 
 
-def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> dict[str, Any]:
+def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print, force: bool = False) -> dict[str, Any]:
     """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`.
 
     Returns what was measured, as rows; the time per image is that of a batch of BATCH, blanks that fill it up included, over BATCH.
-    Raises `UserError` where the model or every image cannot be read, or where `out` lies among the recordings.
+    Raises `UserError` where the model or every image cannot be read, where `out` lies among the recordings, or where the images are not
+    of the model's sensor, unless `force`d.
     """
     model = model_folder(model)
     experiment = _settings_for(path, model)
     check_beside(path, out, "--out")
     network = _perceiver(model, experiment, recorded_too=isinstance(experiment.paired, Recorded))
     recordings = _read(path, network.preprocess)
+    understood = _Understood(recordings, network, force)
     targets = _targets(recordings.names)
     table: list[dict[str, Any]] = []
     seconds: list[float] = []
     errors = _Errors(network.names, recordings)
-    for rows, names, answers, spent in _answers(recordings, network, "unshear"):
+    for rows, names, answers, spent in _answers(recordings, network, understood, "unshear"):
         if answers.unsheared is None:
             raise UserError(f"{model} has no network that unshears: it learnt poses alone; use `jaxunshear pose`")
         seconds.append(spent / BATCH)
@@ -97,7 +100,9 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print) -> 
     )
 
 
-def pose_of_recordings(path: Path, model: Path, log: Log = print, note: Log | None = None) -> dict[str, Any]:
+def pose_of_recordings(
+    path: Path, model: Path, log: Log = print, note: Log | None = None, force: bool = False
+) -> dict[str, Any]:
     """Logs, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
 
     Notes and errors against the labels go to `note` (stderr), so that the CSV can be piped on. Returns the same as rows. Raises as
@@ -111,10 +116,11 @@ def pose_of_recordings(path: Path, model: Path, log: Log = print, note: Log | No
             f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
         )
     recordings = _read(path, network.preprocess)
+    understood = _Understood(recordings, network, force)
     table: list[dict[str, Any]] = []
     rows_out: list[dict[str, Any]] = []
     errors = _Errors(network.names, recordings)
-    for rows, names, answers, _ in _answers(recordings, network, "pose"):
+    for rows, names, answers, _ in _answers(recordings, network, understood, "pose"):
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
             line: dict[str, Any] = {"name": name}
@@ -149,6 +155,57 @@ def load_settings(model: Path) -> Experiment:
             f"or released weights{f' ({names})' if names else ''}"
         )
     return from_json(read_json(file), str(file))
+
+
+class _Understood:
+    """Frames of a folder that are of the model's sensor. Raises UserError where they are not, unless `force`d."""
+
+    def __init__(self, recordings: "Recordings", network: "Perceiver", force: bool) -> None:
+        from jaxunshear.image.understood import verdict
+
+        self._recordings, self._network, self._force = recordings, network, force
+        self._turned = False
+        if force:
+            return
+        found = verdict(np.stack(list(self._sample())), network.expected)
+        self._turned = found.inverted
+        if found.inverted:
+            recordings.notes.append(f"{found.reason}: they are turned")
+        elif not found.ok:
+            raise UserError(f"{recordings.path}: {found.reason}; --force answers all the same")
+
+    def _sample(self) -> Iterator[np.ndarray]:
+        """Up to SAMPLED frames, evenly spaced."""
+        from jaxunshear.dataset.recordings import read_image
+        from jaxunshear.image.preprocess import prepare_frame
+
+        files, problem, some = self._recordings.files, "", False
+        for file in files[:: -(-len(files) // SAMPLED)]:
+            view = self._network.view or self._recordings.common_view(file.parent)
+            try:
+                yield prepare_frame(self._network.preprocess, read_image(file), view)
+                some = True
+            except UserError as error:
+                problem = f"{file.name}: {error}"
+        if not some:
+            raise UserError(f"none of the sampled images in {self._recordings.path} can be read; the last: {problem}")
+
+    def frames(self) -> Iterator[tuple[int, str, np.ndarray]]:
+        """(row, name, image) of each frame that is understood; the others are left out and noted."""
+        from jaxunshear.image.understood import ENOUGH, inverse, plausibility
+
+        some = False
+        for row, name, image in self._recordings.frames(self._network.view):
+            image = inverse(image) if self._turned else image
+            if not self._force and not self._turned and plausibility(image, self._network.expected) < ENOUGH:
+                self._recordings.notes.append(f"left out {name}: its pins are not those of the model's sensor")
+                continue
+            some = True
+            yield row, name, image
+        if not some:
+            raise UserError(
+                f"{self._recordings.path}: no image is one of the model's sensor; --force answers all the same"
+            )
 
 
 class _Errors:
@@ -216,14 +273,14 @@ def _targets(names: tuple[str, ...]) -> list[str]:
 
 
 def _answers(
-    recordings: "Recordings", network: "Perceiver", label: str
+    recordings: "Recordings", network: "Perceiver", understood: "_Understood", label: str
 ) -> "Iterator[tuple[list[int], list[str], Answers, float]]":
     """Batches of rows, names and answers, and the seconds the networks took for the whole BATCH, compilation apart."""
     size = recordings.preprocess.size
     network.answer(np.zeros((BATCH, size, size), np.uint8))
     with Progress(label, len(recordings)) as progress:
         seen = 0
-        for batch in _batches(recordings.frames(network.view)):
+        for batch in _batches(understood.frames()):
             rows, names, images = zip(*batch, strict=True)
             padded = np.zeros((BATCH, size, size), np.uint8)  # one shape to compile
             padded[: len(images)] = images

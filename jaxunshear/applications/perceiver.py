@@ -18,13 +18,15 @@ from jaxunshear.dataset.preparing import to_found, to_image
 from jaxunshear.dataset.recorded_reading import frame_from
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, over_pins
+from jaxunshear.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.image.dots import dots
+from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.image.pins import look
 from jaxunshear.image.preprocess import View
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.tracking import follow_pins
+from jaxunshear.image.understood import Expected, expected_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import pinnets, posenet, unshearnet
 from jaxunshear.model.ready import ready
@@ -50,6 +52,7 @@ class Perceiver(NamedTuple):
     view: View | None  # crop of the frames that it learnt from; None: each folder's own
     names: tuple[str, ...]  # of the poses that it reads
     answer: Callable[[np.ndarray], Answers]
+    expected: Expected  # what its sensor looks like in prepared images
 
 
 def perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> Perceiver:
@@ -80,7 +83,17 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> Percei
         after, poses = jax.device_get(run(images[..., None].astype(np.float32) / 255))
         return Answers(None if after is None else after[..., 0], poses, np.ones(len(images), bool))
 
-    return Perceiver(experiment.paired.preprocess, view, names, answer)
+    return Perceiver(experiment.paired.preprocess, view, names, answer, expected_by(model, experiment))
+
+
+def expected_by(model: Path, experiment: Experiment) -> Expected:
+    """What the sensor of a model looks like in the images that are prepared for it: recorded, or as the simulator draws it."""
+    if isinstance(experiment.paired, Recorded):
+        frame = frame_from(read_json(model / FRAME))
+        return expected_of(frame.place, frame.size)
+    paired, _ = simulated_of(experiment, "this")
+    place = undeformed(experiment.sensor, paired.camera, paired.preprocess).place
+    return expected_of(place, paired.preprocess.size)
 
 
 def _look(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, variables: Any, seen: Any) -> Any:
@@ -117,4 +130,5 @@ def _of_pins(model: Path, experiment: Experiment, run: Any, names: tuple[str, ..
         drawn = None if after is None else np.asarray(dots(after, frame.radius_px, frame.size))[..., 0]
         return Answers(drawn, poses, sure)
 
-    return Perceiver(replace(experiment.paired.preprocess, size=frame.pins_px), frame.view, names, answer)
+    preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
+    return Perceiver(preprocess, frame.view, names, answer, expected_by(model, experiment))

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.applications.perceiver import UNSHEARED, perceiver
+from jaxunshear.applications.perceiver import UNSHEARED, expected_by, perceiver
 from jaxunshear.applications.perception import Look, read_look
 from jaxunshear.applications.sources import Frame
 from jaxunshear.dataset.recordings import PROBES
@@ -26,6 +26,7 @@ from jaxunshear.experiment import Experiment
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
 from jaxunshear.image.settings import Preprocess
+from jaxunshear.image.understood import Expected, plausibility
 from jaxunshear.metrics import pose_errors
 from jaxunshear.model.ready import ready
 from jaxunshear.storage import write_bytes
@@ -42,25 +43,27 @@ class Robot(NamedTuple):
     step: Step
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: the stream's own
+    expected: Expected | None = None  # what its sensor looks like: confidence falls to nothing for what looks otherwise
 
 
 def robot_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Robot:
     """A model made ready for a stream, compiled already. `way` is one of perception's that unshear; of a model that learnt from recordings
     it is its own. Raises UserError."""
     if not isinstance(experiment.paired, Recorded):
-        return Robot(step_of(model, experiment, precision, way), experiment.paired.preprocess, None)
+        step = step_of(model, experiment, precision, way)
+        return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment))
     perceive = perceiver(model, experiment, recorded_too=False)
     size = perceive.preprocess.size
 
-    def step(image: np.ndarray) -> tuple[np.ndarray | None, dict[str, float], float]:
+    def step_on(image: np.ndarray) -> tuple[np.ndarray | None, dict[str, float], float]:
         answers = perceive.answer(image[None])
         after = None if answers.unsheared is None else answers.unsheared[0]
         poses = answers.poses.get(UNSHEARED) or next(iter(answers.poses.values()), {})
         crisp = 1.0 if after is None else float(confidence(after[..., None]))
         return after, {name: float(value[0]) for name, value in poses.items()}, crisp if answers.sure[0] else 0.0
 
-    step(np.zeros((size, size), np.uint8))  # compiles
-    return Robot(step, perceive.preprocess, perceive.view)
+    step_on(np.zeros((size, size), np.uint8))  # compiles
+    return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected)
 
 
 def step_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Step:
@@ -132,6 +135,8 @@ def stream(
                 asked = time.perf_counter()
                 after, pose, sure = robot.step(image)
                 answered = time.perf_counter()
+                if robot.expected is not None:
+                    sure *= plausibility(image, robot.expected)
             except UserError as error:
                 skipped += 1
                 problems[str(error)] = problems.get(str(error), 0) + 1

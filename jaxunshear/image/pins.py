@@ -1,5 +1,6 @@
 """Pins of a binary image: parts of their size, in each other's company, parted where they touch."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -35,6 +36,16 @@ def find_pins(image: np.ndarray) -> np.ndarray:
 
 def look(image: np.ndarray) -> Found:
     """`find_pins`, with what it saw."""
+    return _looked(image, _parted)
+
+
+def glance(image: np.ndarray) -> np.ndarray:
+    """`find_pins` in a third of the time, and in a tenth for noise: pins that touch are set in a row of equal steps, a fraction of a pixel
+    off. Good for what many pins have in common."""
+    return _looked(image, _in_a_row).pins
+
+
+def _looked(image: np.ndarray, part: "_Part") -> Found:
     image = np.asarray(image)
     if image.ndim != 2:
         raise ValueError(f"find_pins takes one image (S, S), got shape {image.shape}")
@@ -48,7 +59,7 @@ def look(image: np.ndarray) -> Found:
     usual = _usual(area)
     diameter = 2 * np.sqrt(usual / np.pi)
     merged = (area > MERGED_AREA * usual) | (parts.length[kept] > MERGED_LENGTH * diameter)
-    pieces = [_parted(parts, number, diameter) for number in 1 + np.flatnonzero(kept)[merged]]
+    pieces = [part(parts, number, diameter) for number in 1 + np.flatnonzero(kept)[merged]]
     centre = np.concatenate([centre[~merged], *(piece[0] for piece in pieces)])
     area = np.concatenate([area[~merged], *(piece[1] for piece in pieces)])
     usual = _usual(area)
@@ -66,6 +77,10 @@ class _Parts(NamedTuple):
     centre: np.ndarray  # (N, 2) px as (column, row)
     area: np.ndarray  # (N,) px
     length: np.ndarray  # (N,) px, of the longer side of the box
+
+
+# (parts, number of one, px diameter of the usual pin) -> centroids (K, 2) px and areas (K,) px of the pins that touch in it
+_Part = Callable[[_Parts, int, float], tuple[np.ndarray, np.ndarray]]
 
 
 def _parts(white: np.ndarray) -> _Parts:
@@ -113,6 +128,23 @@ def _parted(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, np
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
     centre, area = _centres(watershed(-smooth, markers, mask=white), len(peaks))
     return centre + np.array([columns.start - 2, rows.start - 2]), area
+
+
+def _in_a_row(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, np.ndarray]:
+    """One part as equal discs along its longer axis, of its area and its second moment in all: centroids and areas."""
+    rows, columns = parts.boxes[number - 1]
+    row, column = np.nonzero(parts.labels[rows, columns] == number)
+    row, column, area = row + rows.start, column + columns.start, len(row)
+    centre = parts.centre[number - 1]
+    count = max(1, round(4 * area / (np.pi * diameter**2)))
+    if count == 1:
+        return centre[None], np.array([float(area)])
+    x, y = column - centre[0], row - centre[1]
+    angle = 0.5 * np.arctan2(2 * np.mean(x * y), np.mean(x**2) - np.mean(y**2))
+    axis = np.array([np.cos(angle), np.sin(angle)])
+    apart = np.sqrt(max(np.mean((x * axis[0] + y * axis[1]) ** 2) - diameter**2 / 16, 0.0) * 12 / (count**2 - 1))
+    steps = apart * (np.arange(count) - (count - 1) / 2)
+    return centre + steps[:, None] * axis, np.full(count, area / count)
 
 
 def in_company(centre: np.ndarray) -> np.ndarray:

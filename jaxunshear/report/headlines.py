@@ -59,7 +59,7 @@ def _recorded(results: dict[str, Any]) -> list[str]:
     if recovery:
         values = ", ".join(number(recovery[quantity]) for quantity in chief)
         note = (
-            f"{', '.join(words.word(quantity) for quantity in chief)}; 1 is read as well as taps, 0 as badly as slides"
+            f"{', '.join(words.word(quantity) for quantity in chief)}; 1 is as good as taps, 0 as bad as slides as felt"
         )
         shown.append(page.card("Recovery", "", values, note))
     return shown

@@ -47,11 +47,15 @@ def times(results: dict[str, Any], histories: dict[str, History]) -> str:
         "killed outright is lost), and what the seconds of training bought on poses kept out of it."
     )
     waits = "; ".join(
-        f"{name} {times['median']:.1f} ms (95th percentile {times['p95']:.1f})"
+        f"{name} {_short(times['median'])} ms (95th percentile {_short(times['p95'])})"
         for name, times in results["ms_per_image"].items()
     )
     note = f"<p class=soft>One image at a time, compilation apart: {waits}.</p>" if waits else ""
     return page.section("Error against run time", lead, f"<div class=row>{''.join(drawn)}</div>", note)
+
+
+def _short(milliseconds: float) -> str:
+    return f"{milliseconds:.1f}" if milliseconds >= 1 else f"{milliseconds:.2g}"
 
 
 def _over_time(results: dict[str, Any]) -> dict[str, str]:

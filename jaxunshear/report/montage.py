@@ -13,6 +13,7 @@ from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, pictures, words
 from jaxunshear.storage import BROKEN_NPZ
 
+WIDE = 22  # letters that do not fit above an image
 Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
 
 
@@ -56,8 +57,8 @@ def section(shown: Shown, results: dict[str, Any]) -> str:
         f"<figcaption>In the differences:{key}. Numbers are likeness to the {said.truth}.</figcaption>",
     ]
     if others:
-        more = f"<details><summary>Contacts that went badly, and well (10th and 90th percentile)</summary>{_table(shown, others, said)}"
-        body.append(more + "</details>")
+        summary = "Contacts that went badly, and well (10th and 90th percentile)"
+        body.append(f"<details><summary>{summary}</summary>{_table(shown, others, said)}</details>")
     lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
     if not words.simulated(results):
         lead = f"A held-out slide that is typical: what was felt, what the network made of it, and its {said.truth}."
@@ -77,7 +78,7 @@ def drawing(shown: Shown, results: dict[str, Any]) -> bytes:
             axes.set(xticks=[], yticks=[])
             axes.set_xlabel(text, fontsize=8)
             if row == rows[0]:
-                axes.set_title(head, fontsize=9)
+                axes.set_title(head if len(head) < WIDE else head.replace(" against", "\nagainst"), fontsize=9)
         line[0].set_ylabel("\n".join(_words(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})

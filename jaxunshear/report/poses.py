@@ -22,21 +22,27 @@ def poses(results: dict[str, Any]) -> str:
     rows = [
         [
             words.kind_of(results, kind),
-            *(spanned(ours[kind][q], spread[kind][q], 2) for q in names),
+            *(spanned(ours[kind].get(q), spread[kind].get(q), _digits(results, q)) for q in names),
             *(number(paper.get(kind, {}).get(q)) for q in known),
         ]
         for kind in ours
         if kind != ALIAS
     ]
     strong, chance = [len(rows) - 1], results["baselines"]["pose_chance"]
-    rows.append(["<i>one answer to every image</i>", *(number(chance[q]) for q in names), *("" for _ in known)])
+    rows.append(
+        [
+            f"<i>one answer to every {'image' if words.simulated(results) else 'contact'}</i>",
+            *(number(chance.get(q), _digits(results, q)) for q in names),
+            *("" for _ in known),
+        ]
+    )
     return page.section(
         TITLE,
         _lead(results, names),
         page.table(head, rows, range(1 + len(names), len(head)), strong),
         _recovery(results),
         _by_part(results, "pose_by_stimulus", "shape"),
-        _by_part(results, "pose_by_depth", "depth"),
+        _by_part(results, "pose_by_depth", "depth" if words.simulated(results) else "z"),
         *_apart(results),
     )
 
@@ -62,6 +68,11 @@ def _lead(results: dict[str, Any], names: list[str]) -> str:
     return f"{lead} Brackets: {results['spread']['what']}."
 
 
+def _digits(results: dict[str, Any], name: str) -> int:
+    """A real sensor's pins tell some lengths to a few hundredths of a mm."""
+    return 2 if words.simulated(results) or words.unit(name) != "mm" else 3
+
+
 def _recovery(results: dict[str, Any]) -> str:
     """The sentence; nothing where no network unshears, or nothing is known of taps."""
     kind = shown_kind(results["pose_recovery"])
@@ -76,8 +87,8 @@ def _recovery(results: dict[str, Any]) -> str:
         )
     told = "; ".join(f"{words.word(q)} {_recovered(found[q], spread[q])}" for q in words.targets(results))
     return (
-        f"<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {kind} network: {told}. 1 is read as well as taps, 0 as badly as "
-        f"felt.</p><p class=soft>{_of_paper(results)}</p>"
+        f"<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {kind} network: {told}. 1 is as good as taps, "
+        f"0 as bad as slides as felt.</p><p class=soft>{_of_paper(results)}</p>"
     )
 
 
@@ -89,7 +100,7 @@ def _of_paper(results: dict[str, Any]) -> str:
     """Its recoveries: of another sensor and other quantities, they give the scale."""
     error = results["paper"]["pose_mae"]
     told = [
-        f"{(felt - error['disentangled'][q]) / (felt - error['tap'][q]):.2f} of {words.word(q)}"
+        f"{(felt - error['disentangled'][q]) / (felt - error['tap'][q]):.2f} in {words.word(q)}"
         for q, felt in error["sheared"].items()
     ]
     return f"The paper's disentangled network, on another sensor and task, has a recovery of {' and '.join(told)}."
@@ -100,25 +111,36 @@ def _span(interval: list[float] | None, form: str) -> str:
 
 
 def _by_part(results: dict[str, Any], table: str, by: str) -> str:
-    """Each part of `table`, for the network that `poses` names; folded away. Recovery, or where nothing is known of taps errors.
-    Nothing of runs evaluated by an earlier version."""
+    """Each part of `table`, for the network that `poses` names; folded away. Recovery, or where nothing is known of
+    taps errors. Nothing of runs evaluated by an earlier version."""
     names, kind = words.targets(results), shown_kind(results["pose_mae"])
+    digits = [_digits(results, q) for q in names]
     recovered, rows = False, []
     for part, found in results.get(table, {}).items():
         if not found:
             continue
         if kind in found["pose_recovery"] and kind != "sheared":
             recovered, spread = True, found["spread"]["pose_recovery"][kind]
-            rows.append([escape(part), *(spanned(found["pose_recovery"][kind][q], spread[q], 2) for q in names)])
+            rows.append(
+                [escape(part), *(spanned(found["pose_recovery"][kind].get(q), spread.get(q), 2) for q in names)]
+            )
         elif not words.simulated(results) and {"sheared", kind} <= set(found["pose_mae"]) and kind != "sheared":
             felt, unsheared = found["pose_mae"]["sheared"], found["pose_mae"][kind]
-            rows.append([escape(part), *(f"{number(felt[q])} &rarr; {number(unsheared[q])}" for q in names)])
+            rows.append(
+                [
+                    escape(part),
+                    *(
+                        f"{number(felt[q], d)} &rarr; {number(unsheared[q], d)}"
+                        for q, d in zip(names, digits, strict=True)
+                    ),
+                ]
+            )
     if not rows:
         return ""
     head = (
         [f"recovery, by {by}", *map(words.word, names)]
         if recovered
-        else [f"error, by {by}", *map(words.heading, names)]
+        else [f"as felt &rarr; unsheared, by {by}", *map(words.heading, names)]
     )
     return f"<details><summary>By {by}</summary>{page.table(head, rows)}</details>"
 
@@ -141,7 +163,8 @@ def _against(results: dict[str, Any], kind: str) -> str:
     for name in words.targets(results):
         low, high = spread[name]
         verdict = "within chance" if low <= 0 <= high else "better" if high < 0 else "worse"
-        figure = f"{found[name]:+.2f}{_span(spread[name], '+.2f')} {words.unit(name)}"
+        form = f"+.{_digits(results, name)}f"
+        figure = f"{found[name]:{form}}{_span(spread[name], form)} {words.unit(name)}"
         told.append(f"{words.word(name)} <b>{verdict}</b> ({figure})")
     other = (
         "a PoseNet that learnt from slides directly"

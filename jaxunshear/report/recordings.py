@@ -1,4 +1,4 @@
-"""Sections of a recorded run's page: which recordings it learnt from and was scored on, and how its slides got their partners."""
+"""Sections of a recorded run's page: what it learnt from and was scored on, and how its slides are paired."""
 
 from html import escape
 from typing import Any
@@ -8,10 +8,10 @@ from jaxunshear.report import page, words
 from jaxunshear.report.page import number
 
 WAYS = {
-    "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap need be "
-    "recorded there, so no pose is off.",
-    "nearest": "A slide's partner is the recorded tap whose pose is nearest, in units of the labels' ranges. In training, a pair counts "
-    "the less the further the two poses are apart.",
+    "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap "
+    "need be recorded there, and the two poses are equal. How true the drawings are, the errors of pose on partners tell.",
+    "nearest": "A slide's partner is the recorded tap whose pose is nearest, in units of the labels' ranges. In training, a "
+    "pair counts the less the further the two poses are apart.",
     "pose_id": "A slide's partner is the tap that was recorded at the same pose, under the same pose_id.",
     "file": "A slide's partner is the tap that a table of pairs names.",
 }
@@ -26,13 +26,13 @@ def recordings(results: dict[str, Any]) -> str:
     named = ", ".join(f"<code>{escape(folder)}</code>" for folder in folders if folder)
     facts = [
         f"Folder: {named} (digest {escape(told['digest'])}); sensor {escape(told['sensor'])}, {told['pins']} pins.",
-        f"Of {told['contacts']} contacts {told['dropped']} were left out. Pins are followed for sure in {told['pins_sure']:.1%} of the "
-        f"others; in {told['unsure']} they are not.",
+        f"Contacts: {told['contacts']}, {told['dropped']} of them left out. Pins are followed for sure in "
+        f"{told['pins_sure']:.1%} of the others, in {told['unsure']} they are not.",
         f"Labels used, by their range in training: {'; '.join(map(_range, results['targets'])) or 'none'}.",
     ]
     if told["labelled"] < 1:
         facts.append(f"Labels of {told['labelled']:.0%} of the training slides teach.")
-    lead = "Frames of a real sensor. Networks are trained and chosen on the first two columns; every figure of this page is of the third."
+    lead = "Frames of a real sensor: networks learn from train, their best step is chosen on validation, all figures of test."
     return page.section(
         "The recordings",
         lead,

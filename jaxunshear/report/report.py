@@ -17,8 +17,8 @@ from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write
 def write_report(run_dir: Path) -> Path:
     """Writes `report.html` and `montage.png` from `results.json`, `montage.npz`, `times.json` and the networks' `log.jsonl` in `run_dir`.
 
-    Raises `UserError` where the run has not been evaluated or its files are damaged. Missing logs leave out their curves; recorded runs
-    in which nothing is unsheared have no montage.
+    Raises `UserError` where the run has not been evaluated or its files are damaged. Missing logs leave out their
+    curves; recorded runs in which nothing is unsheared have no montage.
     """
     run_dir = Path(run_dir)
     results = read_json(run_dir / "results.json")
@@ -73,8 +73,8 @@ def _heading(results: dict[str, Any]) -> str:
     if not words.simulated(results):
         return f"{top}<p class=soft>{_of_recordings(results)}</p>"
     return (
-        f"{top}<p class=soft>A soft dome that slides over an edge feels its own shear on top of the shape. The networks of this run "
-        "turn such an image into the one a plain tap would have given. Every figure of ours is measured on "
+        f"{top}<p class=soft>A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "
+        "this run turn such an image into the one a plain tap would have given. Every figure of ours is measured on "
         "<b>simulated</b> contacts at poses kept out of training; the paper's, in "
         "<span class=real>tinted columns</span>, are from a <b>real</b> sensor.</p>"
     )
@@ -96,6 +96,6 @@ def _of_recordings(results: dict[str, Any]) -> str:
         else ""
     )
     return (
-        f"A soft dome that slides feels its own shear on top of what it touches. {about} Every figure is measured on <b>recorded</b> "
-        f"contacts of a <b>real</b> sensor that were kept out of training: {counted}.{paper}"
+        f"A soft dome that slides feels its own shear on top of what it touches. {about} Every figure is measured on "
+        f"<b>recorded</b> contacts of a <b>real</b> sensor that were kept out of training: {counted}.{paper}"
     )

@@ -31,7 +31,7 @@ def similarity(results: dict[str, Any]) -> str:
         for kind in ours
     ]
     name, size = results["metric"]["ms_ssim"], results["metric"]["image_px"]
-    drawn = " of pins, drawn" if words.over_pins(results) else ""
+    drawn = " of drawn pins" if words.over_pins(results) else ""
     lead = f"{name}{drawn} at {size} px, 1 is equal. Brackets: {results['spread']['what']}."
     if known and name != "ms_ssim":
         lead += " The paper's has five scales at 256 px: near, but not the same quantity."
@@ -72,7 +72,7 @@ def further(results: dict[str, Any]) -> str:
             [
                 words.KINDS[kind],
                 *(spanned(ours.get(kind, {}).get(g), spread["ms_ssim"].get(kind, {}).get(g), 3) for g in groups),
-                *(spanned(pose[kind][q], spread["pose_mae"][kind][q], 2) for q in names if kind in pose),
+                *(spanned(pose[kind].get(q), spread["pose_mae"][kind].get(q), 2) for q in names if kind in pose),
             ]
             for kind in words.KINDS
             if kind in pose or kind in ours
@@ -108,8 +108,8 @@ def pins(results: dict[str, Any]) -> str:
     ]
     truth = "tap's true pins" if words.simulated(results) else f"{words.truth(results)}'s pins"
     lead = (
-        f"Centroids found in each image, matched one to one with the {truth} within half a pitch. The first row is what "
-        "finding pins costs by itself; the last is how far the slide really moved them."
+        f"Centroids found in each image, matched one to one with the {truth} within half a pitch. The first row is "
+        "what finding pins costs by itself; the last is how far the slide really moved them."
     )
     if words.over_pins(results) and not words.simulated(results):
         lead = f"How far each pin, known by name, is from the {truth}; the last row is how far the slide moved them."
@@ -118,7 +118,7 @@ def pins(results: dict[str, Any]) -> str:
 
 def _pinned(results: dict[str, Any], kind: str) -> str:
     """Images are held against one partner or tap, which has a row, too."""
-    return words.truth(results) if kind == "tap" and not words.simulated(results) else words.KINDS[kind]
+    return words.truth(results) if kind == "tap" and not words.simulated(results) else words.kind_of(results, kind)
 
 
 def swap(results: dict[str, Any]) -> str:
@@ -141,7 +141,7 @@ def swap(results: dict[str, Any]) -> str:
         "Each decoder fed the code it was trained on, and the wrong one (z_p: pose code, z_s: shear code). A bad image from the "
         "wrong code shows that the decoder uses its code, not that the code is free of the other factor."
         if both
-        else "Each decoder fed the codes it was trained on (z_p: pose code, z_s: shear code); the images are pins, drawn."
+        else "Each decoder fed the codes it was trained on (z_p: pose code, z_s: shear code), its pins drawn."
     )
     head = ["decoder(codes)", "should draw", "MSE", "SSIM", name, *(("MSE<br>paper", "SSIM<br>paper") if known else ())]
     return page.section("Swapped codes" if both else "The two decoders", lead, page.table(head, rows, (5, 6)))

@@ -1,4 +1,4 @@
-"""What the page of a run calls things, told from its `results.json`: kinds of contacts, quantities, what a network should have drawn."""
+"""What the page of a run calls things, told from its `results.json`: kinds of contacts, quantities, partners."""
 
 from html import escape
 from typing import Any
@@ -23,7 +23,11 @@ OF_RECORDINGS = {
     "partner": "partners of the slides",
     "sheared": "slides, as felt",
     "sheared_learnt": "slides, learnt from slides directly",
-    **{kind: f"slides, {KINDS[kind]}" for kind in ("entangled", "entangled_large", "unet", "disentangled")},
+    "entangled": "slides, unsheared (entangled)",
+    "entangled_large": "slides, unsheared (entangled, as many parameters)",
+    "unet": "slides, unsheared (U-Net)",
+    "disentangled": "slides, unsheared (disentangled)",
+    "true_slide": "slides, pins known by name",
 }
 QUANTITIES = {
     "x_mm": "x",

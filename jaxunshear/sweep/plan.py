@@ -19,7 +19,10 @@ from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
 from jaxunshear.training.origin import check_origin
 
 FINISHED = "summary.json"  # of a training
-NOT_FOR_DATA = ("name", "claim", "seed", "unshear", "posenet", "train", "train_posenet", "train_teacher")
+NOT_FOR_DATA = (
+    *("name", "claim", "seed", "targets", "unshear", "posenet", "pins"),
+    *("train", "train_posenet", "train_teacher", "train_pins"),
+)
 
 
 def row_folder(folder: Path, row: Row) -> Path:

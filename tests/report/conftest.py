@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from jaxunshear.evaluation.gather import Gathered
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.experiment import Experiment
 
+VOID = {"meta", "img", "br"}
 SIZE, COUNT = 128, 36
 POSE = {"tap": 0.1, "sheared": 1.2, "entangled": 0.5, "disentangled": 0.35}
 SCALE = {"x_mm": 2.0, "yaw_deg": 14.0, "edge_mm": 2.0, "edge_deg": 20.0}
@@ -123,3 +125,40 @@ def made_up_run(template, tmp_path):
     """A copy of the run for each test to spoil: its folder and its results."""
     folder = shutil.copytree(template, tmp_path / "run")
     return folder, json.loads((folder / "results.json").read_text())
+
+
+class Reader(HTMLParser):
+    """Checks that tags close in order, and collects addresses and text."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.addresses, self.text = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [value for name, value in attrs if name in ("src", "href", "srcset")]
+        assert tag not in ("script", "link", "iframe")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture
+def read():
+    def read(html):
+        reader = Reader()
+        reader.feed(html)
+        assert not reader.open
+        return reader
+
+    return read
+
+
+@pytest.fixture
+def read_page(read):
+    """The text of a page, single spaces between its words."""
+    return lambda path: " ".join(" ".join(read(path.read_text()).text).split())

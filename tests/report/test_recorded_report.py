@@ -1,0 +1,291 @@
+"""The page of recorded runs, from the evaluation's tables of made-up scores: over images, over pins, of taps or slides alone."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation import recorded
+from jaxunshear.evaluation.evaluate import montage
+from jaxunshear.evaluation.gather import Gathered
+from jaxunshear.evaluation.measurements import rounded
+from jaxunshear.fit import BASE
+from jaxunshear.report.report import write_report
+from jaxunshear.run import _tell
+from jaxunshear.targets import of_labels
+
+COUNT, KEPT = 24, 12
+ERRORS = {"partner": 0.9, "sheared": 4.0, "sheared_learnt": 1.5, "disentangled": 1.75}
+SCALE = {"y_mm": 0.1, "z_mm": 0.04, "Rz_deg": 2.0}
+LIKENESS = {"sheared": 0.683, "disentangled": 0.979}
+FOLDER = "day <script>alert(1)</script>"
+BOTH = ("disentangled", "posenet", "posenet_sheared")
+
+
+def poses(generator, count):
+    pose = np.zeros((count, 6))
+    pose[:, 1], pose[:, 2], pose[:, 5] = (generator.uniform(*r, count) for r in ((-6, 6), (3, 5), (-180, 180)))
+    return pose
+
+
+def gathered(networks, pairing, over, shown):
+    """Slides that were scored, or taps."""
+    generator = np.random.default_rng(1)
+    spread = lambda mean, size: np.abs(mean + size * generator.normal(size=COUNT))  # noqa: E731
+    kinds = ERRORS if "disentangled" in networks else {"sheared_learnt": ERRORS["sheared_learnt"]}
+    kinds = kinds if shown else {"tap": 1.0}
+    scores = {f"pose/{kind}/{q}": spread(e * SCALE[q], 0.1 * SCALE[q]) for kind, e in kinds.items() for q in SCALE}
+    if shown and pairing:
+        scores |= {f"ms_ssim/{kind}": spread(mean, 0.001) for kind, mean in LIKENESS.items()}
+        cells = ("DC(z_p)", "DS(z_p,z_s)") if over else ("DC(z_p)", "DC(z_s)", "DS(z_p,z_s)", "DS(z_p,z_p)")
+        scores |= {
+            f"swap/{cell}/{metric}": spread(0.2, 0.05) for cell in cells for metric in ("mse", "ssim", "ms_ssim")
+        }
+        for q in SCALE:
+            scores[f"difference/sheared_learnt/{q}"] = (
+                scores[f"pose/disentangled/{q}"] - scores[f"pose/sheared_learnt/{q}"]
+            )
+        scores["difference/sheared_learnt/z_mm"] = np.linspace(-0.01, 0.01, COUNT)
+        scores["difference/sheared_learnt/Rz_deg"] = -scores["difference/sheared_learnt/Rz_deg"]
+        if over:
+            scores |= {"pins/disentangled": spread(0.061, 1e-4), "pins/sheared": spread(1.05, 1e-4)}
+    number = np.arange(COUNT)
+    labels = {
+        "pose": poses(generator, COUNT),
+        "move": generator.uniform(-3, 3, (COUNT, 6)),
+        "pose_id": number,
+        "stimulus": np.zeros(COUNT, int),
+        "number": number,
+        "sure": np.ones(COUNT, int),
+    }
+    images = {
+        kind: generator.integers(0, 255, (KEPT, 128, 128)).astype(np.uint8)
+        for kind in ("tap", "sheared", "disentangled")
+    }
+    pins = dict.fromkeys(("canonical_pins", "sheared_pins"), np.full((KEPT, 331, 2), np.nan))
+    return Gathered(scores, labels, np.arange(KEPT), images, pins)
+
+
+def make_run(folder, networks=BOTH, pairing="rendered", over=False):
+    """A finished run in `folder`; returns its results."""
+    settings = Recorded(taps=FOLDER, slides=FOLDER, digest="12ab", pairing=pairing or "rendered")
+    experiment = replace(
+        BASE,
+        name="laboratory",
+        paired=settings,
+        networks=networks,
+        unshear=replace(BASE.unshear, input="pins" if over else "images"),
+    )
+    slides = gathered(networks, pairing, over, True) if "posenet_sheared" in networks else None
+    taps = gathered(networks, pairing, over, False) if "posenet" in networks else None
+    splits = {"train": 400, "validation": 51, "test": COUNT}
+    none = dict.fromkeys(splits, 0)
+    counts = {
+        "contacts": 955,
+        "dropped": 2,
+        "unsure": 7,
+        "taps": splits if taps else none,
+        "slides": splits if slides else none,
+        "written": splits,
+        "dropped_frames": [f"{FOLDER}/frame_7.png: all black", "frame_9.png: cannot be read"],
+    }
+    stored = SimpleNamespace(
+        size=128,
+        settings=settings,
+        metadata={"counts": counts, "pins": {"sure": 0.9927}, "notes": ["labels <b>lack</b> Rx"]},
+    )
+    gap = np.full((30, 6), 0.42)
+    reader = SimpleNamespace(length=lambda split: 30, take=lambda split, rows, names: {"gap": gap})
+    targets = of_labels((), poses(np.random.default_rng(2), 200))
+    test = recorded.Test(reader if slides else None, None, bool(slides and pairing))
+    results = rounded(
+        recorded.results_of(experiment, stored, targets, slides, taps, test)
+        | {
+            "ms_per_image": {"posenet": {"median": 0.04, "p95": 0.12}},
+            "time_s": {"posenet": 341.0, "evaluate": 20.5},
+            "machine": {
+                "processor": "none",
+                "cores": 2,
+                "memory_gib": 24,
+                "system": "Linux x86_64",
+                "device": "cpu: cpu",
+            },
+            "versions": {"python": "3.11.7"},
+            "command": f"jaxunshear run experiments/recorded.py --recordings '{FOLDER}'",
+        }
+    )
+    (folder / "results.json").write_text(json.dumps(results))
+    if slides and pairing:
+        (folder / "montage.npz").write_bytes(montage(("recorded",), recorded.as_montage(slides)))
+    (folder / "posenet").mkdir()
+    line = {
+        "step": 1,
+        "epoch": 1,
+        "train_seconds": 3.0,
+        "train": {"pose": 0.2},
+        "validation": {"pose": 0.1, "y_mm": 0.3},
+    }
+    (folder / "posenet" / "log.jsonl").write_text(json.dumps(line) + "\n")
+    return results
+
+
+def test_of_taps_and_slides_all_is_told(tmp_path, read_page):
+    results = make_run(tmp_path)
+    text = read_page(write_report(tmp_path))
+    for kind, row in results["pose_mae"].items():
+        for name, value in row.items():
+            assert f"{value:.{3 if name.endswith('_mm') else 2}f}" in text, (kind, name)
+    for value in results["pose_recovery"]["unsheared"].values():
+        assert f"{value:.2f}" in text
+    for words in (
+        "recorded contacts of a real sensor that were kept out of training: 24 taps and 24 slides",
+        f"{results['pose_mae']['sheared']['y_mm']:.2f} \u2192 {results['pose_mae']['unsheared']['y_mm']:.2f} mm",
+        f"taps: {results['pose_mae']['tap']['z_mm']:.2f}, learnt from slides directly",
+        "Likeness to the partner (ms_ssim@4)",
+        "0.68 \u2192 0.98",
+        "6 min 2 s",
+        "one answer to every contact",
+        f"{results['baselines']['pose_chance']['Rz_deg']:.2f}",
+        "a recovery of 0.91 in x and 0.89 in yaw",
+        "unsheared against partner",
+        "as felt \u2192 unsheared, by z",
+        "posenet 0.04 ms",
+    ):
+        assert words in text, words
+    assert "back:" not in text and "tap (truth)" not in text and "Contact quality" not in text and "shapes" not in text
+    assert (tmp_path / "montage.png").exists()
+
+
+def test_a_network_is_held_against_learning_from_slides_directly(tmp_path, read_page):
+    make_run(tmp_path)
+    text = read_page(write_report(tmp_path)).split("Slide by slide, ")[1]
+    assert "y worse (+0." in text and "z within chance (" in text and "Rz better (-0." in text
+
+
+def test_the_recordings_are_told(tmp_path, read_page):
+    make_run(tmp_path, pairing="nearest")
+    text = read_page(write_report(tmp_path)).split("The recordings")[1]
+    for words in (
+        "taps 400 51 24",
+        "slides 400 51 24",
+        "955, 2 of them left out",
+        "99.3%",
+        "in 7 they are not",
+        "frame_9.png: cannot be read",
+        "labels <b>lack</b> Rx",
+        "Rz over the full circle",
+        "whose pose is nearest",
+        "test 30 0.42 (0.42) 0.42 (0.42) 0.42 (0.42)",
+    ):
+        assert words in text, words
+    low, high = (float(part) for part in text.split("in training: y ")[1].split(" mm")[0].split(" to "))
+    assert -6 <= low < -5.5 and 5.5 < high <= 6
+
+
+def test_names_are_escaped(tmp_path):
+    make_run(tmp_path)
+    html = write_report(tmp_path).read_text()
+    assert "<script" not in html and "lack</b>" not in html
+    assert html.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 4  # folder, frame, command, settings
+
+
+@pytest.mark.parametrize(("pairing", "over"), [("rendered", False), ("nearest", False), ("pose_id", True)])
+def test_the_papers_columns_are_of_its_own_quantities(tmp_path, read_page, pairing, over):
+    make_run(tmp_path, pairing=pairing, over=over)
+    path = write_report(tmp_path)
+    text = read_page(path)
+    assert "class=real" not in path.read_text() and "tinted" not in text
+    assert "22.20" not in text and "0.93 0.9" not in text
+
+
+@pytest.mark.parametrize("pairing", ["pose_id", "file"])
+def test_the_papers_likeness_stands_beside_that_to_recorded_taps(tmp_path, read_page, pairing):
+    make_run(tmp_path, pairing=pairing)
+    text = read_page(write_report(tmp_path))
+    assert "tinted columns" in text and "overall paper" in text and "MSE paper" in text and "tap (truth)" in text
+    assert "22.20" not in text
+
+
+def test_pins_are_told_by_name_and_in_px_alone(tmp_path, read_page):
+    make_run(tmp_path, over=True)
+    text = read_page(write_report(tmp_path))
+    part = text.split("Where the pins are")[1].split("The recordings")[0]
+    assert "slides, unsheared (disentangled) 0.06" in part and "1.05" in part
+    assert "mm" not in part and "missed" not in part
+    assert "the images are these pins, drawn" in text and "of drawn pins" in text and "The two decoders" in text
+
+
+def test_pins_found_in_images_are_counted(tmp_path, read_page):
+    results = make_run(tmp_path)
+    assert "Where the pins are" not in read_page(write_report(tmp_path))  # none was followed for sure
+    found = {"rms_px": 0.5, "rms_mm": None, "missed_per_image": 1.5, "extra_per_image": 2.5}
+    results["pin_error"] = {"tap": found, "disentangled": found, "true_slide": {"rms_px": 1.0, "rms_mm": None}}
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    part = read_page(write_report(tmp_path)).split("Where the pins are")[1].split("The recordings")[0]
+    assert "partner 0.50 1.5 2.5" in part and "mm rms" not in part
+
+
+def test_of_taps_alone_their_poses_are_told(tmp_path, read_page):
+    results = make_run(tmp_path, networks=("posenet",), pairing="")
+    text = read_page(write_report(tmp_path))
+    assert f"{results['pose_mae']['tap']['z_mm']:.2f} mm taps" in text and "out of training: 24 taps." in text
+    for words in ("Recovery", "What it does", "How slides are paired", "slides 400", "alike", "Where the pins"):
+        assert words not in text, words
+    assert not (tmp_path / "montage.png").exists()
+
+
+def test_of_slides_alone_their_poses_are_told(tmp_path, read_page):
+    results = make_run(tmp_path, networks=("posenet_sheared",), pairing="")
+    text = read_page(write_report(tmp_path))
+    assert f"{results['pose_mae']['sheared_learnt']['y_mm']:.2f} mm learnt from slides directly" in text
+    assert "that has only learned from labelled slides" in text and "out of training: 24 slides." in text
+    for words in ("Recovery", "What it does", "How slides are paired", "taps 400", "Slide by slide"):
+        assert words not in text, words
+
+
+def test_a_harmless_slide_leaves_no_recovery(tmp_path, read_page):
+    results = make_run(tmp_path)
+    for table in (results["pose_recovery"], results["spread"]["pose_recovery"]):
+        for kind in ("disentangled", "unsheared"):
+            table[kind]["y_mm"] = None
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    assert "y none, as slides do no harm; z 0." in read_page(write_report(tmp_path))
+
+
+def test_a_slide_of_unknown_length_is_shown_without_it(tmp_path, read_page):
+    make_run(tmp_path)
+    shown = dict(np.load(tmp_path / "montage.npz"))
+    np.savez(tmp_path / "montage.npz", **shown | {"move": np.full_like(shown["move"], np.nan)})
+    text = read_page(write_report(tmp_path))
+    assert "nan" not in text.split("What it does")[1].split("alike")[0] and "recorded z " in text
+
+
+def test_a_montage_that_should_be_there_is_missed(tmp_path):
+    make_run(tmp_path)
+    (tmp_path / "montage.npz").unlink()
+    with pytest.raises(UserError, match=r"montage\.npz"):
+        write_report(tmp_path)
+
+
+def test_the_terminal_is_told_in_a_few_lines(tmp_path, capsys):
+    results = make_run(tmp_path)
+    _tell(results, tmp_path)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) < 12
+    assert lines[0].split() == ["error", *SCALE]
+    rows = {line.split()[0]: line.split()[1:] for line in lines}
+    assert rows["unsheared"] == [f"{value:.3f}" for value in results["pose_mae"]["unsheared"].values()]
+    assert rows["recovery"] == [f"{value:.2f}" for value in results["pose_recovery"]["unsheared"].values()]
+    assert "0.683 as felt, 0.979 unsheared" in lines[-2] and lines[-1] == f"results: {tmp_path / 'results.json'}"
+    _tell(make_run_of_taps(tmp_path), tmp_path)
+    assert len(capsys.readouterr().out.splitlines()) == 4
+
+
+def make_run_of_taps(folder):
+    folder = folder / "taps"
+    folder.mkdir()
+    return make_run(folder, networks=("posenet",), pairing="")
