@@ -9,7 +9,7 @@ import numpy as np
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.scene.sensor import SENSORS, Sensor, pin_tips, sensor_named
-from jaxunshear.scene.stimuli import STIMULI, TRAINING, Stimulus, signed_distance, stimulus_named
+from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, signed_distance, stimulus_named
 from jaxunshear.storage import write_bytes
 
 SUFFIXES = (".png", ".svg", ".pdf")
@@ -27,10 +27,11 @@ def listing(kind: str) -> str:
             f"{s.name:16} {s.pins} pins, {s.layout}, {s.pin_spacing_mm:g} mm apart; dome radius {s.dome_radius_mm:g} mm"
             for s in SENSORS.values()
         )
-    return "\n".join(
-        f"{s.name:12} {s.material}, friction {s.friction:g}; {'trained on' if s.name in TRAINING else 'kept unseen'}"
-        for s in STIMULI.values()
-    )
+    return "\n".join(f"{s.name:12} {s.material}, friction {s.friction:g}; {_use(s.name)}" for s in STIMULI.values())
+
+
+def _use(name: str) -> str:
+    return "trained on" if name in TRAINING else "kept unseen" if name in UNSEEN else "for recordings of it"
 
 
 def draw(kind: str, name: str, out: Path) -> None:
@@ -69,7 +70,8 @@ def _draw_stimulus(axes: Any, stimulus: Stimulus) -> None:
     xy = np.stack(np.meshgrid(side, side), axis=-1)
     distance = np.asarray(signed_distance(stimulus, xy))  # type: ignore[arg-type]
     axes.contourf(side, side, distance, levels=[distance.min(), 0], colors=["0.8"])
-    axes.contour(side, side, distance, levels=[0], colors=["black"])
+    if distance.max() > 0:
+        axes.contour(side, side, distance, levels=[0], colors=["black"])
     lateral = Ranges().lateral_mm
     axes.plot(lateral * np.array([-1, 1, 1, -1, -1]), lateral * np.array([-1, -1, 1, 1, -1]), "r-", linewidth=1)
     axes.plot([0], [0], "r.")

@@ -25,7 +25,10 @@ STAGES = {
     "fit": ("data", NETWORKS, "evaluate", "report"),
 }
 DRAWN = ("sensors", "stimuli")
-OWN_OPTIONS = ("--help", "--out", "--data", "--json", "--network", "--recordings", "--taps", "--slides", "--pairs")
+OWN_OPTIONS = (
+    *("--help", "--out", "--data", "--json", "--network", "--recordings", "--taps", "--slides", "--pairs"),
+    "--sensor-from",
+)
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1:
 """
@@ -111,6 +114,7 @@ def _parser() -> _Parser:
             type=Path,
             help="taps and slides that an experiment such as experiments/recorded.py is about",
         )
+        _add_sensor(command)
         if name in ("run", "evaluate"):
             _add_json(command)
         if name == "train":
@@ -181,6 +185,11 @@ def _parser() -> _Parser:
     return parser
 
 
+def _add_sensor(command: argparse.ArgumentParser) -> None:
+    text = "a calibration.json of `jaxunshear calibrate`: its sensor, camera and friction in the simulated experiment"
+    command.add_argument("--sensor-from", metavar="FILE", type=Path, help=text)
+
+
 def _add_json(command: argparse.ArgumentParser) -> None:
     command.add_argument("--json", metavar="FILE", type=Path, help="write what was measured, with machine and versions")
 
@@ -241,7 +250,7 @@ def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> N
             _score(experiment, arguments, command)
             return
     else:
-        experiment = _experiment(arguments.file, fields, str(arguments.recordings or ""))
+        experiment = _experiment(arguments.file, fields, str(arguments.recordings or ""), arguments.sensor_from)
     networks = trained(experiment)
     if getattr(arguments, "network", None):
         if arguments.network not in networks:
@@ -260,10 +269,15 @@ def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> N
         write_json(arguments.json, measurements(results))
 
 
-def _experiment(file: Path, fields: list[str], recordings: str = "") -> "Experiment":
+def _experiment(file: Path, fields: list[str], recordings: str = "", preset: Path | None = None) -> "Experiment":
     from jaxunshear.config import load_experiment, override, validate
 
-    experiment = override(load_experiment(file), fields)
+    experiment = load_experiment(file)
+    if preset:
+        from jaxunshear.preset import with_preset
+
+        experiment = with_preset(experiment, preset)
+    experiment = override(experiment, fields)
     if recordings:
         from jaxunshear.fit import with_recordings
 
@@ -295,9 +309,10 @@ def _finished(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
 
     from jaxunshear.infer import load_settings
 
-    if fields:
+    if fields or arguments.sensor_from:
+        asked = fields[0] if fields else "--sensor-from"
         raise UserError(
-            f"{fields[0]}: the settings of a finished run stay as they are; name its experiment file to change them"
+            f"{asked}: the settings of a finished run stay as they are; name its experiment file to change them"
         )
     experiment = load_settings(arguments.file)
     folder = arguments.file.resolve()

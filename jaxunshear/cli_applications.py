@@ -230,11 +230,11 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
 
 
 def _stimuli(text: str) -> tuple[str, ...]:
-    from jaxunshear.scene.stimuli import STIMULI, stimulus_named
+    from jaxunshear.scene.stimuli import SHAPES, shape_named
 
-    names = tuple(STIMULI) if text == "all" else tuple(name.strip() for name in text.split(","))
+    names = SHAPES if text == "all" else tuple(name.strip() for name in text.split(","))
     for name in names:
-        stimulus_named(name)
+        shape_named(name)
     if len(set(names)) < len(names):
         raise UserError(f"--stimulus {text}: name each once")
     return names

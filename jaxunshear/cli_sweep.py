@@ -9,7 +9,17 @@ from jaxunshear.errors import UserError
 FLAGS = ("--help", "--version", "--retry-failed")  # no value follows
 OWN_OPTIONS = (
     *FLAGS,
-    *("--out", "--data", "--json", "--seeds", "--engine", "--ray-address", "--ray-cores", "--recordings"),
+    *(
+        "--out",
+        "--data",
+        "--json",
+        "--seeds",
+        "--engine",
+        "--ray-address",
+        "--ray-cores",
+        "--recordings",
+        "--sensor-from",
+    ),
 )
 
 
@@ -23,6 +33,12 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("runs/sweeps"), help="DIR/<name> (runs/sweeps)")
     parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
     parser.add_argument("--recordings", metavar="DIR", type=Path, help="taps and slides that the sweep's base is about")
+    parser.add_argument(
+        "--sensor-from",
+        metavar="FILE",
+        type=Path,
+        help="a calibration.json: its sensor, camera and friction in the base",
+    )
     parser.add_argument("--seeds", metavar="N,N,...", help="instead of those in FILE")
     parser.add_argument(
         "--engine", choices=("serial", "ray"), default="serial", help="one row after the other (serial)"
@@ -43,7 +59,12 @@ def run(arguments: argparse.Namespace, fields: list[str], command: str) -> int:
 
     from jaxunshear.sweep.settings import check, load_sweep, parse_seeds, with_overrides
 
-    sweep = with_overrides(load_sweep(arguments.file), fields)
+    sweep = load_sweep(arguments.file)
+    if arguments.sensor_from is not None:
+        from jaxunshear.preset import with_preset
+
+        sweep = dataclasses.replace(sweep, base=with_preset(sweep.base, arguments.sensor_from))
+    sweep = with_overrides(sweep, fields)
     if arguments.seeds is not None:
         sweep = dataclasses.replace(sweep, seeds=parse_seeds(arguments.seeds))
     if arguments.recordings is not None:

@@ -113,7 +113,7 @@ def to_json(experiment: Experiment) -> dict[str, Any]:
 
 def from_json(data: Any, source: str = "experiment.json") -> Experiment:
     """The inverse of `to_json`; unknown and missing fields and wrong types are refused by name."""
-    return _build(data, Experiment, source, "")
+    return build(data, Experiment, source, "")
 
 
 def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -274,7 +274,7 @@ def _fits(value: Any, kind: Any) -> bool:
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
 
 
-def _build(data: Any, kind: Any, source: str, name: str) -> Any:
+def build(data: Any, kind: Any, source: str, name: str) -> Any:
     if groups := _groups(kind):
         given = set(data) if isinstance(data, dict) else set()
         own = next((group for group in groups if set(_hints(group)) == given), groups[0])
@@ -285,7 +285,7 @@ def _build(data: Any, kind: Any, source: str, name: str) -> Any:
                 f"{source} does not fit this version: see {name or 'its top level'}, {', '.join(odd)}; run it again"
             )
         parts = {
-            field: _build(data[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in hints.items()
+            field: build(data[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in hints.items()
         }
         return own(**parts)
     value = _tupled(data)

@@ -30,8 +30,17 @@ from jaxunshear.training.settings import Training
 Rule = tuple[bool, str, str]
 
 # The keys of `scene.stimuli.STIMULI`, which imports JAX; a test holds the two together.
-STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2")
-MIRROR_IMAGES = ("disk", "clover", "teardrop", "flower", "leaf")  # of themselves, left and right of the target's normal
+STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface")
+MIRROR_IMAGES = (
+    "disk",
+    "clover",
+    "teardrop",
+    "flower",
+    "leaf",
+    "edge",
+    "surface",
+)  # of themselves, left and right of the target's normal
+SURFACE = "surface"  # the same wherever and however it is turned
 SCHEDULES = ("cosine", "steps")
 OPTIMISERS = ("adam", "muon")
 POSE_TARGETS = ("tap", "label")
@@ -194,6 +203,8 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
 
 def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     yield from _target_texts(experiment.targets, SIMULATED)
+    flat = SURFACE in {*paired.stimuli, *pose.stimuli, *experiment.unseen}
+    yield not flat or experiment.targets == ("depth_mm",), "targets", "a surface shows its depth alone: name depth_mm"
     for ranges in (paired.ranges, pose.ranges):
         try:
             known, wrong = of_ranges(experiment.targets, ranges), ""

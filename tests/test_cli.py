@@ -254,8 +254,9 @@ def test_commands_become_stages(monkeypatch, command, tmp_path, words, stages):
 
 def test_lists_and_drawings(command, tmp_path):
     assert "tactip127" in command("sensors").out
-    assert "spiral_2" in command("stimuli", "list").out
-    for kind, name in (("sensors", "tactip331"), ("stimuli", "teardrop")):
+    assert {"spiral_2", "edge"} < set(command("stimuli", "list").out.split())
+    drawn = (("sensors", "tactip331"), ("stimuli", "teardrop"), ("stimuli", "edge"), ("stimuli", "surface"))
+    for kind, name in drawn:
         path = tmp_path / f"{name}.png"
         assert command(kind, "draw", name, "--out", path).code == 0
         assert np.asarray(Image.open(path).convert("L")).std() > 10

@@ -56,6 +56,8 @@ def few(monkeypatch):
     ("words", "said"),
     [
         (("servo", "--stimulus", "cube"), "stimulus 'cube' is unknown"),
+        (("servo", "--stimulus", "edge"), "no outline that closes"),
+        (("reconstruct", "--stimulus", "disk,surface"), "no outline that closes"),
         (("servo", "--stimulus", "disk,disk"), "name each once"),
         (("servo", "--starts", "0"), "--starts 0"),
         (("servo", "--seed", "-1"), "--seed -1"),

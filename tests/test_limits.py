@@ -140,3 +140,9 @@ def test_targets_are_those_that_the_data_vary(words, line):
 )
 def test_targets_that_all_sets_vary_are_taken(words):
     validate(override(PLAIN, words.split()))
+
+
+def test_a_surface_shows_its_depth_alone():
+    words = "--paired.stimuli surface --pose.stimuli surface"
+    assert refusal(words).startswith("--targets ")
+    validate(override(PLAIN, [*words.split(), "--targets", "depth_mm"]))

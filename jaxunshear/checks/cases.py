@@ -18,7 +18,8 @@ from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor
-from jaxunshear.scene.stimuli import STIMULI, Stimulus, disk, stroke
+from jaxunshear.scene.stimuli import SHAPES as PLANAR
+from jaxunshear.scene.stimuli import Stimulus, disk, stroke
 
 HALF_SIZE = replace(
     TACTIP_331,
@@ -188,7 +189,7 @@ def _turns() -> Iterator[Case]:
 
 
 def _edges() -> Iterator[Case]:
-    for name in STIMULI:
+    for name in PLANAR:
         yield one_path(f"edge of {name} through the apex, press", motion(3.0), shape=name)
         yield one_path(
             f"edge of {name} through the apex, slide", motion(3.0, at=(-1.0, -1.0), slide=(1.0, 1.0)), shape=name

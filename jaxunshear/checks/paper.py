@@ -4,9 +4,8 @@ import numpy as np
 
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, make_scenes
-from jaxunshear.scene.stimuli import STIMULI
+from jaxunshear.scene.stimuli import SHAPES as NAMES
 
-NAMES = tuple(STIMULI)
 KINDS = ("slide", "tap")
 
 

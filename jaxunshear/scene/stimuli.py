@@ -7,7 +7,8 @@ paper's Table 1 names: origin at the target, x along the outward normal (at a co
     signed_distance(STIMULI["disk"], xy)  # [0, 1] mm: on the edge, and 1 mm outside
 
 Sizes and frictions are our choice: the paper gives pictures only. Its two acrylic shapes, with a friction of their own,
-are the spirals; everything else is 3D-printed ABS.
+are the spirals; everything else is 3D-printed ABS. Beside its seven closed shapes stand what recordings are often of: a
+straight edge and a flat surface, which have no outline to go round.
 """
 
 from collections.abc import Callable
@@ -26,6 +27,7 @@ Distance = Callable[[jax.Array], jax.Array]
 # sensor, whose pins stay behind by no more than 0.8-1 mm, suggest 0.2 to 0.4.
 ABS_FRICTION = 0.7
 ACRYLIC_FRICTION = 0.45
+FAR_MM = 125.0  # further than any dome reaches
 
 
 @dataclass(frozen=True)
@@ -35,7 +37,7 @@ class Stimulus:
     name: str
     distance: Distance
     target: tuple[float, float, float]
-    extent_mm: float  # the shape lies within this radius of its own origin
+    extent_mm: float  # the shape lies within this radius of its own origin; what has no end is drawn so far
     friction: float = ABS_FRICTION
     material: str = "ABS"
 
@@ -60,6 +62,16 @@ def _length(v: jax.Array) -> jax.Array:
     """Euclidean norm whose gradient at zero is zero, not NaN."""
     squared = jnp.sum(v * v, axis=-1)
     return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+
+
+def edge() -> Distance:
+    """A half plane, its straight edge along y."""
+    return lambda p: p[..., 0]
+
+
+def surface() -> Distance:
+    """A plane without an edge: as if one were FAR_MM away, wherever it is asked."""
+    return lambda p: jnp.full_like(p[..., 0], -FAR_MM)
 
 
 def disk(radius: float) -> Distance:
@@ -178,13 +190,23 @@ STIMULI = {
         Stimulus(
             "spiral_2", stroke(_SPIRAL_2, 8.0), _stroke_target(_SPIRAL_2, 80, 8.0), 60.0, ACRYLIC_FRICTION, "acrylic"
         ),
+        Stimulus("edge", edge(), (0.0, 0.0, 0.0), 25.0),
+        Stimulus("surface", surface(), (0.0, 0.0, 0.0), 25.0),
     )
 }
 TRAINING = ("disk", "clover", "teardrop")
 UNSEEN = ("flower", "leaf", "spiral_1", "spiral_2")
+SHAPES = (*TRAINING, *UNSEEN)  # the paper's: each has an outline that closes
 
 
 def stimulus_named(name: str) -> Stimulus:
     if name not in STIMULI:
         raise UserError(f"stimulus '{name}' is unknown: use one of {', '.join(STIMULI)}")
+    return STIMULI[name]
+
+
+def shape_named(name: str) -> Stimulus:
+    """One with an outline to follow."""
+    if stimulus_named(name).name not in SHAPES:
+        raise UserError(f"stimulus '{name}' has no outline that closes: use one of {', '.join(SHAPES)}")
     return STIMULI[name]

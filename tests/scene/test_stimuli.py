@@ -6,10 +6,23 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, outward_normal, signed_distance, stimulus_named
+from jaxunshear.scene.scene import edge_labels, make_scenes
+from jaxunshear.scene.stimuli import (
+    FAR_MM,
+    SHAPES,
+    STIMULI,
+    TRAINING,
+    UNSEEN,
+    outward_normal,
+    shape_named,
+    signed_distance,
+    stimulus_named,
+)
+
+EDGED = (*SHAPES, "edge")
 
 
-@pytest.mark.parametrize("name", STIMULI)
+@pytest.mark.parametrize("name", EDGED)
 def test_target_lies_on_the_edge_with_x_outward(name):
     stimulus = STIMULI[name]
     line = jnp.asarray([[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]])
@@ -18,7 +31,7 @@ def test_target_lies_on_the_edge_with_x_outward(name):
     np.testing.assert_allclose(outward_normal(stimulus, jnp.asarray([[1e-3, 0.0]]))[0], [1, 0], atol=0.05)
 
 
-@pytest.mark.parametrize("name", STIMULI)
+@pytest.mark.parametrize("name", EDGED)
 def test_distances_never_change_faster_than_the_point_moves(name):
     points = jax.random.uniform(jax.random.key(0), (2, 4000, 2), minval=-12, maxval=12)
     first, second = (np.asarray(signed_distance(STIMULI[name], p)) for p in points)
@@ -27,7 +40,7 @@ def test_distances_never_change_faster_than_the_point_moves(name):
     assert np.any(first < 0) and np.any(first > 0)
 
 
-@pytest.mark.parametrize("name", STIMULI)
+@pytest.mark.parametrize("name", SHAPES)
 def test_shape_lies_within_its_extent(name):
     angle = jnp.linspace(0, 2 * jnp.pi, 400)
     rim = (STIMULI[name].extent_mm + 0.5) * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
@@ -50,10 +63,25 @@ def test_jit_and_vmap_agree_with_the_plain_call():
 
 
 def test_names():
-    assert set(TRAINING) | set(UNSEEN) == set(STIMULI) and len(UNSEEN) == 4
+    assert {*SHAPES, "edge", "surface"} == set(STIMULI) and (*TRAINING, *UNSEEN) == SHAPES and len(UNSEEN) == 4
     assert sum(STIMULI[name].material == "acrylic" for name in UNSEEN) == 2
     with pytest.raises(UserError, match="pyramid"):
         stimulus_named("pyramid")
+    with pytest.raises(UserError, match="has no outline"):
+        shape_named("surface")
+
+
+def test_an_edge_and_a_surface_are_exact():
+    xy = jnp.asarray([[0.0, 3.0], [-7.5, -80.0], [12.0, 0.5]])
+    np.testing.assert_array_equal(signed_distance(STIMULI["edge"], xy), xy[:, 0])
+    np.testing.assert_array_equal(outward_normal(STIMULI["edge"], xy), [[1, 0]] * 3)
+    np.testing.assert_array_equal(signed_distance(STIMULI["surface"], xy), [-FAR_MM] * 3)
+
+
+def test_an_edges_labels_are_where_across_it_and_how_it_is_turned():
+    pose = np.array([[2.5, -4.0, 30.0, 2.0], [-1.0, 3.0, -170.0, 2.0], [0.5, 0.0, 180.0, 1.0]])
+    scenes = make_scenes(("edge",), np.zeros(3, int), pose, np.zeros((3, 2)))
+    np.testing.assert_allclose(edge_labels(("edge",), scenes), [[2.5, -30], [-1.0, 170], [0.5, 180]], atol=1e-5)
 
 
 @pytest.mark.parametrize("name", STIMULI)
