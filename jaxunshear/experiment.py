@@ -21,6 +21,15 @@ PIN_NETWORKS = (
 )  # those that may read pins in the place of images
 RENDERER = "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
 TRAINABLE = (RENDERER, TEACHER, *ALL_NETWORKS)
+PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
+    "patch_weight",
+    "crops",
+    "crop_px",
+    "reconstruction_weight",
+    "pose_weight",
+    "pose_target",
+    "label_weight",
+)
 POSENETS = ("posenet", "posenet_sheared", TEACHER)
 
 
@@ -101,11 +110,19 @@ def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData |
 
 def training_of(experiment: Experiment, network: str) -> Training:
     """How `network` is trained."""
-    if network == RENDERER or over_pins(experiment):
+    if network == RENDERER or (over_pins(experiment) and network in POSENETS):
+        return without_pair_losses(experiment.train_pins)
+    if over_pins(experiment):
         return experiment.train_pins
     if network == TEACHER:
         return experiment.train_teacher
     return experiment.train_posenet if network in POSENETS else experiment.train
+
+
+def without_pair_losses(training: Training) -> Training:
+    """`training` with what only a network that unshears reads at its default."""
+    unused = {field: getattr(Training(), field) for field in PAIR_LOSSES}
+    return replace(training, **unused)
 
 
 def further_tests(experiment: Experiment) -> dict[str, PairedData]:

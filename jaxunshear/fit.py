@@ -23,7 +23,7 @@ BASE = Experiment(
     pose=RecordedTaps(),
     unshear=UnshearNet(widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256),
     train=Training(
-        epochs=8,
+        epochs=6,
         batch=8,
         optimiser="muon",
         learning_rate=6e-3,
@@ -33,7 +33,7 @@ BASE = Experiment(
         validation_images=512,
     ),
     train_posenet=Training(
-        epochs=10,
+        epochs=7,
         batch=16,
         optimiser="muon",
         learning_rate=1.5e-3,

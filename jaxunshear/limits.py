@@ -13,6 +13,7 @@ from jaxunshear.dataset.settings import PAIRINGS, PairedData, PoseData, Ranges, 
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import (
     ALL_NETWORKS,
+    PAIR_LOSSES,
     PIN_NETWORKS,
     RENDERER,
     TEACHER,
@@ -38,16 +39,6 @@ PRECISIONS = ("float32", "bfloat16")
 INPUTS = ("images", "pins")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
-# Fields of `Training` that no PoseNet's training reads.
-PAIR_LOSSES = (
-    "patch_weight",
-    "crops",
-    "crop_px",
-    "reconstruction_weight",
-    "pose_weight",
-    "pose_target",
-    "label_weight",
-)
 FEWEST_POSES = 5  # the smallest number that 60:20:20 splits exactly
 
 
@@ -423,6 +414,7 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
         yield getattr(pins, field) >= 1, f"pins.{field}", "must be at least 1"
     yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"
     yield pins.noise_px >= 0, "pins.noise_px", "must not be below zero"
+    yield 0 <= pins.jitter <= 1, "pins.jitter", "use 0 to 1, a share of each range"
     yield 0 <= pins.hidden_pins < 1, "pins.hidden_pins", "use 0 up to, but not, 1"
 
 

@@ -147,7 +147,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         first(examples.reader.split, training.validation_images, fields),
         seed,
         folder / network,
-        epoch_images=examples.reader.length("train"),
+        epoch_images=examples.epoch,
         origin=origin_of(experiment, network),
         start=Start(load_best(begin), digest_of(begin)) if begin else None,
     )

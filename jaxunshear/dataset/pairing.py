@@ -4,12 +4,20 @@ rows, gap = nearest(targets, slide_poses, tap_poses)
 images = drawn(pins, frame, background)
 """
 
+from functools import partial
+
+import jax
 import numpy as np
 from scipy.spatial import cKDTree
 
+from jaxunshear.image.dots import dots
 from jaxunshear.targets import RECORDED, Targets
 
+DRAWN_AT_ONCE = 64
 SAME_POSE = 1e-3  # mm and deg: labels of one `pose_id` that differ by more are not of one pose
+
+
+_dots = partial(jax.jit, static_argnums=(1, 2))(dots)
 
 
 def gaps(slides: np.ndarray, taps: np.ndarray) -> np.ndarray:
@@ -66,16 +74,12 @@ def same_pose(
 
 
 def drawn(pins: np.ndarray, radius_px: float, background: np.ndarray) -> np.ndarray:
-    """Binary images (N, S, S) uint8 of {0, 255}: a round dot at each pin (N, P, 2) px, over what is white of `background` (S, S).
-
-    A Gaussian is separable, so all dots of an image are one product of matrices; its level at `radius_px` is the threshold.
-    """
-    pixel = np.arange(len(background))
+    """Binary images (N, S, S) uint8 of {0, 255}: a round dot at each pin (N, P, 2) px, over what is white of `background` (S, S)."""
     images = np.empty((len(pins), *background.shape), np.uint8)
-    for i, place in enumerate(np.asarray(pins, np.float64)):
-        place = place[np.isfinite(place).all(axis=1)]
-        column, row = (np.exp2(-(((pixel[:, None] - place[:, k]) / radius_px) ** 2)) for k in (0, 1))
-        images[i] = np.where((row @ column.T >= 0.5) | background, 255, 0)
+    for start in range(0, len(pins), DRAWN_AT_ONCE):
+        here = np.resize(pins[start : start + DRAWN_AT_ONCE], (DRAWN_AT_ONCE, *pins.shape[1:]))  # one shape to compile
+        white = np.asarray(_dots(here.astype(np.float32), radius_px, len(background)))[..., 0] > 0
+        images[start : start + DRAWN_AT_ONCE] = np.where(white | background, 255, 0)[: len(pins) - start]
     return images
 
 

@@ -84,8 +84,7 @@ def digest_of(folders: tuple[str, ...], pairs: str = "") -> str:
     """Sixteen hexadecimal digits of what lies there: labels by their bytes, images by name and size."""
     digest = hashlib.sha256()
     for folder in dict.fromkeys(folders):
-        root = Path(folder)
-        recordings = read_recordings(root, Preprocess())
+        recordings, root = _read(folder, Preprocess()), Path(folder)
         for file, name in zip(recordings.files, recordings.names, strict=True):
             digest.update(f"{name} {file.stat().st_size}\n".encode())
         for table in sorted(root.rglob("*.csv")) if root.is_dir() else []:

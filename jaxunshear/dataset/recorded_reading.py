@@ -116,13 +116,14 @@ class RecordedSet:
         the settings' share."""
         return Reader(lambda split: _numbered(self._slides(split)), self.size)
 
-    def pairs(self, targets: Targets, render: Render | None = None) -> Reader:
-        """The same, each with a partner by the settings' pairing: canonical, canonical_pins; `render` for "rendered".
+    def pairs(self, targets: Targets, render: Render | None = None, images: bool = True) -> Reader:
+        """The same, each with a partner by the settings' pairing: canonical, canonical_pins; `render` for "rendered". Without `images`
+        partners are pins alone.
 
         `weight` (B,) is what a pair counts in training, `gap` (B, 6) how far the partner's pose is off. Raises UserError where no slide
         has a partner.
         """
-        return Reader(lambda split: self._paired(split, self._slides(split), targets, render), self.size)
+        return Reader(lambda split: self._paired(split, self._slides(split), targets, render, images), self.size)
 
     def _slides(self, split: str) -> Batch:
         rows = self._of(split, True)
@@ -133,14 +134,15 @@ class RecordedSet:
         batch = {name: rows[name] for name in ("pose", "move", "sure", "number", "pose_id", "stimulus")}
         return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}
 
-    def _paired(self, split: str, batch: Batch, targets: Targets, render: Render | None) -> Batch:
+    def _paired(self, split: str, batch: Batch, targets: Targets, render: Render | None, images: bool) -> Batch:
         way, count = self.settings.pairing, len(batch["pose"])
         if way == "rendered":
             if render is None:
                 raise ValueError("pairing 'rendered' takes a renderer")
             pins = render(batch["pose"]).astype(np.float32)
-            images = pairing.drawn(pins, self.frame["radius_px"], background_of(self.frame))
-            partner = {"canonical": pack(images), "canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
+            partner = {"canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
+            if images:
+                partner["canonical"] = pack(pairing.drawn(pins, self.frame["radius_px"], background_of(self.frame)))
             return _numbered(batch | partner | {"weight": np.ones(count, np.float32)})
         taps = self._of(split, False) if split == "train" else _concatenated([self._of(s, False) for s in SPLITS])
         taps = _taken(taps, np.isfinite(taps["pose"]).all(axis=1))

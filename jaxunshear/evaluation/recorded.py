@@ -60,9 +60,8 @@ def gathered_of(
     inputs = ("canonical_pins", "sheared_pins") if pins else IMAGES
     slides = taps = None
     if test.slides is not None and (count := test.slides.length("test")):
-        fields = (*IMAGES, *PINS, *LABELS)
         if test.paired:
-            batches = test.slides.split("test", BATCH, fields)
+            batches = test.slides.split("test", BATCH, (*inputs, *PINS, *LABELS))
         else:
             batches = _alone(test.slides.split("test", BATCH, (IMAGES[1], PINS[1], *LABELS)))
         slides = gather(run, batches, count, KEPT, targets, inputs=inputs, named=LABELS)

@@ -22,7 +22,7 @@ def poses(results: dict[str, Any]) -> str:
     rows = [
         [
             words.kind_of(results, kind),
-            *(spanned(ours[kind][q], spread[kind][q], _digits(results, q)) for q in names),
+            *(spanned(ours[kind].get(q), spread[kind].get(q), _digits(results, q)) for q in names),
             *(number(paper.get(kind, {}).get(q)) for q in known),
         ]
         for kind in ours
@@ -32,7 +32,7 @@ def poses(results: dict[str, Any]) -> str:
     rows.append(
         [
             f"<i>one answer to every {'image' if words.simulated(results) else 'contact'}</i>",
-            *(number(chance[q], _digits(results, q)) for q in names),
+            *(number(chance.get(q), _digits(results, q)) for q in names),
             *("" for _ in known),
         ]
     )
@@ -121,7 +121,7 @@ def _by_part(results: dict[str, Any], table: str, by: str) -> str:
             continue
         if kind in found["pose_recovery"] and kind != "sheared":
             recovered, spread = True, found["spread"]["pose_recovery"][kind]
-            rows.append([escape(part), *(spanned(found["pose_recovery"][kind][q], spread[q], 2) for q in names)])
+            rows.append([escape(part), *(spanned(found["pose_recovery"][kind].get(q), spread.get(q), 2) for q in names)])
         elif not words.simulated(results) and {"sheared", kind} <= set(found["pose_mae"]) and kind != "sheared":
             felt, unsheared = found["pose_mae"]["sheared"], found["pose_mae"][kind]
             rows.append(

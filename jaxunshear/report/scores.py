@@ -72,7 +72,7 @@ def further(results: dict[str, Any]) -> str:
             [
                 words.KINDS[kind],
                 *(spanned(ours.get(kind, {}).get(g), spread["ms_ssim"].get(kind, {}).get(g), 3) for g in groups),
-                *(spanned(pose[kind][q], spread["pose_mae"][kind][q], 2) for q in names if kind in pose),
+                *(spanned(pose[kind].get(q), spread["pose_mae"][kind].get(q), 2) for q in names if kind in pose),
             ]
             for kind in words.KINDS
             if kind in pose or kind in ours

@@ -18,8 +18,18 @@ from jaxunshear.config import replaced, show, to_json, validate
 from jaxunshear.dataset.configs import VERSION, floats
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained
-from jaxunshear.model.settings import without_codes
+from jaxunshear.experiment import (
+    ALL_NETWORKS,
+    POSENETS,
+    RENDERER,
+    TEACHER,
+    Experiment,
+    over_pins,
+    recorded_of,
+    trained,
+    without_pair_losses,
+)
+from jaxunshear.model.settings import without_codes, without_pin_codes
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
@@ -106,6 +116,10 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     ):  # one set for taps and slides; one training for all networks over pins
         unused = ("name", "claim", *TESTS)
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
+    if over_pins(experiment) and network in (*POSENETS, RENDERER):
+        part = dataclasses.replace(
+            part, train_pins=without_pair_losses(part.train_pins), pins=without_pin_codes(part.pins)
+        )
     if isinstance(part.paired, Recorded) and network in (RENDERER, TEACHER, "posenet"):  # these learn from taps alone
         part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, pairing="rendered", labelled=1.0))
     if network in WITHOUT_CODES:

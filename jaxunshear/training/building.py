@@ -8,9 +8,17 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, training_of
+from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained, training_of
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, UNet, UnshearNet, without_codes
+from jaxunshear.model.settings import (
+    PinPoseNet,
+    PinRenderer,
+    PinUnshear,
+    UNet,
+    UnshearNet,
+    without_codes,
+    without_pin_codes,
+)
 from jaxunshear.model.unshearnet import as_large_entangled
 from jaxunshear.targets import fields_of
 from jaxunshear.training import pin_tasks, tasks
@@ -28,16 +36,18 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     if network == RENDERER or over_pins(experiment):
         field = {"posenet": "pins", TEACHER: "pins", RENDERER: "pins"}.get(network, "sheared_pins")
         known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
-        net = asdict(experiment.pins)
+        plain, net = asdict(without_pin_codes(experiment.pins)), asdict(experiment.pins)
         sure = ("sure",) if recorded_of(experiment) else ()  # simulated pins are all known
         if network == RENDERER:
-            return pin_tasks.renderer_task(PinRenderer(**net), training, *known), ("pins", *sure, *labels)
+            return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
         if network in POSENETS:
-            return pin_tasks.pin_posenet_task(PinPoseNet(**net), training, *known), (field, *sure, *labels)
+            return pin_tasks.pin_posenet_task(PinPoseNet(**plain), training, *known), (field, *sure, *labels)
         codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
         teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
-        named = ("canonical_pins", "sheared_pins", *sure, *weighed, *(labels if labelled(training) else ()))
-        return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
+        render = _renderer(folder) if RENDERER in trained(experiment) else None
+        asked = labels if labelled(training) or render else ()
+        named = ("canonical_pins", "sheared_pins", *sure, *weighed, *asked)
+        return pin_tasks.pin_unshear_task(codes, training, *known, teacher, render), named
     if network in POSENETS:
         seen = "sheared" if network == "posenet_sheared" else "image"
         return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
@@ -78,6 +88,10 @@ def first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ..
                 return
 
     return batches
+
+
+def _renderer(folder: Path) -> Callable[[Any], Any]:
+    return partial(pinnets.render, read_net(folder / RENDERER), load_best(folder / RENDERER))
 
 
 def _teacher(experiment: Experiment, folder: Path, predict: Callable[..., Any]) -> Callable[[Any], Any]:

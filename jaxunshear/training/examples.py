@@ -39,6 +39,7 @@ class Examples(NamedTuple):
     reader: Reader
     targets: Targets
     pins: Pins
+    epoch: int  # examples that count as one epoch: where few slides are labelled, as many as if all were
 
 
 def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir: Path) -> Examples:
@@ -47,13 +48,14 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
         return _simulated(experiment, network, data_dir)
     stored = stored_of(experiment, data_dir)
     targets = stored.targets(experiment.targets)
+    epoch = stored.count("slides", "train")
     if network in OF_TAPS:
-        reader = stored.taps()
+        reader, epoch = stored.taps(), stored.count("taps", "train")
     elif network == "posenet_sheared":
         reader = stored.slides()
     else:
         reader = pairs_of(experiment, stored, targets, run_dir)
-    return Examples(reader, targets, pins_of(stored.frame))
+    return Examples(reader, targets, pins_of(stored.frame), epoch)
 
 
 def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
@@ -68,7 +70,7 @@ def pairs_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_
     """Slides with their partners, drawn by the run's renderer where the pairing asks for one."""
     recorded = recorded_of(experiment)
     rendered = recorded is not None and recorded.pairing == "rendered"
-    return stored.pairs(targets, _render(run_dir / RENDERER) if rendered else None)
+    return stored.pairs(targets, _render(run_dir / RENDERER) if rendered else None, not over_pins(experiment))
 
 
 def pins_of(frame: dict[str, Any]) -> Pins:
@@ -90,7 +92,8 @@ def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples
     if over_pins(experiment):
         rest = undeformed(experiment.sensor, camera, settings.preprocess).place.astype(np.float32)
     radius = experiment.sensor.pin_radius_mm * size / camera.mm_across
-    return Examples(reader, of_ranges(experiment.targets, settings.ranges), Pins(rest, radius, size))
+    targets = of_ranges(experiment.targets, settings.ranges)
+    return Examples(reader, targets, Pins(rest, radius, size), reader.length("train"))
 
 
 def _render(folder: Path) -> Render:
@@ -102,9 +105,10 @@ def _render(folder: Path) -> Render:
 
     def render(poses: np.ndarray) -> np.ndarray:
         parts = []
-        for start in range(0, len(poses), POSES_AT_ONCE):
+        for start in range(0, max(1, len(poses)), POSES_AT_ONCE):
             here = poses[start : start + POSES_AT_ONCE]
-            filled = np.resize(here, (POSES_AT_ONCE, here.shape[1]))
+            filled = np.zeros((POSES_AT_ONCE, poses.shape[1]), np.float32)  # one shape to compile
+            filled[: len(here)] = here
             parts.append(np.asarray(run(posenet.pose_targets({"pose": filled}, targets)))[: len(here)])
         return np.concatenate(parts)
 

@@ -205,7 +205,7 @@ def test_a_simulated_run_may_have_other_targets(made_up_run, read_page):
     assert "Recovery, the part" in told and "depth 7" in told.split("Recovery, the part")[1]
 
 
-def test_other_targets_are_shown_by_their_own_names(made_up_run):
+def test_other_targets_are_shown_by_their_own_names(made_up_run, read):
     """Where edge distance is none of them, and one kind of image is read for less than the others."""
     folder, results = made_up_run
     results = json.loads(json.dumps(results).replace('"edge_mm"', '"y_mm"'))

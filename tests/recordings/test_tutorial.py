@@ -1,0 +1,42 @@
+"""Every command of the tutorial, as it stands there, on a small recording in the published layout."""
+
+import re
+import shlex
+
+import made
+import pytest
+from conftest import ROOT, SHORT
+
+PAGE = ROOT / "docs" / "your-own-recordings.md"
+TRAINS = ("run", "fit", "sweep")
+
+
+def commands():
+    return [line.strip() for line in PAGE.read_text().splitlines() if re.match(r" {4}jaxunshear ", line)]
+
+
+@pytest.fixture(scope="module")
+def laboratory(tmp_path_factory):
+    """A folder as the tutorial has it, two days of recordings in it."""
+    place = tmp_path_factory.mktemp("laboratory")
+    made.edge(place / "recordings" / "edge", 120, 120)
+    made.edge(place / "recordings" / "another_day", 20, 20, seed=77)
+    (place / "experiments").symlink_to(ROOT / "experiments")
+    return place
+
+
+def test_every_command_of_the_page_works_in_its_order(command, laboratory, monkeypatch):
+    monkeypatch.chdir(laboratory)
+    done = []
+    for line in commands():
+        words = shlex.split(line)[1:]
+        if words[0] in TRAINS:
+            words += ["--train_pins.epochs", "1", *SHORT[4:]]
+        if words[0] == "sweep":
+            words += ["--seeds", "0", "--networks", "disentangled,posenet"]
+        answer = command(*words)
+        assert answer.code == 0, f"{line}: {answer.err}"
+        done.append(words[0])
+    assert {"doctor", "run", "fit", "sweep", "evaluate", "unshear", "pose", "stream", "release"} <= set(done)
+    assert (laboratory / "runs" / "edge" / "report.html").exists()
+    assert (laboratory / "edge_weights" / "README.md").exists()
