@@ -121,7 +121,9 @@ def _by_part(results: dict[str, Any], table: str, by: str) -> str:
             continue
         if kind in found["pose_recovery"] and kind != "sheared":
             recovered, spread = True, found["spread"]["pose_recovery"][kind]
-            rows.append([escape(part), *(spanned(found["pose_recovery"][kind].get(q), spread.get(q), 2) for q in names)])
+            rows.append(
+                [escape(part), *(spanned(found["pose_recovery"][kind].get(q), spread.get(q), 2) for q in names)]
+            )
         elif not words.simulated(results) and {"sheared", kind} <= set(found["pose_mae"]) and kind != "sheared":
             felt, unsheared = found["pose_mae"]["sheared"], found["pose_mae"][kind]
             rows.append(
