@@ -71,7 +71,8 @@ def drawing(shown: Shown, results: dict[str, Any]) -> bytes:
     """The typical contacts as one PNG; the same contacts give the same bytes."""
     rows, _ = _typical(shown)
     said = terms(results)
-    figure = Figure(figsize=(8.2, 1.85 * len(rows)), layout="constrained", dpi=100)
+    height = 1.85 * len(rows) + 0.15 * any(len(head) >= WIDE for head in said.heads)
+    figure = Figure(figsize=(8.2, height), layout="constrained", dpi=100)
     for line, row in zip(figure.subplots(len(rows), len(said.heads), squeeze=False), rows, strict=True):
         for axes, (image, text), head in zip(line, _cells(shown, row), said.heads, strict=True):
             axes.imshow(image, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
