@@ -425,7 +425,6 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
         yield getattr(pins, field) >= 1, f"pins.{field}", "must be at least 1"
     yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"
     yield pins.noise_px >= 0, "pins.noise_px", "must not be below zero"
-    yield 0 <= pins.jitter <= 1, "pins.jitter", "use 0 to 1, a share of each range"
     yield 0 <= pins.hidden_pins < 1, "pins.hidden_pins", "use 0 up to, but not, 1"
 
 

@@ -41,7 +41,9 @@ class Test(NamedTuple):
     paired: bool
 
 
-def what_to_test(experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, paired: bool = True) -> Test:
+def what_to_test(
+    experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, paired: bool = True
+) -> Test:
     """The test split of a recorded set, for the networks of a run; not `paired`: slides without partners, which give no likeness."""
     unshears = paired and any(name not in POSENETS for name in experiment.networks)
     slides = None

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import flax.linen as nn
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
@@ -23,7 +22,6 @@ from jaxunshear.model.layers import INIT, Down, First, Same
 from jaxunshear.targets import Targets
 
 Variables = dict[str, Any]
-CIRCLE_STEP_DEG = 45.0
 
 
 class Network(nn.Module):
@@ -103,22 +101,6 @@ def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Array:
         else:
             signed.append((value - target.middle) / target.reach)
     return (jnp.stack(signed, -1) + 1) / 2
-
-
-def jittered(outputs: Array, targets: Targets, share: float, key: Array) -> Array:
-    """Other poses (B, K) in [0, 1] near those of `outputs`: off by `share` of each half range (standard deviation), within it; angles
-    of a full circle by `share` of CIRCLE_STEP_DEG."""
-    moved, column = [], 0
-    for target, own in zip(targets, jax.random.split(key, len(targets)), strict=True):
-        noise = share * jax.random.normal(own, outputs.shape[:1])
-        if target.circle:
-            cos, sin = jnp.cos(jnp.deg2rad(CIRCLE_STEP_DEG) * noise), jnp.sin(jnp.deg2rad(CIRCLE_STEP_DEG) * noise)
-            x, y = 2 * outputs[:, column] - 1, 2 * outputs[:, column + 1] - 1
-            moved += [(cos * x - sin * y + 1) / 2, (sin * x + cos * y + 1) / 2]
-        else:
-            moved.append(jnp.clip(outputs[:, column] + noise / 2, 0, 1))
-        column += target.outputs
-    return jnp.stack(moved, -1)
 
 
 def pose_from_outputs(outputs: Array, targets: Targets) -> dict[str, Array]:

@@ -55,9 +55,6 @@ class PinNet:
     layers: int = 3
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
     hidden_pins: float = 0.0  # share of the pins, at most, that a training example does not show
-    jitter: float = (
-        0.2  # of the poses of slides in training, a renderer moving their pins along: of each range, standard deviation
-    )
     pose_code: int = 16  # numbers in z_p
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
 
@@ -65,7 +62,7 @@ class PinNet:
 def without_pin_codes(net: PinNet) -> PinNet:
     """`net` with what only PinUnshear reads at its default."""
     plain = PinNet()
-    return replace(net, jitter=plain.jitter, pose_code=plain.pose_code, shear_code=plain.shear_code)
+    return replace(net, pose_code=plain.pose_code, shear_code=plain.shear_code)
 
 
 @dataclass(frozen=True)

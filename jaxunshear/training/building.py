@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained, training_of
+from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, training_of
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.settings import (
     PinPoseNet,
@@ -44,10 +44,8 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
             return pin_tasks.pin_posenet_task(PinPoseNet(**plain), training, *known), (field, *sure, *labels)
         codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
         teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
-        render = _renderer(folder) if RENDERER in trained(experiment) else None
-        asked = labels if labelled(training) or render else ()
-        named = ("canonical_pins", "sheared_pins", *sure, *weighed, *asked)
-        return pin_tasks.pin_unshear_task(codes, training, *known, teacher, render), named
+        named = ("canonical_pins", "sheared_pins", *sure, *weighed, *(labels if labelled(training) else ()))
+        return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
     if network in POSENETS:
         seen = "sheared" if network == "posenet_sheared" else "image"
         return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
@@ -88,10 +86,6 @@ def first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ..
                 return
 
     return batches
-
-
-def _renderer(folder: Path) -> Callable[[Any], Any]:
-    return partial(pinnets.render, read_net(folder / RENDERER), load_best(folder / RENDERER))
 
 
 def _teacher(experiment: Experiment, folder: Path, predict: Callable[..., Any]) -> Callable[[Any], Any]:

@@ -7,7 +7,6 @@
 from collections.abc import Callable
 from functools import partial
 
-import jax
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -27,55 +26,38 @@ def pin_unshear_task(
     rest: ArrayLike,
     spread: float,
     teacher: Callable[[Array], Array] | None = None,
-    render: Callable[[Array], Array] | None = None,
 ) -> Task:
-    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px, and the fields of the targets where there is a teacher by
-    labels, or a renderer.
+    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px.
 
     `teacher` is a trained PinPoseNet, pins (B, P, 2) px -> outputs (B, K), needed for `pose_weight` alone: what it reads off the
-    unsheared pins should be the true pose (`pose_target` "label"), or what it reads off the partner. With `render`, outputs (B, K) ->
-    pins of a tap there, slides are seen at other poses, too (`net.jitter`): their pins and their partner's move as a tap's would.
-    Raises UserError where a teacher is lacking.
+    unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
+    the partner. Raises UserError where it is lacking.
     """
     if training.pose_weight and teacher is None:
         raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
-    by_label = training.pose_weight > 0 and training.pose_target == "label"
 
-    def watched(image, partner, pose):
+    def watched(canonical, batch):
         if not training.pose_weight or teacher is None:
             return {}
-        wanted = pose if by_label else teacher(partner)
-        return {"pose": losses.absolute_pose(teacher(image), wanted, posenet.output_weights(targets))}
+        by_label = training.pose_target == "label"
+        wanted = posenet.pose_targets(batch, targets) if by_label else teacher(batch["canonical_pins"])
+        return {"pose": losses.absolute_pose(teacher(canonical), wanted, posenet.output_weights(targets))}
 
-    def elsewhere(batch, key):
-        """Sheared pins, partner and pose, moved along."""
-        sheared, partner = batch["sheared_pins"], batch["canonical_pins"]
-        if render is None or not net.jitter:
-            return sheared, partner, posenet.pose_targets(batch, targets) if by_label else None
-        pose = posenet.pose_targets(batch, targets)
-        other = posenet.jittered(pose, targets, net.jitter, key)
-        shift = render(other) - render(pose)
-        return sheared + shift, partner + shift, other
+    def named_of(variables, batch, canonical, sheared):
+        named = {"supervised": pinnets.distance(canonical, batch["canonical_pins"], variables)}
+        named |= watched(canonical, batch)
+        if sheared is not None:
+            named["reconstruction"] = pinnets.distance(sheared, batch["sheared_pins"], variables)
+        return weighed(named, batch)
 
     def terms(variables, batch, key):
-        pose_key, noise_key = jax.random.split(key)
-        pins, partner, pose = elsewhere(batch, pose_key)
-        canonical, sheared = pinnets.reconstruct(net, variables, pins, noise_key)
-        named = {"supervised": pinnets.distance(canonical, partner, variables)} | watched(canonical, partner, pose)
-        if sheared is not None:
-            named["reconstruction"] = pinnets.distance(sheared, pins, variables)
-        return weighed(named, batch), variables["batch_stats"]
+        canonical, sheared = pinnets.reconstruct(net, variables, batch["sheared_pins"], key)
+        return named_of(variables, batch, canonical, sheared), variables["batch_stats"]
 
     def validate(variables, batch):
-        pins, partner = batch["sheared_pins"], batch["canonical_pins"]
-        z_p, z_s = pinnets.encode(net, variables, pins)
-        canonical = pinnets.decode_canonical(net, variables, z_p)
-        pose = posenet.pose_targets(batch, targets) if by_label else None
-        named = {"supervised": pinnets.distance(canonical, partner, variables)} | watched(canonical, partner, pose)
-        if z_s is not None:
-            sheared = pinnets.decode_sheared(net, variables, z_p, z_s)
-            named["reconstruction"] = pinnets.distance(sheared, pins, variables)
-        return weighed(named, batch)
+        z_p, z_s = pinnets.encode(net, variables, batch["sheared_pins"])
+        sheared = None if z_s is None else pinnets.decode_sheared(net, variables, z_p, z_s)
+        return named_of(variables, batch, pinnets.decode_canonical(net, variables, z_p), sheared)
 
     weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight, "pose": training.pose_weight}
     init = partial(pinnets.init, net, rest, spread)

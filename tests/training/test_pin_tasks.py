@@ -1,0 +1,102 @@
+"""Losses of networks over pins: what each one teaches, and what counts."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
+from jaxunshear.targets import of_labels
+from jaxunshear.training.pin_tasks import pin_posenet_task, pin_unshear_task, renderer_task
+from jaxunshear.training.settings import Training
+
+SMALL = {"hidden": 8, "layers": 1, "pose_code": 3, "shear_code": 2, "noise_px": 0.0}
+RNG = np.random.default_rng(0)
+REST = RNG.uniform(10, 100, (19, 2)).astype(np.float32)
+POSES = np.zeros((6, 6), np.float32)
+POSES[:, 1], POSES[:, 5] = np.linspace(-3, 3, 6), np.linspace(-170, 170, 6)
+TARGETS = of_labels((), POSES)
+KEY = jax.random.key(0)
+
+
+def batch(seed=0):
+    rng = np.random.default_rng(seed)
+    moved = {
+        name: (REST + rng.normal(0, 1, (6, 19, 2))).astype(np.float32) for name in ("canonical_pins", "sheared_pins")
+    }
+    return moved | {"pins": moved["sheared_pins"], "pose": POSES}
+
+
+def teacher(pins):
+    return jax.nn.sigmoid(pins[:, :3, 0] - 50)
+
+
+def test_every_part_is_taught_by_its_own_losses():
+    task = pin_unshear_task(PinUnshear(**SMALL), Training(), TARGETS, REST, 1.0)
+    variables = task.init(KEY)
+
+    def reached(term):
+        def loss(params):
+            return task.terms(variables | {"params": params}, batch(), KEY)[0][term].sum()
+
+        slopes = jax.grad(loss)(variables["params"])
+        return {part for part, slope in slopes.items() if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))}
+
+    assert reached("supervised") == {"E", "pose", "DC"}
+    assert reached("reconstruction") == {"E", "pose", "shear", "DS"}
+
+
+@pytest.mark.parametrize("target", ["tap", "label"])
+def test_a_teacher_asks_for_the_true_pose_or_the_partners(target):
+    training = Training(pose_weight=1.0, pose_target=target)
+    task = pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0, teacher)
+    variables, given = task.init(KEY), batch()
+    first = task.validate(variables, given)["pose"]
+    other = task.validate(variables, given | {"canonical_pins": given["canonical_pins"] + 3})["pose"]
+    turned = task.validate(variables, given | {"pose": POSES[::-1]})["pose"]
+    assert np.any(other != first) == (target == "tap") and np.any(turned != first) == (target == "label")
+    with pytest.raises(UserError, match="pose_weight: a PoseNet is needed"):
+        pin_unshear_task(PinUnshear(**SMALL), training, TARGETS, REST, 1.0)
+
+
+def test_what_has_no_weight_or_no_sure_pins_teaches_nothing():
+    task = pin_unshear_task(PinUnshear(**SMALL), Training(), TARGETS, REST, 1.0)
+    variables = task.init(KEY)
+    sure = np.array([1, 0, 1, 1, 0, 1])
+    weight = np.float32([2, 2, 1, 0, 1, 1])
+    plain, weighed = (
+        task.terms(variables, batch() | more, KEY)[0]["supervised"] for more in ({}, {"sure": sure, "weight": weight})
+    )
+    np.testing.assert_allclose(weighed, plain * sure * weight, rtol=1e-6)
+
+
+def test_a_renderer_and_a_posenet_learn_a_linear_skin():
+    """Pins that move in proportion to y: both find it in a few hundred steps."""
+    import optax
+
+    direction = RNG.normal(0, 1, (19, 2)).astype(np.float32)
+    poses = np.zeros((64, 6), np.float32)
+    poses[:, 1] = np.linspace(-3, 3, 64)
+    given = {"pins": REST + poses[:, 1, None, None] / 3 * direction, "pose": poses}
+    targets = of_labels((), poses)
+    for kind, make in ((PinRenderer, renderer_task), (PinPoseNet, pin_posenet_task)):
+        task = make(kind(**SMALL | {"hidden": 32}), Training(), targets, REST, 1.0)
+        variables = task.init(KEY)
+        optimiser = optax.adam(1e-2)
+
+        @jax.jit
+        def step(params, state, task=task, variables=variables, optimiser=optimiser):
+            def loss(params):
+                terms, _ = task.terms(variables | {"params": params}, given, KEY)
+                return sum(jnp.mean(term) for term in terms.values())
+
+            value, slope = jax.value_and_grad(loss)(params)
+            updates, state = optimiser.update(slope, state)
+            return optax.apply_updates(params, updates), state, value
+
+        params, state = variables["params"], optimiser.init(variables["params"])
+        _, _, first = step(params, state)
+        for _ in range(200):
+            params, state, last = step(params, state)
+        assert float(last) < 0.05 * float(first)
