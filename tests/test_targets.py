@@ -26,7 +26,7 @@ from jaxunshear.targets import (
     to_json,
     true_values,
 )
-from jaxunshear.training.tasks import _pose_errors
+from jaxunshear.training.tasks import pose_error_terms
 
 USUAL = of_ranges((), Ranges())
 SEVERAL = ("depth_mm", "y_mm", "yaw_deg:range:2", "edge_deg:circle:0.5", "edge_mm")
@@ -214,7 +214,7 @@ def test_errors_of_angles_go_the_short_way_round(kind, label, answer, error):
     labels[:, 5], answers[:, 5] = (label, 10), (answer, 10)
     targets = of_labels((f"Rz_deg:{kind}",), np.array([[0, 0, 0, 0, 0, -180.0], [0, 0, 0, 0, 0, 180.0]]))
     outputs, batch = posenet.pose_targets({"pose": answers}, targets), {"pose": labels}
-    np.testing.assert_allclose(_pose_errors(outputs, batch, targets)["Rz_deg"], [error, 0], atol=1e-3)
+    np.testing.assert_allclose(pose_error_terms(outputs, batch, targets)["Rz_deg"], [error, 0], atol=1e-3)
     read = {name: np.asarray(value) for name, value in posenet.pose_from_outputs(outputs, targets).items()}
     np.testing.assert_allclose(pose_errors(read, true_values(targets, batch))["Rz_deg"], [error, 0], atol=1e-3)
 
@@ -223,7 +223,7 @@ def test_errors_of_lengths_do_not_wrap():
     (target,) = targets = of_labels(("x_mm",), np.array([[-200.0, 0, 0, 0, 0, 0], [200.0, 0, 0, 0, 0, 0]]))
     assert (target.middle, target.reach) == (0, 200)
     outputs = posenet.pose_targets({"pose": np.full((1, 6), -190, np.float32)}, targets)
-    assert float(_pose_errors(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)["x_mm"][0]) == 380
+    assert float(pose_error_terms(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)["x_mm"][0]) == 380
 
 
 def test_the_mean_of_two_answers_goes_round_only_for_a_circle():

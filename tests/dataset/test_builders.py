@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tensorflow_datasets as tfds
-from data_specs.simulated_set import SimulatedConfig, sha256
+from data_specs.stored_set import SetConfig, sha256
 
 import data_specs.tactip_paired
 import data_specs.tactip_pose
@@ -217,4 +217,4 @@ def test_a_set_of_other_settings_is_readable_without_its_code(pose, sensor, engi
     assert re.fullmatch("custom-[0-9a-f]{8}", builder.builder_config.name)
     assert builder.info.features["stimulus"].names == ["disk", "spiral_1"]
     assert len(builder.as_data_source("train")) == 12
-    assert SimulatedConfig(name="x").sensor.pins == 331
+    assert SetConfig(name="x").sensor.pins == 331
