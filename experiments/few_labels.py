@@ -3,6 +3,8 @@
     jaxunshear sweep experiments/few_labels.py --recordings DIR
 
 Over pins. All taps are labelled; of the slides a share, drawn at random anew for each seed, smaller shares within the larger ones.
+
+Expected on two cores: a minute for each of the 15 rows; figures in docs/results/few_labels.json.
 """
 
 from dataclasses import replace

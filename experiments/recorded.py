@@ -4,7 +4,12 @@
     jaxunshear run experiments/recorded.py --recordings DIR --unshear.input pins     # pins: more exact, in minutes
 
 DIR holds taps and slides with their labels, in one of the layouts of docs/your-own-recordings.md. Taps alone train a PoseNet; slides
-alone train one that reads slides; both together are unsheared. A surface instead of an edge is a matter of the targets:
+alone train one that reads slides; both together are unsheared.
+
+Expected on two cores, of 5,000 taps and 5,000 slides of an edge (docs/results/recorded_pins.json, recorded_images.json): over pins 5
+minutes, tap, unsheared and directly learnt y .13, .19 and .18 mm; over images 25 minutes, .19, EXPECTED mm.
+
+A surface instead of an edge is a matter of the targets:
 
     jaxunshear run experiments/recorded.py --recordings DIR --targets z_mm,Rx_deg,Ry_deg --name surface
 """

@@ -54,7 +54,7 @@ def with_recordings(experiment: Experiment, taps: str = "", slides: str = "", pa
             f"'{experiment.name}' is about simulated touches: recordings are for experiments such as experiments/recorded.py"
         )
     digest = digest_of(tuple(folder for folder in (taps, slides) if folder), pairs)
-    recorded = replace(recorded, taps=taps, slides=slides, digest=digest, pairs=pairs)
+    recorded = replace(recorded, tap_folder=taps, slide_folder=slides, digest=digest, pairs=pairs)
     if pairs:
         recorded = replace(recorded, pairing="file")
     contacts = survey(recorded)

@@ -97,7 +97,11 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
             "paired and pose are both simulated (PairedData, PoseData) or both recorded (Recorded, RecordedTaps)",
         )
         return
-    yield bool(recorded.taps or recorded.slides), "paired.taps", "name your recordings: add --recordings DIR"
+    yield (
+        bool(recorded.tap_folder or recorded.slide_folder),
+        "paired.tap_folder",
+        "name your recordings: add --recordings DIR",
+    )
     yield recorded.pairing in PAIRINGS, "paired.pairing", f"is unknown: use one of {', '.join(PAIRINGS)}"
     yield (
         bool(recorded.pairs) == (recorded.pairing == "file"),

@@ -70,8 +70,8 @@ def release(run_dir: Path, out: Path) -> Path:
     if not results["simulated"]:
         write_json(part / FRAME, read_json(run_dir / FRAME))
         settings["paired"] |= {
-            "taps": "recorded taps" * bool(settings["paired"]["taps"]),
-            "slides": "recorded slides",
+            "tap_folder": "recorded taps" * bool(settings["paired"]["tap_folder"]),
+            "slide_folder": "recorded slides",
             "pairs": "",
         }
         if settings["paired"]["pairing"] == "file":  # the table stays with the recordings

@@ -16,12 +16,14 @@ from jaxunshear.config import (
     to_json,
     validate,
 )
+from jaxunshear.dataset.settings import Recorded, RecordedTaps
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.limits import STIMULUS_NAMES, limits
 from jaxunshear.training.settings import Training
 
 PLAIN = Experiment(name="plain", claim="none")
+MISSING = object()
 
 
 def changed(*argv: str) -> Experiment:
@@ -61,12 +63,21 @@ def test_the_last_of_two_wins_and_negative_numbers_are_values():
 def test_every_field_can_be_overridden_by_what_it_is_shown_as():
     from jaxunshear.config import show
 
+    recorded = dataclasses.replace(PLAIN, paired=Recorded(), pose=RecordedTaps())
+    shown = set()
     for name, _ in field_types():
-        value = PLAIN
-        for part in name.split("."):
-            value = getattr(value, part)
-        text = show(value).strip("'")
-        assert changed(f"--{name}={text}") == PLAIN, name
+        for experiment in (PLAIN, recorded):  # some fields are of simulated sets, some of recordings
+            value = experiment
+            for part in name.split("."):
+                value = getattr(value, part, MISSING)
+            if value is not MISSING:
+                shown.add(name)
+                text = show(value).strip("'")
+                assert override(experiment, [f"--{name}={text}"]) == experiment, name
+            else:
+                with pytest.raises(UserError, match="has other fields"):
+                    replaced(experiment, name, None)
+    assert shown == {name for name, _ in field_types()}
 
 
 @pytest.mark.parametrize(

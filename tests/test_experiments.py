@@ -6,23 +6,37 @@ import pytest
 
 from jaxunshear.config import load_experiment, override, validate
 from jaxunshear.dataset.configs import CONFIGS, config_name, set_name
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.errors import UserError
 from jaxunshear.sweep.rows import cells_of, reference_of, rows_of
-from jaxunshear.sweep.settings import check, load_sweep
+from jaxunshear.sweep.settings import check, load_sweep, with_overrides
 
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 
 
 FILES = sorted(FOLDER.glob("*.py"))
+SOMEWHERE = ["--paired.tap_folder", "somewhere", "--paired.slide_folder", "somewhere"]  # recordings that nobody opens
+
+
+def of_recordings(experiment):
+    return isinstance(experiment.paired, Recorded)
+
+
 SWEEPS = [path for path in FILES if "\nsweep = " in path.read_text()]
 
 
 @pytest.mark.parametrize("path", [path for path in FILES if path not in SWEEPS], ids=lambda path: path.stem)
 def test_valid_and_self_describing(path):
     experiment = load_experiment(path)
-    validate(experiment)
+    if of_recordings(experiment):
+        with pytest.raises(UserError, match="add --recordings DIR"):
+            validate(experiment)
+        validate(override(experiment, SOMEWHERE))
+    else:
+        validate(experiment)
+        assert config_name(experiment.paired, experiment.sensor) == path.stem
+        assert config_name(experiment.pose, experiment.sensor) == path.stem
     assert experiment.name == path.stem
-    assert config_name(experiment.paired, experiment.sensor) == path.stem
-    assert config_name(experiment.pose, experiment.sensor) == path.stem
     text = path.read_text()
     assert text.startswith('"""Claim: ')
     assert f"jaxunshear run experiments/{path.name}" in text
@@ -32,10 +46,12 @@ def test_valid_and_self_describing(path):
 @pytest.mark.parametrize("path", SWEEPS, ids=lambda path: path.stem)
 def test_sweeps_are_valid_and_self_describing(path):
     sweep = load_sweep(path)
+    if of_recordings(sweep.base):
+        sweep = with_overrides(sweep, SOMEWHERE)
     check(sweep, path.name)
     cells = cells_of(sweep)
     assert sweep.name == path.stem and reference_of(sweep, cells) is not None
-    for data in (sweep.base.paired, sweep.base.pose):
+    for data in () if of_recordings(sweep.base) else (sweep.base.paired, sweep.base.pose):
         assert config_name(data, sweep.base.sensor) in CONFIGS[set_name(data)]  # a set that an experiment has, too
     text = path.read_text()
     assert text.startswith('"""Claim: ') and "Expected" in text

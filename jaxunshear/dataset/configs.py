@@ -15,7 +15,13 @@ from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITT
 VERSION = "2.4.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"
 PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
-NOT_STORED = ("taps", "slides", "pairs", "pairing", "labelled")  # of `Recorded`: where it lies, and what is made of it
+NOT_STORED = (
+    "tap_folder",
+    "slide_folder",
+    "pairs",
+    "pairing",
+    "labelled",
+)  # of `Recorded`: where it lies, and what is made of it
 Settings = PairedData | PoseData | Recorded
 
 PAIRED = {

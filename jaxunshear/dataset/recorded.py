@@ -73,10 +73,10 @@ def survey(settings: Recorded) -> Contacts:
 
 def everything(settings: Recorded) -> Contacts:
     """The same in one split, the test's: recordings that a finished run is scored on."""
-    if settings.taps == settings.slides:
-        parts = [_of_one_folder(_read(settings.taps, settings.preprocess))]
+    if settings.tap_folder == settings.slide_folder:
+        parts = [_of_one_folder(_read(settings.tap_folder, settings.preprocess))]
     else:
-        folders = ((settings.taps, False), (settings.slides, True))
+        folders = ((settings.tap_folder, False), (settings.slide_folder, True))
         parts = [_of_kind(_read(folder, settings.preprocess), slid) for folder, slid in folders if folder]
     contacts = _joined(parts)
     return _paired(contacts, Path(settings.pairs)) if settings.pairs else contacts

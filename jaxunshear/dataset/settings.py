@@ -59,12 +59,12 @@ PAIRINGS = ("rendered", "nearest", "pose_id", "file")
 class Recorded:
     """`tactip_recorded` in the place of `PairedData`: recorded slides, each with a tap to be unsheared to.
 
-    Folders named `*val*` and `*test*` are those splits; what they leave open is drawn at random by pose. `taps` and `slides` may be one
-    folder: labels say which is which.
+    Folders named `*val*` and `*test*` are those splits; what they leave open is drawn at random by pose. Both folders may be one:
+    labels say which is which.
     """
 
-    taps: str = ""  # folder of recordings; none: there are no taps
-    slides: str = ""
+    tap_folder: str = ""  # none: there are no taps
+    slide_folder: str = ""
     digest: str = ""  # of what lies there; found when the recordings are named
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
     pairing: str = "rendered"  # a slide's partner: what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"

@@ -215,8 +215,8 @@ def _recordings(experiment: Experiment, stored: RecordedSet) -> dict[str, Any]:
     settings = stored.settings
     counts = stored.metadata["counts"]
     return {
-        "taps": settings.taps,
-        "slides": settings.slides,
+        "tap_folder": settings.tap_folder,
+        "slide_folder": settings.slide_folder,
         "digest": settings.digest,
         "sensor": experiment.sensor.name,
         "pins": experiment.sensor.pins,

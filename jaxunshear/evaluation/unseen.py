@@ -42,7 +42,7 @@ def score_recordings(
         raise UserError(
             f"{recordings} is what {run_dir} learnt from: its held-out tenth is scored by `jaxunshear evaluate {run_dir}`"
         )
-    settings = replace(settings, taps=str(recordings), slides=str(recordings), digest=digest, pairs="")
+    settings = replace(settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs="")
     contacts = everything(settings)
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
     stored = _prepared(experiment, run_dir, contacts, settings, folder)
@@ -67,7 +67,7 @@ def _prepared(experiment: Experiment, run_dir: Path, contacts: Contacts, setting
     """The recordings as a set, seen as the run's sensor sees."""
     known = read_json(run_dir / FRAME)
     frame = frame_from(known)
-    paths = prepare(contacts, settings, frame, folder, f"read {settings.slides}")
+    paths = prepare(contacts, settings, frame, folder, f"read {settings.slide_folder}")
     return RecordedSet(settings, UnstoredSet(contacts, paths, known))
 
 

@@ -22,7 +22,7 @@ def recordings(results: dict[str, Any]) -> str:
     rows = [
         [kind, *(str(told[kind][split]) for split in SPLITS)] for kind in ("taps", "slides") if any(told[kind].values())
     ]
-    folders = dict.fromkeys(results["settings"]["paired"][kind] for kind in ("taps", "slides"))
+    folders = dict.fromkeys(results["settings"]["paired"][kind] for kind in ("tap_folder", "slide_folder"))
     named = ", ".join(f"<code>{escape(folder)}</code>" for folder in folders if folder)
     facts = [
         f"Folder: {named} (digest {escape(told['digest'])}); sensor {escape(told['sensor'])}, {told['pins']} pins.",

@@ -15,7 +15,17 @@ from jaxunshear.sweep.settings import Sweep, base_of, names_of
 
 TABLES = ("pin_error",)  # of a run's results: figures that are no means over contacts
 # of the paired data: names, how contacts look, what is made of recorded ones
-NOT_CONTACTS = ("config", "camera", "nuisance", "preprocess", "pairing", "pairs", "labelled", "taps", "slides")
+NOT_CONTACTS = (
+    "config",
+    "camera",
+    "nuisance",
+    "preprocess",
+    "pairing",
+    "pairs",
+    "labelled",
+    "tap_folder",
+    "slide_folder",
+)
 TAPS = "taps"  # the test of recorded taps, which are no pairs of the slides
 COSTS = ("train_seconds", "images_per_second", "ms_per_image", "wall_seconds", "peak_memory_bytes", "device", "host")
 

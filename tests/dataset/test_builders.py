@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tensorflow_datasets as tfds
-from data_specs.stored_set import SetConfig, sha256
 
 import data_specs.tactip_paired
 import data_specs.tactip_pose
+from data_specs.stored_set import SetConfig, sha256
 from jaxunshear.dataset.chunks import load_chunk
 from jaxunshear.dataset.configs import CONFIGS, VERSION, set_folder, unfinished_folder
 from jaxunshear.dataset.making import make_set, make_sets

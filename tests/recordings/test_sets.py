@@ -51,7 +51,7 @@ def test_the_sensor_is_known_by_its_pins(recording, tmp_path):
         noise = np.random.default_rng(0).random((made.SIZE, made.SIZE)) < 0.02
         Image.fromarray(noise.astype(np.uint8) * 255).save(file)
     with pytest.raises(UserError, match="pins are found in an image; known are sensors of 331, 127"):
-        sensor_of(survey(Recorded(taps=str(tmp_path), preprocess=SEEN)), SEEN)
+        sensor_of(survey(Recorded(tap_folder=str(tmp_path), preprocess=SEEN)), SEEN)
 
 
 def test_every_pin_is_where_it_was_drawn(recording, opened):

@@ -13,7 +13,7 @@ from jaxunshear.errors import UserError
 
 
 def both(folder, **changes):
-    return Recorded(taps=str(folder), slides=str(folder), **changes)
+    return Recorded(tap_folder=str(folder), slide_folder=str(folder), **changes)
 
 
 def by_name(contacts):
@@ -34,7 +34,7 @@ def test_a_split_does_not_depend_on_the_order_of_rows(tmp_path):
     one, other = (
         made.write(tmp_path / str(i), pose[rows], move[rows]) for i, rows in enumerate((np.arange(40), order))
     )
-    shown = [survey(Recorded(slides=str(folder), test=0.2, validation=0.2)) for folder in (one, other)]
+    shown = [survey(Recorded(slide_folder=str(folder), test=0.2, validation=0.2)) for folder in (one, other)]
     splits = [{tuple(p): s for p, s in zip(c.pose.tolist(), c.split.tolist(), strict=True)} for c in shown]
     assert splits[0] == splits[1]
 
@@ -43,7 +43,9 @@ def test_a_tap_and_the_slides_of_its_pose_share_their_split(tmp_path):
     pose, move = made.contacts(60, True, 3)
     made.write(tmp_path / "tap", pose, 0 * move)
     made.write(tmp_path / "slide", np.repeat(pose, 2, 0), np.concatenate([move, -move]))
-    contacts = survey(Recorded(taps=str(tmp_path / "tap"), slides=str(tmp_path / "slide"), test=0.2, validation=0.2))
+    contacts = survey(
+        Recorded(tap_folder=str(tmp_path / "tap"), slide_folder=str(tmp_path / "slide"), test=0.2, validation=0.2)
+    )
     of_pose = {}
     for own, split in zip(contacts.pose.tolist(), contacts.split.tolist(), strict=True):
         of_pose.setdefault(tuple(own), set()).add(split)
@@ -62,7 +64,7 @@ def test_no_pose_is_in_two_splits_and_larger_shares_hold_the_smaller(recording, 
 def test_folders_name_splits(tmp_path):
     for i, name in enumerate(("csv_train", "csv_val", "csv_test")):
         made.write(tmp_path / "tap" / name, *made.contacts(12, False, i))
-    contacts = survey(Recorded(taps=str(tmp_path)))
+    contacts = survey(Recorded(tap_folder=str(tmp_path)))
     for name, split in by_name(contacts).items():
         assert SPLITS[split] == {"csv_train": "train", "csv_val": "validation", "csv_test": "test"}[name.split("/")[1]]
 
@@ -70,7 +72,7 @@ def test_folders_name_splits(tmp_path):
 def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
     for i, name in enumerate(("train", "test")):
         made.write(tmp_path / name, *made.contacts(40, True, i), "newer")
-    splits = by_name(survey(Recorded(slides=str(tmp_path), validation=0.2)))
+    splits = by_name(survey(Recorded(slide_folder=str(tmp_path), validation=0.2)))
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("test")} == {"test"}
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("train")} == {"train", "validation"}
 
@@ -79,7 +81,7 @@ def test_named_taps_that_moved_are_left_out_and_said(tmp_path):
     pose, move = made.contacts(40, True, 3)
     move[10:] = 0
     made.write(tmp_path, pose, move)
-    contacts = survey(Recorded(taps=str(tmp_path)))
+    contacts = survey(Recorded(tap_folder=str(tmp_path)))
     assert len(contacts.names) == 30 and any("10 contacts have a move" in note for note in contacts.notes)
 
 

@@ -72,7 +72,7 @@ def gathered(networks, pairing, over, shown):
 
 def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     """A finished run in `folder`; returns its results."""
-    settings = Recorded(taps=FOLDER, slides=FOLDER, digest="12ab", pairing=pairing or "rendered")
+    settings = Recorded(tap_folder=FOLDER, slide_folder=FOLDER, digest="12ab", pairing=pairing or "rendered")
     experiment = replace(
         BASE,
         name="laboratory",
