@@ -49,8 +49,8 @@ def learnt_note(experiment: Experiment) -> str:
             "object or another camera is another matter; score them with `jaxunshear evaluate RUN_DIR --recordings DIR`."
         )
     return (
-        f"These networks have seen simulated touches only (sensor {experiment.sensor.name}, {', '.join(experiment.paired.stimuli)}). On "
-        "real recordings their images and poses are untested: take them for a first impression, not for measurements."
+        f"These networks have seen simulated touches only (sensor {experiment.sensor.name}, {', '.join(experiment.paired.stimuli)}). Real "
+        "slides read worse through the released ones than as they are: learn from your own with `jaxunshear fit`."
     )
 
 
