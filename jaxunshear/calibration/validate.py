@@ -125,6 +125,9 @@ def validate(
     for why in sorted({lost["why"] for lost in left_out}):
         names = [lost["image"] for lost in left_out if lost["why"] == why]
         notes.append(f"{len(names)} left out, {why}: {', '.join(names[:5])}{' ...' if len(names) > 5 else ''}")
+    notes.append(
+        "ceiling: a regression from the labels of these contacts, which more of them raise: from few it may lie below"
+    )
     rows = rows_of(compared)
     text = table(rows) + "\n" + "".join(f"\nnote: {note}" for note in notes)
     log(text)

@@ -60,7 +60,7 @@ def _rings(axes, kind: str, parts: list[Compared]) -> None:
     shells = np.unique(parts[0].shell)
     for label, field, colour in (
         ("simulated", "simulated", COLOURS["disentangled"]),
-        ("labels alone (ceiling)", "ceiling", FAINT),
+        ("regression from labels", "ceiling", FAINT),
     ):
         scores = [
             r2(
