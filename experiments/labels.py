@@ -3,7 +3,7 @@
     jaxunshear sweep experiments/labels.py
 
 Expected on two cores: ten minutes a seed beside 3 minutes for the data. The demo's disentangled network by the weight of what
-a head reads off its pose code, held against the true pose; 0 is the paper's, whose pairs carry no label. What is left of the pose in the
+a head reads off its pose code, compared with the true pose; 0 is the paper's, whose pairs carry no label. What is left of the pose in the
 image is measured by a PoseNet that learnt from taps alone; what the head itself reads stands beside it (`code_learnt`).
 """
 

@@ -6,7 +6,7 @@ fair choice: nothing else on the grid is clearly better.
 Expected on two cores, as measured with other work beside (docs/results/lambda_split.json): two hours for 50 rows of
 two minutes each, the demo's data sets and one PoseNet a seed; `runs/sweeps/lambda_split/sweep.png` has a heat map for
 every figure. The claim held. The sensor, the images and the settings are the demo's, but each network is trained for two
-fifths of the demo's time: the rows are to be held against each other, not against the demo.
+fifths of the demo's time: the rows are to be compared with each other, not against the demo.
 """
 
 from dataclasses import replace

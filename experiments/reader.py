@@ -1,4 +1,4 @@
-"""Claim: how much of the pose an unsheared image wins back depends on the PoseNet that reads it, not on the image alone.
+"""Claim: how much of the pose an unsheared image recovers depends on the PoseNet that reads it, not on the image alone.
 
     jaxunshear sweep experiments/reader.py
 
@@ -28,7 +28,7 @@ ROWS = {
 
 sweep = Sweep(
     name="reader",
-    claim="How much of the pose an unsheared image wins back depends on the PoseNet that reads it, not on the image alone.",
+    claim="how much of the pose an unsheared image recovers depends on the PoseNet that reads it, not on the image alone.",
     base=replace(STANDARD, networks=NETWORKS, unseen=(), other_jitters_mm=()),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

@@ -1,4 +1,4 @@
-"""How far the skin has been pressed in above each pin: the truth that a reconstructed contact geometry is held against."""
+"""How far the skin has been pressed in above each pin: the truth that a reconstructed contact geometry is compared with."""
 
 import numpy as np
 from scipy.spatial import Delaunay, cKDTree

@@ -117,7 +117,7 @@ def pins(results: dict[str, Any]) -> str:
 
 
 def _pinned(results: dict[str, Any], kind: str) -> str:
-    """Images are held against one partner or tap, which has a row, too."""
+    """Images are compared with one partner or tap, which has a row, too."""
     return words.truth(results) if kind == "tap" and not words.simulated(results) else words.kind_of(results, kind)
 
 

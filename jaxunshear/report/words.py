@@ -60,7 +60,7 @@ def truth(results: dict[str, Any]) -> str:
 
 
 def comparable(results: dict[str, Any]) -> bool:
-    """Whether the paper's likenesses are of the same quantity: images, held against taps."""
+    """Whether the paper's likenesses are of the same quantity: images, compared with taps."""
     return simulated(results) or (truth(results) == "tap" and not over_pins(results))
 
 

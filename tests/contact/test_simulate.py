@@ -155,8 +155,8 @@ def test_twist_turns_the_skin_and_a_mirrored_twist_mirrors_it():
 def test_a_mirrored_scene_gives_the_mirrored_pins():
     """What a mirror may add to a training: shapes that are their own mirror images, under pins that are theirs."""
     generator = np.random.default_rng(4)
-    pose = draw_poses(generator, 10, 5.0, 45.0, (1.0, 4.0))
-    move, which = draw_moves(generator, 10, 2.5), np.arange(10) % 5
+    pose = draw_poses(generator, 14, 5.0, 45.0, (1.0, 4.0))
+    move, which = draw_moves(generator, 14, 2.5), np.arange(14) % len(MIRROR_IMAGES)
     there = simulate(TACTIP_331, MIRROR_IMAGES, make_scenes(MIRROR_IMAGES, which, pose, move))
     other = simulate(
         TACTIP_331, MIRROR_IMAGES, make_scenes(MIRROR_IMAGES, which, pose * [1, -1, -1, 1], move * [1, -1])
