@@ -28,7 +28,7 @@ ROWS = {
 
 sweep = Sweep(
     name="reader",
-    claim="how much of the pose an unsheared image recovers depends on the PoseNet that reads it, not on the image alone.",
+    claim="How much of the pose an unsheared image recovers depends on the PoseNet that reads it, not on the image alone.",
     base=replace(STANDARD, networks=NETWORKS, unseen=(), other_jitters_mm=()),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

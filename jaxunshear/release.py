@@ -51,7 +51,7 @@ def release(run_dir: Path, out: Path) -> Path:
         text, settings = card(results, out.name), settings | {"name": out.name}  # not a sweep's row
     except (KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
-    needed = NEEDED if results["simulated"] else ()
+    needed = NEEDED if results.get("simulated", True) else ()
     names = [name for name in PARTS if name in needed or holds_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
@@ -67,7 +67,7 @@ def release(run_dir: Path, out: Path) -> Path:
         write_weights(part / name, variables[name], PARTS[name])
         model = read_json(run_dir / name / MODEL)
         write_json(part / name / MODEL, {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])})
-    if not results["simulated"]:
+    if not results.get("simulated", True):
         write_json(part / FRAME, read_json(run_dir / FRAME))
         settings["paired"] |= {
             "tap_folder": "recorded taps" * bool(settings["paired"]["tap_folder"]),
@@ -84,7 +84,7 @@ def release(run_dir: Path, out: Path) -> Path:
 
 def card(results: dict[str, Any], name: str) -> str:
     """The model card, in Markdown, all of it from the run's results."""
-    return _simulated_card(results, name) if results["simulated"] else _recorded_card(results, name)
+    return _simulated_card(results, name) if results.get("simulated", True) else _recorded_card(results, name)
 
 
 def _recorded_card(results: dict[str, Any], name: str) -> str:

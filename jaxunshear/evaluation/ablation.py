@@ -22,7 +22,7 @@ from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics
 from jaxunshear.evaluation.spread import intervals, numbered_poses
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.model.layers import in_precision
@@ -30,6 +30,7 @@ from jaxunshear.model.settings import UnshearNet
 from jaxunshear.progress import Progress
 from jaxunshear.storage import write_bytes, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
+from jaxunshear.training.examples import open_examples
 from jaxunshear.training.origin import check_origin
 
 BATCH = 32
@@ -60,9 +61,9 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled, learnt from
     other data or is not trained to the end.
     """
-    from jaxunshear.dataset.reading import open_set
-
     folder = Path(run_dir) / "disentangled"
+    if over_pins(experiment):
+        raise UserError(f"{run_dir} reads pins: its table of swapped codes is in results.json; ablate a run over images")
     check_finished(folder)
     net = read_net(folder)
     if not isinstance(net, UnshearNet) or not net.disentangled:
@@ -71,7 +72,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     if net.shear_channels and "DS" not in variables["params"]:
         raise UserError(f"{folder} holds released weights, which leave out DS: name the folder of a finished run")
     check_origin(experiment, "disentangled", run_dir)
-    pairs = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
+    pairs = open_examples(experiment, "disentangled", data_dir, run_dir).reader
     total = pairs.length("test")
     labels = pairs.take("test", np.arange(total), ("stimulus", "pose_id"))
     poses = numbered_poses(**labels)
@@ -101,7 +102,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     scores = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     results = {
         "experiment": experiment.name,
-        "simulated": True,
+        "simulated": recorded_of(experiment) is None,
         "metric": {"ms_ssim": ms_ssim_name(scales_that_fit(net.size))},
         "rows": rows_of(scores, poses[np.concatenate(order)]),
         "contacts": total,

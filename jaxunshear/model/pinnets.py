@@ -60,6 +60,9 @@ class Codes(nn.Module):
         if net.shear_code:
             self.shear, self.DS = nn.Dense(net.shear_code), Dense(net, self.motions)
 
+    def pose_code(self, x: Array) -> Array:
+        return self.pose(self.E(x))
+
     def encode(self, x: Array) -> tuple[Array, Array | None]:
         z = self.E(x)
         return self.pose(z), self.shear(z) if self.net.shear_code else None
@@ -86,9 +89,8 @@ def init(net: PinNet, rest: ArrayLike, spread: float, key: Array, outputs: int =
 
 
 def unshear(net: PinUnshear, variables: Variables, pins: Array) -> Array:
-    """Sheared pins (B, P, 2) px -> canonical ones; runs neither the shear code nor DS."""
-    z_p, _ = encode(net, variables, pins)
-    return decode_canonical(net, variables, z_p)
+    """Sheared pins (B, P, 2) px -> canonical ones; needs neither the shear code nor DS, which released weights leave out."""
+    return decode_canonical(net, variables, _codes(net, variables, "pose_code", _motions(variables, pins)))
 
 
 def encode(net: PinUnshear, variables: Variables, pins: Array) -> tuple[Array, Array | None]:

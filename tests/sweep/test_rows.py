@@ -1,6 +1,7 @@
 """Cells, rows and shared trainings: what is equal is one, and nothing that differs is taken for equal."""
 
 from dataclasses import fields, replace
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -8,7 +9,8 @@ import pytest
 from jaxunshear import run
 from jaxunshear.config import field_types, replaced, validate
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, TEACHER, TRAINABLE, Experiment, trained
+from jaxunshear.experiment import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE, Experiment, trained
+from jaxunshear.fit import BASE as RECORDED
 from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.sweep.rows import cells_of, needed, reference_of, row_digest, rows_of, training_part
 from jaxunshear.sweep.settings import Sweep, check
@@ -85,21 +87,25 @@ def test_different_cells_of_one_label_are_refused():
         cells_of(replace(PLAIN, grid=(("sensor", sensors),)))
 
 
-def test_every_setting_decides_the_digest_but_names_and_order():
-    digest = row_digest(BASE, False)
-    assert digest == row_digest(replace(BASE, name="x", claim="y", networks=BASE.networks[::-1]), False)
-    assert digest != row_digest(BASE, True)
+def _value(base: Experiment, name: str) -> object:
+    return reduce(lambda value, part: getattr(value, part, None), name.split("."), base)
+
+
+@pytest.mark.parametrize(("base", "other"), [(BASE, "paired.tap_folder"), (RECORDED, "paired.stimuli")])
+def test_every_setting_decides_the_digest_but_names_and_order(base, other):
+    digest = row_digest(base, False)
+    assert digest == row_digest(replace(base, name="x", claim="y", networks=base.networks[::-1]), False)
+    assert digest != row_digest(base, True)
+    assert _value(base, other) is None
     for name, kind in field_types():
-        if name in ("name", "claim", "sensor"):
+        value = _value(base, name)
+        if name in ("name", "claim", "sensor") or value is None:  # None: of the other kind of data
             continue
-        value = BASE
-        for part in name.split("."):
-            value = getattr(value, part)
-        other = {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: v + 0.5, str: lambda v: v + "x"}.get(
+        changing = {bool: lambda v: not v, int: lambda v: v + 1, float: lambda v: v + 0.5, str: lambda v: v + "x"}.get(
             kind
         )
-        changed = other(value) if other else ("x",)
-        assert row_digest(replaced(BASE, name, changed), False) != digest, name
+        changed = changing(value) if changing else ("x",)
+        assert row_digest(replaced(base, name, changed), False) != digest, name
 
 
 def test_the_reference_is_the_cell_of_the_bases_own_values():
@@ -115,8 +121,7 @@ def test_the_reference_is_the_cell_of_the_bases_own_values():
 @pytest.fixture
 def asked(monkeypatch, tmp_path):
     """What `run_stages` asks of a training: its arguments, but for the folder."""
-    from jaxunshear.dataset import reading
-    from jaxunshear.training import loop
+    from jaxunshear.training import examples, loop
 
     def asked_of(experiment: Experiment, network: str) -> dict:
         calls = []
@@ -141,7 +146,7 @@ def asked(monkeypatch, tmp_path):
             calls.append((learnt, training, seed, [sorted(batch) for batch in validation()], words))
             return loop.Summary("x", 1, 1, 1, 1, 1.0, 1.0, 1.0, 1.0)
 
-        monkeypatch.setattr(reading, "open_set", lambda name, *words: calls.append((name, words)) or Reader())
+        monkeypatch.setattr(examples, "open_set", lambda name, *words: calls.append((name, words)) or Reader())
         monkeypatch.setattr(loop, "train", train)
         run.run_stages(experiment, (network,), tmp_path / str(len(list(tmp_path.iterdir()))), tmp_path, "none")
         return {"calls": calls}
@@ -149,7 +154,7 @@ def asked(monkeypatch, tmp_path):
     return asked_of
 
 
-@pytest.mark.parametrize("network", TRAINABLE)
+@pytest.mark.parametrize("network", [network for network in TRAINABLE if network != RENDERER])
 def test_equal_parts_are_equal_trainings(asked, network):
     """The part of an experiment asks for the very training that the whole one does, so rows that share a part may share it."""
     whole = Experiment(
