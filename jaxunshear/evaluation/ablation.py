@@ -63,7 +63,9 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     """
     folder = Path(run_dir) / "disentangled"
     if over_pins(experiment):
-        raise UserError(f"{run_dir} reads pins: its table of swapped codes is in results.json; ablate a run over images")
+        raise UserError(
+            f"{run_dir} reads pins: its table of swapped codes is in results.json; ablate a run over images"
+        )
     check_finished(folder)
     net = read_net(folder)
     if not isinstance(net, UnshearNet) or not net.disentangled:
