@@ -106,6 +106,9 @@ def test_sampled_obstacles_agree_with_the_shapes():
     for index, stimulus in enumerate(STIMULI.values()):
         exact = np.asarray(signed_distance(stimulus, jnp.asarray(points, jnp.float32)))
         sampled = np.asarray(distance_at(obstacles, jnp.asarray([index]), jnp.asarray(points, jnp.float32)))
+        if stimulus.name == "surface":  # has no edge within reach
+            assert exact.max() < -5 and sampled.max() < -5
+            continue
         near = np.abs(exact) < 5
         assert np.percentile(np.abs(sampled - exact)[near], 95) < 0.01, stimulus.name
 

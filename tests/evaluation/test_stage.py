@@ -1,5 +1,6 @@
 """The whole stage on files: networks on disk and a stand-in for the data set, results.json and montage.npz out."""
 
+import importlib
 import json
 import shutil
 from dataclasses import replace
@@ -7,14 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.dataset import reading
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import reproducible
 from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.training import examples
 from jaxunshear.training.origin import origin_of
 
 SIZE, COUNT = 32, 6
+STAGE = importlib.import_module("jaxunshear.evaluation.evaluate")  # the module, not its function
 
 
 class Reader:
@@ -48,6 +50,12 @@ class Reader:
             yield {field: whole[field][start : start + batch] for field in fields}
 
 
+def _opens(monkeypatch, count):
+    for module in (STAGE, examples):
+        monkeypatch.setattr(module, "open_set", lambda spec, settings, data_dir, sensor: Reader(count))
+    monkeypatch.setattr(STAGE, "read_metadata", lambda settings, sensor, data_dir: Reader.metadata)
+
+
 @pytest.fixture
 def experiment():
     whole = Experiment(name="small", claim="that the stage works")
@@ -57,7 +65,7 @@ def experiment():
 @pytest.fixture
 def run_dir(trained, experiment, tmp_path, monkeypatch):
     """The networks as if they had learnt from the data sets of `experiment`."""
-    monkeypatch.setattr(reading, "open_set", lambda spec, settings, data_dir, sensor: Reader(COUNT))
+    _opens(monkeypatch, COUNT)
     folder = shutil.copytree(trained, tmp_path / "run")
     for network in ALL_NETWORKS:
         path = folder / network / "model.json"
@@ -109,7 +117,7 @@ def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experim
 
 
 def test_an_empty_test_split_is_refused(run_dir, experiment, tmp_path, monkeypatch):
-    monkeypatch.setattr(reading, "open_set", lambda *_: Reader(0))
+    _opens(monkeypatch, 0)
     with pytest.raises(UserError, match="empty"):
         evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert not (run_dir / "results.json").exists()

@@ -144,6 +144,7 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     assert results["pairing"]["gaps"]["train"]["y_mm"]["median"] > 0
 
 
+@pytest.mark.long
 def test_images_take_the_same_road(command, recording, place, tmp_path):
     small = (
         *("--paired.preprocess.size", "32", "--unshear.size", "32", "--posenet.size", "32", "--unshear.widths", "4,4"),
@@ -176,7 +177,12 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
     results = json.loads((tmp_path / "runs" / "images" / "results.json").read_text())
     assert list(results["pose_mae"]["unsheared"]) == TARGETS and results["metric"]["input"] == "images"
     assert command("ablate", tmp_path / "runs" / "images", "--data", place / "datasets").code == 0
-    answer = command("unshear", recording / "shear", "--model", tmp_path / "runs" / "images", "--out", tmp_path / "out")
+    refused = command(
+        "unshear", recording / "shear", "--model", tmp_path / "runs" / "images", "--out", tmp_path / "out"
+    )
+    assert refused.code == 2 and "--force" in refused.err  # 32 px are too few to tell pins by
+    words = ("--model", tmp_path / "runs" / "images", "--out", tmp_path / "out", "--force")
+    answer = command("unshear", recording / "shear", *words)
     assert answer.code == 0, answer.err
 
 
