@@ -113,6 +113,7 @@ def test_weights_are_released_and_used_without_the_recordings(command, pins_run,
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
 
 
+@pytest.mark.long  # the tutorial's test runs `fit`, too
 def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp_path):
     words = (
         "--taps",
