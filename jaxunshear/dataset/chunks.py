@@ -5,7 +5,7 @@ What disturbs an image depends on the seed and the contact's number alone, neith
 
 import functools
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -98,6 +98,14 @@ def load_chunk(path: Path) -> dict[str, np.ndarray]:
             return dict(file)
     except BROKEN_NPZ as error:
         raise UserError(f"chunk {path} cannot be read ({error}): delete it and run the same command again") from error
+
+
+def usable_rows(paths: Iterable[Path], wanted: np.ndarray) -> Iterator[tuple[dict[str, np.ndarray], int, int]]:
+    """(chunk, place in it, row) of every usable contact that is `wanted` (N,), by row. Raises UserError for a damaged chunk."""
+    for path in paths:
+        chunk = load_chunk(path)
+        for place in np.flatnonzero(chunk["usable"] & wanted[chunk["number"]]):
+            yield chunk, int(place), int(chunk["number"][place])
 
 
 def look(settings: PairedData | PoseData, sensor: Sensor, tips: np.ndarray, number: np.ndarray, age: np.ndarray):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, unpack
+from jaxunshear.dataset.chunks import load_chunk, unpack, usable_rows
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import SPLITS, Shots
 from jaxunshear.image.png import png
@@ -78,57 +78,48 @@ def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split
     """(key, example) of every usable slide of a split with a tap of its pose: slide j takes tap j modulo their number."""
     inside = shots.split == SPLITS.index(split)
     tap_images, tap_pins = {}, {}
-    for path in paths:
-        chunk = load_chunk(path)
-        for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]] & ~shots.slid[chunk["number"]]):
-            row = int(chunk["number"][place])
-            tap_images[row] = png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL)
-            tap_pins[row] = chunk["pins"][place]
+    for chunk, place, row in usable_rows(paths, inside & ~shots.slid):
+        tap_images[row] = png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL)
+        tap_pins[row] = chunk["pins"][place]
     taps = _by_pose(shots, np.array(sorted(tap_images), int))
     keys = _pose_keys(shots)
-    for path in paths:
-        chunk = load_chunk(path)
-        for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]] & shots.slid[chunk["number"]]):
-            row = int(chunk["number"][place])
-            if keys[row] not in taps:
-                continue
-            slide = int(shots.instance[row])
-            tap = taps[keys[row]][slide % len(taps[keys[row]])]
-            labels = _labels(settings, shots, row)
-            yield (
-                f"{labels['stimulus']}_{labels['pose_id']}_{slide}",
-                {
-                    "canonical": tap_images[tap],
-                    "sheared": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
-                    "canonical_pins": tap_pins[tap],
-                    "sheared_pins": chunk["pins"][place],
-                    **labels,
-                    "move": shots.scenes.move[row].astype(np.float32),
-                    "friction": np.float32(shots.scenes.friction[row]),
-                    "slide_id": slide,
-                    "tap_id": int(shots.instance[tap]),
-                    "tap_depth_mm": np.float32(shots.scenes.pose[tap, 3]),
-                    "residual_mm": np.float32(chunk["residual_mm"][place]),
-                    **{name: int(chunk[name][place]) for name in ("stuck", "slipping", "free", "iterations")},
-                },
-            )
+    for chunk, place, row in usable_rows(paths, inside & shots.slid):
+        if keys[row] not in taps:
+            continue
+        slide = int(shots.instance[row])
+        tap = taps[keys[row]][slide % len(taps[keys[row]])]
+        labels = _labels(settings, shots, row)
+        yield (
+            f"{labels['stimulus']}_{labels['pose_id']}_{slide}",
+            {
+                "canonical": tap_images[tap],
+                "sheared": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
+                "canonical_pins": tap_pins[tap],
+                "sheared_pins": chunk["pins"][place],
+                **labels,
+                "move": shots.scenes.move[row].astype(np.float32),
+                "friction": np.float32(shots.scenes.friction[row]),
+                "slide_id": slide,
+                "tap_id": int(shots.instance[tap]),
+                "tap_depth_mm": np.float32(shots.scenes.pose[tap, 3]),
+                "residual_mm": np.float32(chunk["residual_mm"][place]),
+                **{name: int(chunk[name][place]) for name in ("stuck", "slipping", "free", "iterations")},
+            },
+        )
 
 
 def pose_examples(settings: PoseData, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
     """(key, example) of every usable tap of a split."""
     inside = shots.split == SPLITS.index(split)
-    for path in paths:
-        chunk = load_chunk(path)
-        for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]]):
-            row = int(chunk["number"][place])
-            labels = _labels(settings, shots, row)
-            yield (
-                f"{labels['stimulus']}_{labels['pose_id']}",
-                {
-                    "image": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
-                    "pins": chunk["pins"][place],
-                    **labels,
-                    "residual_mm": np.float32(chunk["residual_mm"][place]),
-                    "age": np.float32(shots.age[row]),
-                },
-            )
+    for chunk, place, row in usable_rows(paths, inside):
+        labels = _labels(settings, shots, row)
+        yield (
+            f"{labels['stimulus']}_{labels['pose_id']}",
+            {
+                "image": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
+                "pins": chunk["pins"][place],
+                **labels,
+                "residual_mm": np.float32(chunk["residual_mm"][place]),
+                "age": np.float32(shots.age[row]),
+            },
+        )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, unpack
+from jaxunshear.dataset.chunks import load_chunk, unpack, usable_rows
 from jaxunshear.dataset.preparing import Frame, frame_of, prepare
 from jaxunshear.dataset.recorded import Contacts, survey
 from jaxunshear.dataset.settings import Recorded
@@ -85,20 +85,17 @@ def _left_out(contacts: Contacts, problem: np.ndarray) -> list[str]:
 def examples(settings: Recorded, contacts: Contacts, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
     """(key, example) of every readable frame of a split."""
     inside = contacts.split == SPLITS.index(split)
-    for path in paths:
-        chunk = load_chunk(path)
-        for place in np.flatnonzero(chunk["usable"] & inside[chunk["number"]]):
-            row = int(chunk["number"][place])
-            yield (
-                f"{row:08d}",
-                {
-                    "image": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
-                    "pins": chunk["pins"][place].astype(np.float32),
-                    "sure": int(chunk["sure"][place]),
-                    "slid": int(contacts.slid[row]),
-                    "pose": contacts.pose[row].astype(np.float32),
-                    "move": contacts.move[row].astype(np.float32),
-                    "pose_id": int(contacts.pose_id[row]),
-                    "number": row,
-                },
-            )
+    for chunk, place, row in usable_rows(paths, inside):
+        yield (
+            f"{row:08d}",
+            {
+                "image": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
+                "pins": chunk["pins"][place].astype(np.float32),
+                "sure": int(chunk["sure"][place]),
+                "slid": int(contacts.slid[row]),
+                "pose": contacts.pose[row].astype(np.float32),
+                "move": contacts.move[row].astype(np.float32),
+                "pose_id": int(contacts.pose_id[row]),
+                "number": row,
+            },
+        )

@@ -113,7 +113,6 @@ def test_weights_are_released_and_used_without_the_recordings(command, pins_run,
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
 
 
-@pytest.mark.long  # the tutorial's test runs `fit`, too
 def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp_path):
     words = (
         "--taps",
@@ -145,7 +144,6 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     assert results["pairing"]["gaps"]["train"]["y_mm"]["median"] > 0
 
 
-@pytest.mark.long
 def test_images_take_the_same_road(command, recording, place, tmp_path):
     small = (
         *("--paired.preprocess.size", "32", "--unshear.size", "32", "--posenet.size", "32", "--unshear.widths", "4,4"),
