@@ -34,9 +34,9 @@ POSENETS = ("posenet", "posenet_sheared", TEACHER)
 
 
 PINS = Training(
-    epochs=40,
+    epochs=100,
     batch=64,
-    learning_rate=1e-3,
+    learning_rate=3e-3,
     beta1=0.9,
     averaging=0.999,
     shift=0.0,
