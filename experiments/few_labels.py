@@ -1,10 +1,13 @@
-"""Claim: what a laboratory loses with fewer labelled slides, for unshearing and for learning poses from slides directly.
+"""Claim: with few labelled slides, those without a label are worth using.
 
     jaxunshear sweep experiments/few_labels.py --recordings DIR
 
-Over pins. All taps are labelled; of the slides a share, drawn at random anew for each seed, smaller shares within the larger ones.
+Over pins. All taps are labelled; of the slides a share, drawn at random anew for each seed, smaller shares within the larger ones. Two
+ways: slides without a label are left out; or a PoseNet that learns from the labelled ones, turned about the sensor's axis as well,
+reads their poses, and all slides are unsheared to what taps look like there. Rows `sheared_learnt` are of the PoseNet that learns from
+the labelled slides directly.
 
-Expected on two cores: three to five minutes for each of the 15 rows. It was not run to its end yet.
+Expected on two cores: docs/results/few_labels.json, in an hour.
 """
 
 from dataclasses import replace
@@ -14,8 +17,11 @@ from jaxunshear.sweep.settings import Sweep
 
 sweep = Sweep(
     name="few_labels",
-    claim="Errors over the share of slides with labels.",
+    claim="Errors over the share of slides with labels, without and with slides that have none.",
     base=replace(BASE, name="few_labels", unshear=replace(BASE.unshear, input="pins")),
-    grid=(("paired.labelled", (0.01, 0.05, 0.1, 0.3, 1.0)),),
+    grid=(
+        ("paired.labelled", (0.01, 0.05, 0.1, 0.3, 1.0)),
+        (("paired.unlabelled", "pins.turned"), (("left_out", 0.0), ("read", 0.8))),
+    ),
     seeds=(0, 1, 2),
 )

@@ -92,13 +92,15 @@ def over_pins(experiment: Experiment) -> bool:
 
 
 def trained(experiment: Experiment) -> tuple[str, ...]:
-    """The networks to train, in this order: those of the results, after a renderer and a teacher where one of them needs these."""
+    """The networks to train, in this order: those of the results, after those that one of them needs: a
+    renderer, a teacher, a reader of slides without labels."""
     unshears = set(experiment.networks) - {*POSENETS, RENDERER}
     recorded = recorded_of(experiment)
     rendered = (RENDERER,) if recorded and recorded.pairing == "rendered" and unshears else ()
+    reader = ("posenet_sheared",) if recorded and recorded.unlabelled == "read" and unshears else ()
     training = experiment.train_pins if over_pins(experiment) else experiment.train
     taught = (TEACHER,) if training.pose_weight and unshears else ()
-    return (*rendered, *taught, *experiment.networks)
+    return tuple(dict.fromkeys((*rendered, *taught, *reader, *experiment.networks)))
 
 
 def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:

@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
-from jaxunshear.dataset.settings import PAIRINGS, PairedData, PoseData, Ranges, Recorded, RecordedTaps
+from jaxunshear.dataset.settings import PAIRINGS, UNLABELLED, PairedData, PoseData, Ranges, Recorded, RecordedTaps
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import (
     ALL_NETWORKS,
@@ -20,6 +20,7 @@ from jaxunshear.experiment import (
     Experiment,
     further_tests,
     over_pins,
+    recorded_of,
     trained,
 )
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
@@ -109,6 +110,12 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
         "a table of pairs goes with pairing file: add both, or neither",
     )
     yield 0 < recorded.labelled <= 1, "paired.labelled", "use a share above 0, at most 1"
+    yield recorded.unlabelled in UNLABELLED, "paired.unlabelled", f"is unknown: use {' or '.join(UNLABELLED)}"
+    yield (
+        recorded.unlabelled == "left_out" or recorded.pairing in ("rendered", "nearest"),
+        "paired.unlabelled",
+        f"poses that are read give no partner for pairing {recorded.pairing}: use pairing rendered or nearest",
+    )
     for field in ("test", "validation"):
         yield 0 < getattr(recorded, field) < 0.5, f"paired.{field}", "use a share between 0 and 0.5"
     yield _seed(recorded.seed), "paired.seed", "use a whole number from 0 to 2147483647"
@@ -430,6 +437,12 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
     yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"
     yield pins.noise_px >= 0, "pins.noise_px", "must not be below zero"
     yield 0 <= pins.hidden_pins < 1, "pins.hidden_pins", "use 0 up to, but not, 1"
+    yield 0 <= pins.turned <= 1, "pins.turned", "use a share from 0 to 1"
+    yield (
+        not pins.turned or (over_pins(experiment) and recorded_of(experiment) is not None),
+        "pins.turned",
+        "is for networks over recorded pins: leave it at 0",
+    )
 
 
 def _kept_out(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:

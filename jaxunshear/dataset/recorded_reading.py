@@ -28,6 +28,7 @@ from jaxunshear.scene.sensor import Sensor
 from jaxunshear.targets import Targets, of_labels
 
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
+Read = Callable[[np.ndarray, np.ndarray], np.ndarray]  # images (N, S, S) uint8, pins (N, P, 2) px -> poses (N, 6)
 
 
 def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0) -> "RecordedSet":
@@ -111,21 +112,29 @@ class RecordedSet:
         the settings' share."""
         return Reader(lambda split: _numbered(self._slides(split)), self.size)
 
-    def pairs(self, targets: Targets, render: Render | None = None, images: bool = True) -> Reader:
+    def pairs(
+        self, targets: Targets, render: Render | None = None, images: bool = True, read: Read | None = None
+    ) -> Reader:
         """The same, each with a partner by the settings' pairing: canonical, canonical_pins; `render` for "rendered". Without `images`
-        partners are pins alone.
+        partners are pins alone. `read` gives training slides without a label a pose; without it these are left out.
 
         `weight` (B,) is what a pair counts in training, `gap` (B, 6) how far the partner's pose is off. Raises UserError where no slide
         has a partner.
         """
-        return Reader(lambda split: self._paired(split, self._slides(split), targets, render, images), self.size)
+        return Reader(lambda split: self._paired(split, self._slides(split, read), targets, render, images), self.size)
 
-    def _slides(self, split: str) -> Batch:
+    def _slides(self, split: str, read: Read | None = None) -> Batch:
         rows = self._of(split, True)
-        kept = np.isfinite(rows["pose"]).all(axis=1)
+        known = np.isfinite(rows["pose"]).all(axis=1)
         if split != "test":
-            kept &= _share(rows["number"], self.seed) < self.settings.labelled
-        rows = _taken(rows, kept)
+            known &= _share(rows["number"], self.seed) < self.settings.labelled
+        if read and split == "train":
+            unpacked = unpack(rows["image"][~known], self.size)
+            pose = rows["pose"].copy()
+            pose[~known] = read(unpacked, rows["pins"][~known])
+            rows = rows | {"pose": pose}
+        else:
+            rows = _taken(rows, known)
         batch = {name: rows[name] for name in ("pose", "move", "sure", "number", "pose_id", "stimulus")}
         return batch | {"sheared": rows["image"], "sheared_pins": rows["pins"]}
 

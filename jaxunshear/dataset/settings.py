@@ -53,6 +53,7 @@ class PoseData:
 
 
 PAIRINGS = ("rendered", "nearest", "pose_id", "file")
+UNLABELLED = ("left_out", "read")
 
 
 @dataclass(frozen=True)
@@ -69,6 +70,9 @@ class Recorded:
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
     pairing: str = "rendered"  # a slide's partner: what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"
     labelled: float = 1.0  # share of the training slides whose labels teach
+    unlabelled: str = (
+        "left_out"  # what of training slides without a label; or "read": posenet_sheared reads their poses
+    )
     test: float = 0.1  # share of the poses kept out, where no folder is
     validation: float = 0.1
     seed: int = 0

@@ -82,7 +82,7 @@ def init(net: PinNet, rest: ArrayLike, spread: float, key: Array, outputs: int =
     """Fresh variables for pins that stand untouched at `rest` (P, 2) px and move by `spread` px (root mean square). `outputs`: of the
     pose targets together, for all but PinUnshear."""
     motions = int(np.size(rest))
-    given = outputs if isinstance(net, PinRenderer) else motions
+    given = outputs if isinstance(net, PinRenderer) else motions + (2 if net.turned else 0)
     params = _module(net, motions, outputs).init(key, jnp.zeros((1, given)))["params"]
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
     return {"params": params, "batch_stats": constants}
@@ -114,9 +114,14 @@ def reconstruct(net: PinUnshear, variables: Variables, pins: Array, key: Array) 
     return decode_canonical(net, variables, z_p), None if z_s is None else decode_sheared(net, variables, z_p, z_s)
 
 
-def predict(net: PinPoseNet, variables: Variables, pins: Array) -> Array:
-    """Pins (B, P, 2) px -> outputs (B, K), scaled as PoseNet's but not bounded."""
-    return _dense(net, variables, _motions(variables, pins))
+def predict(net: PinPoseNet, variables: Variables, pins: Array, radians: ArrayLike = 0.0) -> Array:
+    """Pins (B, P, 2) px -> outputs (B, K), scaled as PoseNet's but not bounded. `radians`: by how much all of them were turned, for
+    networks that learn from turned pins."""
+    motions = _motions(variables, pins)
+    if net.turned:
+        turn = jnp.stack([jnp.cos(radians), jnp.sin(radians)]).astype(motions.dtype)
+        motions = jnp.concatenate([motions, jnp.broadcast_to(turn, (len(motions), 2))], -1)
+    return _dense(net, variables, motions)
 
 
 def render(net: PinRenderer, variables: Variables, outputs: Array) -> Array:

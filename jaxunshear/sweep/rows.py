@@ -29,7 +29,7 @@ from jaxunshear.experiment import (
     trained,
     without_pair_losses,
 )
-from jaxunshear.model.settings import without_codes, without_pin_codes
+from jaxunshear.model.settings import without_codes, without_pin_codes, without_turns
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
@@ -121,7 +121,12 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
             part, train_pins=without_pair_losses(part.train_pins), pins=without_pin_codes(part.pins)
         )
     if isinstance(part.paired, Recorded) and network in (RENDERER, TEACHER, "posenet"):  # these learn from taps alone
-        part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, pairing="rendered", labelled=1.0))
+        part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, labelled=1.0))
+    if isinstance(part.paired, Recorded) and network in (*POSENETS, RENDERER):  # and none of these from pairs
+        alone = dataclasses.replace(part.paired, pairing="rendered", pairs="", unlabelled="left_out")
+        part = dataclasses.replace(part, paired=alone)
+    if network == RENDERER:
+        part = dataclasses.replace(part, pins=without_turns(part.pins))
     if network in WITHOUT_CODES:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))
     own = _digest({"experiment": to_json(part), "network": network})

@@ -7,6 +7,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, training_of
 from jaxunshear.model import pinnets, posenet
@@ -18,6 +20,7 @@ from jaxunshear.model.settings import (
     UnshearNet,
     without_codes,
     without_pin_codes,
+    without_turns,
 )
 from jaxunshear.model.unshearnet import as_large_entangled
 from jaxunshear.targets import fields_of
@@ -27,6 +30,7 @@ from jaxunshear.training.examples import Examples, spread_of
 from jaxunshear.training.origin import check_origin
 from jaxunshear.training.settings import labelled
 from jaxunshear.training.tasks import Task
+from jaxunshear.training.turning import Turns, sense_of, turns_of
 
 
 def task_of(experiment: Experiment, network: str, examples: Examples, folder: Path) -> tuple[Task, tuple[str, ...]]:
@@ -36,12 +40,15 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     if network == RENDERER or over_pins(experiment):
         field = {"posenet": "pins", TEACHER: "pins", RENDERER: "pins"}.get(network, "sheared_pins")
         known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
-        plain, net = asdict(without_pin_codes(experiment.pins)), asdict(experiment.pins)
+        net = asdict(without_turns(experiment.pins))
+        plain = asdict(without_pin_codes(without_turns(experiment.pins)))
         sure = ("sure",) if recorded_of(experiment) else ()  # simulated pins are all known
         if network == RENDERER:
             return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
         if network in POSENETS:
-            return pin_tasks.pin_posenet_task(PinPoseNet(**plain), training, *known), (field, *sure, *labels)
+            reader = PinPoseNet(**asdict(without_pin_codes(experiment.pins)))
+            turns = _turns(examples) if reader.turned else None
+            return pin_tasks.pin_posenet_task(reader, training, *known, turns), (field, *sure, *labels)
         codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
         teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
         named = ("canonical_pins", "sheared_pins", *sure, *weighed, *(labels if labelled(training) else ()))
@@ -86,6 +93,14 @@ def first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ..
                 return
 
     return batches
+
+
+def _turns(examples: Examples) -> Turns:
+    """Raises UserError where the taps that the sensor has recorded do not turn with their labels."""
+    taps = examples.taps or examples.reader
+    field = "pins" if examples.taps else "sheared_pins"
+    known = taps.take("train", np.arange(taps.length("train")), (field, "pose"))
+    return turns_of(examples.pins.rest, sense_of(examples.pins.rest, known[field], known["pose"], examples.targets))
 
 
 def _teacher(experiment: Experiment, folder: Path, predict: Callable[..., Any]) -> Callable[[Any], Any]:

@@ -4,6 +4,7 @@
 >>> examples.reader.train_batches(batch=8, seed=0, shift=0.0, fields=("canonical", "sheared"))
 """
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,17 +14,18 @@ import numpy as np
 
 from jaxunshear.dataset import configs
 from jaxunshear.dataset.reading import Reader, open_set
-from jaxunshear.dataset.recorded_reading import RecordedSet, Render, open_recorded
+from jaxunshear.dataset.recorded_reading import Read, RecordedSet, Render, open_recorded
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import RENDERER, TEACHER, Experiment, learnt_from, over_pins, recorded_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.targets import Targets, of_ranges
+from jaxunshear.targets import RECORDED, Targets, of_ranges
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
 OF_TAPS = ("posenet", TEACHER, RENDERER)
 POSES_AT_ONCE = 1024
+READ_AT_ONCE = 128
 FRAME = "frame.json"  # in a run's folder: what the frames of its sensor have in common, see `dataset.preparing.Frame`
 
 
@@ -40,6 +42,7 @@ class Examples(NamedTuple):
     targets: Targets
     pins: Pins
     epoch: int  # examples that count as one epoch: where few slides are labelled, as many as if all were
+    taps: Reader | None = None  # recorded ones with labels, where there are any
 
 
 def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir: Path) -> Examples:
@@ -55,7 +58,8 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
         reader = stored.slides()
     else:
         reader = pairs_of(experiment, stored, targets, run_dir)
-    return Examples(reader, targets, pins_of(stored.frame), epoch)
+    taps = stored.taps() if stored.count("taps", "train") else None
+    return Examples(reader, targets, pins_of(stored.frame), epoch, taps)
 
 
 def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
@@ -67,10 +71,12 @@ def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
 
 
 def pairs_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path) -> Reader:
-    """Slides with their partners, drawn by the run's renderer where the pairing asks for one."""
-    recorded = recorded_of(experiment)
-    rendered = recorded is not None and recorded.pairing == "rendered"
-    return stored.pairs(targets, _render(run_dir / RENDERER) if rendered else None, not over_pins(experiment))
+    """Slides with their partners, drawn by the run's renderer where the pairing asks for one; poses that no label gives are read by
+    its posenet_sheared where the settings ask for that."""
+    settings = stored.settings
+    render = _render(run_dir / RENDERER) if settings.pairing == "rendered" else None
+    read = _read(run_dir / "posenet_sheared", over_pins(experiment)) if settings.unlabelled == "read" else None
+    return stored.pairs(targets, render, not over_pins(experiment), read)
 
 
 def pins_of(frame: dict[str, Any]) -> Pins:
@@ -98,18 +104,46 @@ def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples
 
 def _render(folder: Path) -> Render:
     """The trained renderer in `folder` as a function of poses (N, 6). Raises UserError."""
-    if not (folder / SUMMARY).exists():
-        raise UserError(f"{folder} is missing, and pairs that are rendered need it: train renderer first")
-    net, variables, targets = read_net(folder), load_best(folder), read_targets(folder)
+    net, variables, targets = _trained(folder, "pairs that are rendered")
     run = jax.jit(partial(pinnets.render, net, variables))
 
     def render(poses: np.ndarray) -> np.ndarray:
-        parts = []
-        for start in range(0, max(1, len(poses)), POSES_AT_ONCE):
-            here = poses[start : start + POSES_AT_ONCE]
-            filled = np.zeros((POSES_AT_ONCE, poses.shape[1]), np.float32)  # one shape to compile
-            filled[: len(here)] = here
-            parts.append(np.asarray(run(posenet.pose_targets({"pose": filled}, targets)))[: len(here)])
-        return np.concatenate(parts)
+        return _in_parts(lambda part: run(posenet.pose_targets({"pose": part}, targets)), poses, POSES_AT_ONCE)
 
     return render
+
+
+def _read(folder: Path, pins: bool) -> Read:
+    """The trained PoseNet in `folder`, over pins or images, as a function of both: poses (N, 6), 0 in columns that it does not know.
+    Raises UserError."""
+    net, variables, targets = _trained(folder, "slides without labels that are read")
+    predict = partial((pinnets if pins else posenet).predict, net, variables)
+    run = jax.jit(lambda seen: posenet.pose_from_outputs(predict(seen), targets))
+
+    def read(images: np.ndarray, places: np.ndarray) -> np.ndarray:
+        def poses(part: np.ndarray) -> np.ndarray:
+            found = run(part if pins else part[..., None].astype(np.float32) / 255)
+            zero = np.zeros(len(part), np.float32)
+            return np.stack([np.asarray(found.get(name, zero)) for name in RECORDED], axis=-1)
+
+        return _in_parts(poses, places if pins else images, READ_AT_ONCE)
+
+    return read
+
+
+def _trained(folder: Path, what: str) -> tuple[Any, Any, Targets]:
+    """Settings, variables and targets of a trained network. Raises UserError: `what` needs it."""
+    if not (folder / SUMMARY).exists():
+        raise UserError(f"{folder} is missing, and {what} need it: train {folder.name} first")
+    return read_net(folder), load_best(folder), read_targets(folder)
+
+
+def _in_parts(function: Callable[[np.ndarray], Any], values: np.ndarray, at_once: int) -> np.ndarray:
+    """`function` of `values` (N, ...), so many at a time: one shape to compile."""
+    parts = []
+    for start in range(0, max(1, len(values)), at_once):
+        here = values[start : start + at_once]
+        filled = np.zeros((at_once, *values.shape[1:]), values.dtype)
+        filled[: len(here)] = here
+        parts.append(np.asarray(function(filled))[: len(here)])
+    return np.concatenate(parts)

@@ -18,6 +18,7 @@ def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
         described |= {"labelled": settings.labelled}
         if network not in POSENETS:
             described |= {"pairing": settings.pairing}
+            described |= {"unlabelled": settings.unlabelled} if settings.unlabelled != "left_out" else {}
     return described
 
 

@@ -7,6 +7,8 @@
 from collections.abc import Callable
 from functools import partial
 
+import jax
+import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
@@ -17,6 +19,7 @@ from jaxunshear.targets import Targets
 from jaxunshear.training import losses
 from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import Task, pose_error_terms, weighed
+from jaxunshear.training.turning import ANGLES, Turns, turned, turned_outputs
 
 
 def pin_unshear_task(
@@ -64,13 +67,18 @@ def pin_unshear_task(
     return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised")
 
 
-def pin_posenet_task(net: PinPoseNet, training: Training, targets: Targets, rest: ArrayLike, spread: float) -> Task:
-    """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets."""
+def pin_posenet_task(
+    net: PinPoseNet, training: Training, targets: Targets, rest: ArrayLike, spread: float, turns: Turns | None = None
+) -> Task:
+    """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets. `turns` are needed for `net.turned` alone."""
     weights = posenet.output_weights(targets)
 
     def terms(variables, batch, key):
-        outputs = pinnets.predict(net, variables, pinnets.spoilt(net, batch["pins"], key))
-        loss = losses.absolute_pose(outputs, posenet.pose_targets(batch, targets), weights)
+        pins, wanted, angle = pinnets.spoilt(net, batch["pins"], key), posenet.pose_targets(batch, targets), jnp.zeros(())
+        if turns is not None:
+            k = _drawn_turn(net.turned, jax.random.fold_in(key, 1))
+            pins, wanted, angle = turned(turns, k, pins), turned_outputs(turns, k, wanted, targets), turns.radians[k]
+        loss = losses.absolute_pose(pinnets.predict(net, variables, pins, angle), wanted, weights)
         return weighed({"pose": loss}, batch), variables["batch_stats"]
 
     def validate(variables, batch):
@@ -95,3 +103,9 @@ def renderer_task(net: PinRenderer, training: Training, targets: Targets, rest: 
 
     init = partial(pinnets.init, net, rest, spread, outputs=posenet.outputs_of(targets))
     return Task("renderer", net, targets, init, terms, {"pins": 1.0}, validate, "pins")
+
+
+def _drawn_turn(share: float, key: Array) -> Array:
+    """One angle for a batch: none, or with the chance `share` any of them."""
+    chance_key, angle_key = jax.random.split(key)
+    return jnp.where(jax.random.uniform(chance_key) < share, jax.random.randint(angle_key, (), 0, ANGLES), 0)

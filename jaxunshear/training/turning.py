@@ -1,0 +1,101 @@
+"""Recorded pins as they would have moved, had the sensor been turned about its axis: examples that nobody had to record.
+
+turns = turns_of(rest, sense)                         # rest (P, 2) px
+pins = turned(turns, k, pins)                         # (B, P, 2) px, turned by the k-th angle
+outputs = turned_outputs(turns, k, outputs, targets)  # the pose that goes with it
+
+A dome is nearly the same all round, its camera and its housing are not. So the network is told by how much an example was turned, and
+what it reads off pins as they are is corrected by examples as they are.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from scipy.interpolate import RBFInterpolator
+
+from jaxunshear.dataset import pairing
+from jaxunshear.errors import UserError
+from jaxunshear.targets import Targets
+
+TWIST = "Rz_deg"  # the angle about the sensor's axis
+ANGLES = 24  # a circle, in steps of 15 deg
+AROUND = 40  # pins that the motion between them is interpolated from
+TRIED = 200  # taps that are turned to find the sense
+ALIKE = 0.75  # of their own motion: how far turned taps may be from recorded ones, and still look like them
+
+
+class Turns(NamedTuple):
+    """Angle k turns the pins' motions by k circles over ANGLES, and the label by as much times `sense`."""
+
+    rest: Array  # (P, 2) px
+    mixed: Array  # (ANGLES, P, P): the motion at the place that comes to lie at a pin, of those of all pins
+    rotation: Array  # (ANGLES, 2, 2)
+    radians: Array  # (ANGLES,)
+    sense: int  # 1 or -1
+
+
+def turns_of(rest: np.ndarray, sense: int) -> Turns:
+    """Of pins that stand untouched at `rest` (P, 2) px: thin-plate splines between them."""
+    rest = np.asarray(rest, np.float64)
+    radians = 2 * np.pi * np.arange(ANGLES) / ANGLES
+    cosine, sine = np.cos(radians), np.sin(radians)
+    rotation = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
+    spline = RBFInterpolator(rest, np.eye(len(rest)), neighbors=min(AROUND, len(rest)))
+    middle = rest.mean(axis=0)
+    mixed = np.stack([spline((rest - middle) @ each + middle) for each in rotation])
+    single = partial(jnp.asarray, dtype=jnp.float32)
+    return Turns(single(rest), single(mixed), single(rotation), single(radians), sense)
+
+
+def turned(turns: Turns, k: ArrayLike, pins: Array) -> Array:
+    """Pins (B, P, 2) px after a turn by angle `k`; pins that are not seen count as untouched."""
+    motion = jnp.where(jnp.isfinite(pins), pins - turns.rest, 0)
+    return turns.rest + jnp.einsum("pq,bqi,ji->bpj", turns.mixed[k], motion, turns.rotation[k])
+
+
+def turned_outputs(turns: Turns, k: ArrayLike, outputs: Array, targets: Targets) -> Array:
+    """PoseNet's outputs (B, K) in [0, 1] of the pose after that turn: of all targets only the twist changes."""
+    angle, column, columns = turns.sense * turns.radians[k], 0, []
+    for target in targets:
+        here = outputs[:, column : column + target.outputs]
+        if target.name == TWIST:
+            cosine, sine = 2 * here[:, 0] - 1, 2 * here[:, 1] - 1
+            after = (cosine * jnp.cos(angle) - sine * jnp.sin(angle), sine * jnp.cos(angle) + cosine * jnp.sin(angle))
+            here = (1 + jnp.stack(after, -1)) / 2
+        columns.append(here)
+        column += target.outputs
+    return jnp.concatenate(columns, -1)
+
+
+def sense_of(rest: np.ndarray, pins: np.ndarray, poses: np.ndarray, targets: Targets) -> int:
+    """Whether the twist grows (1) or falls (-1) as the pins (N, P, 2) px turn with their labels (N, 6), from x towards y of the image.
+
+    Taps are turned both ways and compared with those recorded nearest to where they should be. Raises UserError where the twist is no
+    target over the full circle, and where neither looks like what was recorded: then what is touched does not turn with its label.
+    """
+    if not any(target.name == TWIST and target.circle for target in targets):
+        raise UserError(f"pins.turned: asks for {TWIST} over the full circle among the targets: leave it at 0")
+    rows = np.random.default_rng(0).choice(len(pins), min(TRIED, len(pins)), replace=False)
+    motion = np.where(np.isfinite(pins), pins - rest, 0)
+    apart = {}
+    for sense in (1, -1):
+        turns = turns_of(rest, sense)
+        scores = []
+        for k in (ANGLES // 6, ANGLES // 4):
+            wanted = poses[rows].copy()
+            wanted[:, 5] += sense * 360 * k / ANGLES
+            near, _ = pairing.nearest(targets, wanted, poses)
+            difference = np.asarray(turned(turns, k, jnp.asarray(pins[rows]))) - rest - motion[near]
+            scores.append(np.linalg.norm(difference, axis=(1, 2)) / np.linalg.norm(motion[near], axis=(1, 2)))
+        apart[sense] = float(np.median(scores))
+    sense = min(apart, key=apart.__getitem__)
+    if not apart[sense] < ALIKE:
+        raise UserError(
+            f"pins.turned: turned touches do not look like recorded ones (they differ by {apart[sense]:.2f} of their motion): "
+            "leave it at 0"
+        )
+    return sense

@@ -1,0 +1,101 @@
+"""Pins turned about the sensor's axis: exact on a lattice with that symmetry, close where pins are in between, refused where labels do
+not turn with them."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.model.posenet import pose_targets
+from jaxunshear.targets import of_labels
+from jaxunshear.training.turning import ANGLES, sense_of, turned, turned_outputs, turns_of
+
+MIDDLE = np.array([60.0, 64.0])
+
+
+def hexagons(rings):
+    """(P, 2) px: rings of 6, 12, 18, ... pins about the middle one."""
+    places = [(0.0, 0.0)]
+    for ring in range(1, rings + 1):
+        angle = 2 * np.pi * np.arange(6 * ring) / (6 * ring)
+        places += zip(5 * ring * np.cos(angle), 5 * ring * np.sin(angle), strict=True)
+    return MIDDLE + np.array(places)
+
+
+REST = hexagons(7)
+RNG = np.random.default_rng(0)
+
+
+def touched(twist_deg, across_mm):
+    """Pins under an edge across the sensor: pushed to both of its sides, smoothly."""
+    angle = np.radians(twist_deg)
+    normal = np.array([np.cos(angle), np.sin(angle)])
+    away = (REST - MIDDLE) @ normal - 5 * across_mm
+    return REST + 2 * np.outer(away / 8 * np.exp(-((away / 12) ** 2)) + 0.3 * np.exp(-((away / 20) ** 2)), normal)
+
+
+def contacts(count, sense):
+    poses = np.zeros((count, 6))
+    poses[:, 1], poses[:, 5] = RNG.uniform(-3, 3, count), RNG.uniform(-180, 180, count)
+    pins = np.stack([touched(sense * pose[5], pose[1]) for pose in poses])
+    return pins.astype(np.float32), poses
+
+
+@pytest.mark.parametrize("jit", [False, True])
+def test_a_sixth_of_a_turn_takes_every_pin_to_another(jit):
+    turns, k = turns_of(REST, 1), ANGLES // 6
+    pins = REST + RNG.normal(0, 1, (2, *REST.shape))
+    got = (jax.jit(turned) if jit else turned)(turns, k, jnp.asarray(pins))
+    rotation = np.asarray(turns.rotation[k], np.float64)
+    lands = np.argmin(np.linalg.norm((MIDDLE + (REST - MIDDLE) @ rotation.T)[:, None] - REST, axis=-1), axis=1)
+    wanted = np.empty_like(pins)
+    wanted[:, lands] = MIDDLE + (pins - MIDDLE) @ rotation.T
+    np.testing.assert_allclose(got, wanted, atol=1e-3)
+
+
+def test_no_turn_changes_nothing():
+    pins = jnp.asarray(REST + RNG.normal(0, 1, (2, *REST.shape)), jnp.float32)
+    np.testing.assert_allclose(turned(turns_of(REST, 1), 0, pins), pins, atol=1e-4)
+
+
+@pytest.mark.parametrize("k", [1, 5, 17])
+def test_a_turned_touch_is_the_touch_of_a_turned_edge(k):
+    turned_by = 360 * k / ANGLES
+    got = turned(turns_of(REST, 1), k, jnp.asarray(touched(20, 1.5)[None]))[0]
+    wanted = touched(20 + turned_by, 1.5)
+    assert np.sqrt(np.mean((got - wanted) ** 2)) < 0.05 * np.sqrt(np.mean((wanted - REST) ** 2))
+
+
+def test_pins_that_are_not_seen_count_as_untouched():
+    pins = np.array(touched(20, 1.5)[None])
+    pins[0, 5] = np.nan
+    still = pins.copy()
+    still[0, 5] = REST[5]
+    turns = turns_of(REST, 1)
+    np.testing.assert_array_equal(turned(turns, 3, jnp.asarray(pins)), turned(turns, 3, jnp.asarray(still)))
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_the_twist_turns_and_nothing_else(sense):
+    _, poses = contacts(40, 1)
+    targets, k = of_labels((), poses), 7
+    outputs = pose_targets({"pose": jnp.asarray(poses, jnp.float32)}, targets)
+    after = poses.copy()
+    after[:, 5] += sense * 360 * k / ANGLES
+    wanted = pose_targets({"pose": jnp.asarray(after, jnp.float32)}, targets)
+    np.testing.assert_allclose(turned_outputs(turns_of(REST, sense), k, outputs, targets), wanted, atol=1e-5)
+
+
+@pytest.mark.parametrize("sense", [1, -1])
+def test_the_sense_is_found_in_the_recordings(sense):
+    pins, poses = contacts(600, sense)
+    assert sense_of(REST, pins, poses, of_labels((), poses)) == sense
+
+
+def test_touches_that_do_not_turn_with_their_label_are_refused():
+    pins, poses = contacts(600, 1)
+    with pytest.raises(UserError, match="turned touches do not look like recorded ones"):
+        sense_of(REST, pins[RNG.permutation(600)], poses, of_labels((), poses))
+    with pytest.raises(UserError, match="asks for Rz_deg over the full circle"):
+        sense_of(REST, pins, poses, of_labels(("y_mm", "Rz_deg:range"), poses))
