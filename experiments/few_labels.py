@@ -12,13 +12,19 @@ Expected on two cores: docs/results/few_labels.json, in an hour.
 
 from dataclasses import replace
 
+from jaxunshear.experiment import PINS
 from jaxunshear.fit import BASE
 from jaxunshear.sweep.settings import Sweep
 
 sweep = Sweep(
     name="few_labels",
     claim="Errors over the share of slides with labels, without and with slides that have none.",
-    base=replace(BASE, name="few_labels", unshear=replace(BASE.unshear, input="pins")),
+    base=replace(
+        BASE,
+        name="few_labels",
+        unshear=replace(BASE.unshear, input="pins"),
+        train_pins=replace(PINS, epochs=40),
+    ),
     grid=(
         ("paired.labelled", (0.01, 0.05, 0.1, 0.3, 1.0)),
         (("paired.unlabelled", "pins.turned"), (("left_out", 0.0), ("read", 0.8))),

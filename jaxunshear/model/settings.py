@@ -55,7 +55,7 @@ class PinNet:
     layers: int = 3
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
     hidden_pins: float = 0.0  # share of the pins, at most, that a training example does not show
-    turned: float = 0.0  # share of the examples of those that read poses which are turned about the sensor's axis
+    turned: float = 0.0  # share of posenet_sheared's examples that are turned about the sensor's axis
     pose_code: int = 16  # numbers in z_p
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
 
@@ -67,7 +67,7 @@ def without_pin_codes(net: PinNet) -> PinNet:
 
 
 def without_turns(net: PinNet) -> PinNet:
-    """`net` with what only those that read poses use at its default."""
+    """`net` with what only posenet_sheared uses at its default."""
     return replace(net, turned=PinNet.turned)
 
 

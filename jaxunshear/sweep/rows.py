@@ -125,7 +125,7 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     if isinstance(part.paired, Recorded) and network in (*POSENETS, RENDERER):  # and none of these from pairs
         alone = dataclasses.replace(part.paired, pairing="rendered", pairs="", unlabelled="left_out")
         part = dataclasses.replace(part, paired=alone)
-    if network == RENDERER:
+    if network in (RENDERER, TEACHER, "posenet"):
         part = dataclasses.replace(part, pins=without_turns(part.pins))
     if network in WITHOUT_CODES:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))

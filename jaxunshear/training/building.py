@@ -46,8 +46,9 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
         if network == RENDERER:
             return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
         if network in POSENETS:
-            reader = PinPoseNet(**asdict(without_pin_codes(experiment.pins)))
-            turns = _turns(examples) if reader.turned else None
+            turned = experiment.pins.turned if network == "posenet_sheared" else 0.0
+            turns = _turns(examples) if turned else None
+            reader = PinPoseNet(**plain | {"turned": turned})
             return pin_tasks.pin_posenet_task(reader, training, *known, turns), (field, *sure, *labels)
         codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
         teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None

@@ -74,7 +74,11 @@ def pin_posenet_task(
     weights = posenet.output_weights(targets)
 
     def terms(variables, batch, key):
-        pins, wanted, angle = pinnets.spoilt(net, batch["pins"], key), posenet.pose_targets(batch, targets), jnp.zeros(())
+        pins, wanted, angle = (
+            pinnets.spoilt(net, batch["pins"], key),
+            posenet.pose_targets(batch, targets),
+            jnp.zeros(()),
+        )
         if turns is not None:
             k = _drawn_turn(net.turned, jax.random.fold_in(key, 1))
             pins, wanted, angle = turned(turns, k, pins), turned_outputs(turns, k, wanted, targets), turns.radians[k]
