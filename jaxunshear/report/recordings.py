@@ -32,6 +32,8 @@ def recordings(results: dict[str, Any]) -> str:
     ]
     if told["labelled"] < 1:
         facts.append(f"Labels of {told['labelled']:.0%} of the training slides teach.")
+    if results["settings"]["paired"].get("unlabelled") == "read":
+        facts.append("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
     lead = "Frames of a real sensor: networks learn from train, their best step is chosen on validation, all figures of test."
     return page.section(
         "The recordings",

@@ -144,6 +144,41 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     assert results["pairing"]["gaps"]["train"]["y_mm"]["median"] > 0
 
 
+def test_slides_without_labels_are_read_and_unsheared(command, recording, place, tmp_path):
+    few = (
+        "--paired.labelled",
+        "0.4",
+        "--paired.unlabelled",
+        "read",
+        "--pins.turned",
+        "0.5",
+        "--train_pins.epochs",
+        "8",
+    )
+    words = ("--recordings", recording, "--name", "few", "--out", tmp_path / "runs", "--data", place / "datasets")
+    answer = command(
+        "run",
+        EXPERIMENT,
+        *words,
+        *SHORT[:2],
+        *SHORT[4:],
+        *few,
+        "--networks",
+        "disentangled,posenet",
+        "--targets",
+        "y_mm,Rz_deg",
+    )
+    assert answer.code == 0, answer.err
+    model = json.loads((tmp_path / "runs" / "few" / "posenet_sheared" / "model.json").read_text())
+    assert model["net"]["turned"] == 0.5 and model["origin"]["labelled"] == 0.4
+    results = json.loads((tmp_path / "runs" / "few" / "results.json").read_text())
+    assert results["pose_mae"]["unsheared"]["Rz_deg"] < 0.7 * results["pose_mae"]["sheared"]["Rz_deg"]
+    told = (tmp_path / "runs" / "few" / "report.html").read_text()
+    assert (
+        "Labels of 40% of the training slides teach" in told and "<code>posenet_sheared</code> reads off them" in told
+    )
+
+
 def test_images_take_the_same_road(command, recording, place, tmp_path):
     small = (
         *("--paired.preprocess.size", "32", "--unshear.size", "32", "--posenet.size", "32", "--unshear.widths", "4,4"),
@@ -214,6 +249,9 @@ REFUSED = [
     (("--targets", "y_mm:circle"), "only an angle goes round a circle"),
     (("--paired.pairing", "guess"), "is unknown: use one of rendered, nearest, pose_id, file"),
     (("--paired.labelled", "0"), "a share above 0"),
+    (("--paired.unlabelled", "guessed"), "is unknown: use left_out or read"),
+    (("--paired.unlabelled", "read", "--paired.pairing", "pose_id"), "give no partner for pairing pose_id"),
+    (("--pins.turned", "0.5"), "is for networks over recorded pins"),
     (("--networks", "unet", "--unshear.input", "pins"), "reads images alone"),
     (("--unseen", "flower"), "is a test of simulated touches"),
     (("--train.mirror", "true"), "have no mirror image"),

@@ -166,6 +166,27 @@ def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
     assert np.ptp([angle[n] for n in drawn[1]]) > 250  # rows are sorted by angle: not the first ones
 
 
+def test_slides_without_a_label_get_the_pose_that_is_read(opened):
+    stored = opened(labelled=0.3, pairing="nearest")
+    asked = []
+
+    def read(images, pins):
+        asked.append((images.shape, pins.shape))
+        return np.full((len(pins), 6), 2.5, np.float32)
+
+    few, all_slides = stored.slides(), stored.pairs(stored.targets(()), read=read)
+    rows = all_slides.take("train", np.arange(all_slides.length("train")), ("pose", "number", "sheared_pins"))
+    known = few.take("train", np.arange(few.length("train")), ("pose", "number"))
+    unread = ~np.isin(rows["number"], known["number"])
+    assert len(rows["number"]) == stored.count("slides", "train")
+    assert asked == [((unread.sum(), made.SIZE, made.SIZE), (unread.sum(), 127, 2))]
+    assert np.all(rows["pose"][unread] == 2.5)
+    order = np.argsort(rows["number"][~unread]), np.argsort(known["number"])
+    np.testing.assert_array_equal(rows["pose"][~unread][order[0]], known["pose"][order[1]])
+    assert all_slides.length("validation") == few.length("validation")
+    assert all_slides.length("test") == opened().slides().length("test")
+
+
 def test_labels_of_an_axis_that_stands_still_are_no_target():
     poses = np.zeros((30, 6))
     poses[:, 2], poses[:, 3] = np.linspace(1, 5, 30), np.linspace(-25, 25, 30)
