@@ -92,7 +92,13 @@ class Reader:
             example = shifted(example, *offset.tolist()) if offset.any() else example
             return mirrored(example) if mirror and generator.random() < 0.5 else example
 
-        steps = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
+        order = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat()
+        if (
+            not shift and not mirror and all(len(each) == 1 for each in siblings)
+        ):  # nothing to draw: the same, batch by batch
+            steps = order.batch(batch).map(lambda drawn: self.take("train", drawn, wanted))
+        else:
+            steps = order.random_map(draw).batch(batch)
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
             return (steps[step] for step in itertools.count(start_step))

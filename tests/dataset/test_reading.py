@@ -9,7 +9,7 @@ import pytest
 from jaxunshear.dataset import reading
 from jaxunshear.dataset.configs import VERSION, set_folder
 from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.reading import mirrored, open_set, shifted
+from jaxunshear.dataset.reading import Reader, mirrored, open_set, shifted
 from jaxunshear.dataset.shots import SPLITS, draw
 from jaxunshear.errors import UserError
 
@@ -230,3 +230,21 @@ def test_nobody_is_told_to_delete_a_set_that_the_machine_could_not_read(made, mo
     with pytest.raises(UserError, match=r"cannot read .*Permission denied") as refusal:
         next(made.split("test", 4))
     assert "again" not in str(refusal.value)
+
+
+def test_where_nothing_is_drawn_batches_are_those_of_examples_drawn_one_by_one():
+    generator = np.random.default_rng(0)
+    rows = {
+        "sheared_pins": generator.normal(size=(23, 7, 2)).astype(np.float32),
+        "canonical": generator.integers(0, 256, (23, 16, 16), np.uint8),
+        "stimulus": np.zeros(23, np.int32),
+        "pose_id": np.arange(23),
+    }
+    reader, fields = Reader(lambda split: rows, 16), ("sheared_pins", "canonical")
+
+    for drawn, taken in zip(
+        *(take(reader.train_batches(5, 3, shift, fields)(2), 12) for shift in (1e-9, 0.0)), strict=True
+    ):
+        for field in fields:
+            assert taken[field].dtype == drawn[field].dtype
+            np.testing.assert_array_equal(taken[field], drawn[field])
