@@ -92,16 +92,15 @@ class Reader:
             example = shifted(example, *offset.tolist()) if offset.any() else example
             return mirrored(example) if mirror and generator.random() < 0.5 else example
 
-        order = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat()
-        if (
+        drawn = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
+        order = _shuffled(self.length("train"), batch, seed)
+        still = (
             not shift and not mirror and all(len(each) == 1 for each in siblings)
-        ):  # nothing to draw: the same, batch by batch
-            steps = order.batch(batch).map(lambda drawn: self.take("train", drawn, wanted))
-        else:
-            steps = order.random_map(draw).batch(batch)
+        )  # then nothing is drawn of an example
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
-            return (steps[step] for step in itertools.count(start_step))
+            steps = itertools.count(start_step)
+            return (self.take("train", order(step), wanted) if still else drawn[step] for step in steps)
 
         return from_step
 
@@ -173,6 +172,21 @@ def mirrored(example: Batch) -> Batch:
 def _overlap(offset: int, size: int) -> tuple[slice, slice]:
     """Where a shifted axis lands, and what of it stays in view."""
     return slice(max(offset, 0), size + min(offset, 0)), slice(max(-offset, 0), size - max(offset, 0))
+
+
+def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
+    """Step -> the rows (batch,) of its examples: all `count` of them in every epoch, in another order. Drawing these one by one takes
+    longer than a step of a small network over pins."""
+
+    @functools.lru_cache(maxsize=2)
+    def epoch(number: int) -> np.ndarray:
+        return np.random.default_rng((seed, number)).permutation(count)
+
+    def rows(step: int) -> np.ndarray:
+        places = np.arange(step * batch, (step + 1) * batch)
+        return np.array([epoch(place // count)[place % count] for place in places])
+
+    return rows
 
 
 def _siblings(rows: Batch) -> list[np.ndarray]:

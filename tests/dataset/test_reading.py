@@ -232,19 +232,19 @@ def test_nobody_is_told_to_delete_a_set_that_the_machine_could_not_read(made, mo
     assert "again" not in str(refusal.value)
 
 
-def test_where_nothing_is_drawn_batches_are_those_of_examples_drawn_one_by_one():
-    generator = np.random.default_rng(0)
+def test_where_nothing_is_drawn_every_epoch_has_every_row_once():
     rows = {
-        "sheared_pins": generator.normal(size=(23, 7, 2)).astype(np.float32),
-        "canonical": generator.integers(0, 256, (23, 16, 16), np.uint8),
-        "stimulus": np.zeros(23, np.int32),
+        "sheared_pins": np.arange(23.0),
+        "pose": -np.arange(23.0),
+        "stimulus": np.zeros(23),
         "pose_id": np.arange(23),
     }
-    reader, fields = Reader(lambda split: rows, 16), ("sheared_pins", "canonical")
-
-    for drawn, taken in zip(
-        *(take(reader.train_batches(5, 3, shift, fields)(2), 12) for shift in (1e-9, 0.0)), strict=True
-    ):
-        for field in fields:
-            assert taken[field].dtype == drawn[field].dtype
-            np.testing.assert_array_equal(taken[field], drawn[field])
+    batches = Reader(lambda split: rows, 16).train_batches(5, 3, 0.0, ("sheared_pins", "pose"))
+    seen = take(batches(0), 23)
+    assert all(np.array_equal(batch["sheared_pins"], -batch["pose"]) for batch in seen)
+    order = np.concatenate([batch["sheared_pins"] for batch in seen]).reshape(5, 23)
+    assert all(np.array_equal(np.sort(epoch), np.arange(23)) for epoch in order)
+    assert len({tuple(epoch) for epoch in order}) == 5
+    np.testing.assert_array_equal(next(batches(7))["pose"], seen[7]["pose"])
+    other = next(Reader(lambda split: rows, 16).train_batches(5, 4, 0.0, ("pose",))(0))
+    assert not np.array_equal(other["pose"], seen[0]["pose"])
