@@ -1,43 +1,78 @@
-"""The table of README on real skin, from docs/results: `python docs/make_tables.py` prints it; a test compares."""
+"""Tables of recorded touches in README and docs, from docs/results: `python docs/make_tables.py` prints them; a test compares."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
 COLUMNS = (("y_mm", 2), ("Rz_deg", 1))
 ROWS = {
-    "taps": ("taps: pose/tap", "tap"),
-    "slides as recorded": ("pose/sheared", "sheared"),
-    "**slides unsheared**": ("pose/disentangled", "unsheared"),
-    "slides, by a PoseNet that learnt from labelled slides": ("pose/sheared_learnt", "sheared_learnt"),
+    "taps": "taps: pose/tap",
+    "slides as recorded": "pose/sheared",
+    "**slides unsheared**": "pose/disentangled",
+    "slides, by a PoseNet that learnt from labelled slides": "pose/sheared_learnt",
+    "unsheared less learnt directly": "difference/sheared_learnt",
 }
+SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
+WAYS = {"left_out": "labelled slides alone", "read": "all slides, turned pins"}
+PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
 
 
 def real_skin() -> str:
-    """Errors over pins (three seeds) and over images (one), each with its 95 % interval."""
-    pins = json.loads((RESULTS / "recorded_pins.json").read_text())["cells"][0]["metrics"]
-    images = json.loads((RESULTS / "recorded_images.json").read_text())
-    spread = images["spread"]
+    """Errors over pins and over images, each with its 95 % interval over seeds and contacts."""
+    inputs = [_cells(name)[0]["metrics"] for name in ("recorded_pins", "recorded_images")]
     lines = [
         "| a PoseNet that learnt from taps reads | pins: y, mm | pins: Rz, deg | images: y, mm | images: Rz, deg |",
         "|---|---|---|---|---|",
     ]
-    for name, (over_pins, over_images) in ROWS.items():
-        cells = [_cell(pins[f"{over_pins}/{q}"]["mean"], pins[f"{over_pins}/{q}"]["interval"], d) for q, d in COLUMNS]
-        cells += [_cell(images["pose_mae"][over_images][q], spread["pose_mae"][over_images][q], d) for q, d in COLUMNS]
-        lines.append(f"| {name} | {' | '.join(cells)} |")
-    undone = [pins[f"pose_recovery/disentangled/{q}"] for q, _ in COLUMNS]
-    cells = [_cell(each["mean"], each["interval"], 2) for each in undone]
-    recovery = (images["pose_recovery"]["unsheared"], spread["pose_recovery"]["unsheared"])
-    cells += [_cell(recovery[0][q], recovery[1][q], 2) for q, _ in COLUMNS]
-    lines.append(f"| recovery: the share of the slide's damage undone | {' | '.join(cells)} |")
+    lines += [
+        _line(name, [_cell(one[f"{key}/{q}"], d) for one in inputs for q, d in COLUMNS]) for name, key in ROWS.items()
+    ]
+    undone = [_cell(one[f"pose_recovery/disentangled/{q}"], 2) for one in inputs for q, _ in COLUMNS]
+    return "\n".join([*lines, _line("recovery: the share of the slide's damage undone", undone)])
+
+
+def few_labels() -> str:
+    """Errors over the share of slides with labels, by what is learnt from, unsheared and learnt directly."""
+    ways = [f"{learnt} ({what})" for what in WAYS.values() for learnt in ("directly", "unsheared")]
+    lines = [f"| slides with a label | {' | '.join(ways)} |", "|---|" + "---|" * len(ways)]
+    cells = {cell["label"]: cell["metrics"] for cell in _cells("few_labels")}
+    for share in SHARES:
+        found = []
+        for way in WAYS:
+            (metrics,) = (m for label, m in cells.items() if f"labelled={share}," in label and f"={way}:" in label)
+            for key in ("sheared_learnt", "disentangled"):
+                y, angle = (metrics[f"pose/{key}/{q}"]["mean"] for q, _ in COLUMNS)
+                found.append(f"{y:.2f} / {angle:.1f}")
+        lines.append(_line(f"{float(share):.0%}", found))
     return "\n".join(lines)
 
 
-def _cell(value: float, interval: list[float], digits: int) -> str:
-    low, high = interval
-    return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+def pairings() -> str:
+    """Errors by what a slide is paired with."""
+    lines = ["| a slide's partner | unsheared: y, mm | unsheared: Rz, deg |", "|---|---|---|"]
+    for cell in _cells("pairings"):
+        (name,) = (told for way, told in PAIRINGS.items() if way in cell["label"])
+        lines.append(_line(name, [_cell(cell["metrics"][f"pose/disentangled/{q}"], d) for q, d in COLUMNS]))
+    return "\n".join(lines)
 
+
+def _cells(name: str) -> list[dict[str, Any]]:
+    return json.loads((RESULTS / f"{name}.json").read_text())["cells"]
+
+
+def _line(name: str, cells: list[str]) -> str:
+    return f"| {name} | {' | '.join(cells)} |"
+
+
+def _cell(metric: dict[str, Any], digits: int) -> str:
+    low, high = metric["interval"]
+    return f"{metric['mean']:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+TABLES = {"README.md": (real_skin,), "docs/your-own-recordings.md": (few_labels, pairings)}
 
 if __name__ == "__main__":
-    print(real_skin())
+    for page, tables in TABLES.items():
+        for table in tables:
+            print(f"{page}\n\n{table()}\n")

@@ -58,15 +58,22 @@ def add_parsers(commands: Any) -> None:
     parser = command("bench", "error against run time", "sim: folder for the figure")
     parser.add_argument(
         "what",
-        choices=("sim", "train", "infer", "needs", "pins", "stream"),
-        help="the simulator, the networks, parts left out, pins of images, or a robot's perception",
+        choices=("sim", "train", "infer", "needs", "pins", "stream", "strangers"),
+        help="the simulator, the networks, parts left out, pins of images, a robot's perception, or images of no sensor of ours",
     )
     parser.add_argument("--level", choices=LEVEL_NAMES, help="sim: only rows of this level")
     parser.add_argument(
         "--batch", metavar="N", type=int, help="sim, train, infer: only rows with N scenes or images in a batch"
     )
     parser.add_argument("--size", metavar="PX", type=int, help="all but sim: only images of this size")
-    parser.add_argument("--seed", metavar="N", type=int, help="pins: of the contacts (0)")
+    parser.add_argument("--seed", metavar="N", type=int, help="pins, strangers: of the contacts (0)")
+    parser.add_argument(
+        "--recordings",
+        metavar="DIR",
+        type=Path,
+        action="append",
+        help="strangers: of 331 pins, beside simulated ones; repeat it",
+    )
 
     parser = command("calibrate", "fit camera, pins, friction and stiffness to recordings", "folder for figures")
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
@@ -155,6 +162,7 @@ BENCH_OPTIONS: dict[str, tuple[str, ...]] = {
     "needs": ("size",),
     "pins": ("size", "seed"),
     "stream": ("size",),
+    "strangers": ("recordings", "seed"),
 }
 
 
@@ -179,6 +187,16 @@ def _bench(arguments: argparse.Namespace, keep: Keep) -> int:
     return 0
 
 
+def _bench_strangers(arguments: argparse.Namespace, keep: Keep) -> int:
+    from jaxunshear.applications.table import plain_table
+    from jaxunshear.checks import confidence
+
+    rows = confidence.bench(arguments.recordings or [], arguments.seed or 0)
+    print(plain_table(rows, ("name", "images", "refused", "accepted", "low", "high", "auc")))
+    keep(rows)
+    return 0
+
+
 def _bench_networks(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.checks import bench_networks
 
@@ -188,6 +206,8 @@ def _bench_networks(arguments: argparse.Namespace, keep: Keep) -> int:
         return _bench_needs(arguments, keep)
     if arguments.what == "pins":
         return _bench_pins(arguments, keep)
+    if arguments.what == "strangers":
+        return _bench_strangers(arguments, keep)
     if arguments.what == "stream":
         rows = bench_networks.bench_stream(arguments.size)
     else:

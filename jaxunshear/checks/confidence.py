@@ -5,6 +5,7 @@ base, weights = calibrate([observe(group, seed=0) for group in groups])
 rows = measure([observe(group, seed=1) for group in others])  # shares refused of each set, accepted of each kind; AUC
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,12 +20,26 @@ from jaxunshear.image.pins import find_pins
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.image.settings import Camera, Preprocess
 from jaxunshear.image.understood import ALLOWED, ENOUGH, Expected, Seen, differences, expected_of, score, seen_of
-from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.progress import Progress
+from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor
 
 SIZE = 128
+COUNT = 100  # images of a group
 LATTICE_FROM = 60  # recorded images, at most, which are not judged
 STRICT = 3e-4  # of the penalty on weights, without which kinds that are told apart at a glance make them endless
 SURE = 1.96  # standard deviations: intervals of 95 %
+
+
+def bench(folders: Sequence[Path], seed: int) -> list[dict[str, Any]]:
+    """Rows of `measure` for simulated sensors and for recordings in `folders`. Raises UserError."""
+    groups = [simulated(sensor, Camera(), COUNT, seed) for sensor in (TACTIP_331, TACTIP_127)]
+    groups += [recorded(folder, COUNT, seed) for folder in folders]
+    with Progress("strangers", len(groups), unit="groups") as progress:
+        observed = []
+        for group in groups:
+            observed.append(observe(group, seed))
+            progress.advance()
+    return measure(observed)
 
 
 class Group(NamedTuple):
@@ -52,7 +67,7 @@ def recorded(folder: Path, count: int, seed: int, expected: Expected | None = No
     if expected is None:
         pins = [find_pins(image) for image in images[:first]]
         expected = expected_of(fit_lattice(pins, layout_of(TACTIP_331)).place, SIZE)
-    return Group(f"recorded, {folder.name}", _half_varied(images[first : first + count], seed), expected)
+    return Group(f"recorded, {'/'.join(folder.parts[-3:])}", _half_varied(images[first : first + count], seed), expected)
 
 
 def _half_varied(images: np.ndarray, seed: int) -> np.ndarray:

@@ -1,6 +1,9 @@
+import json
+
 import numpy as np
 import pytest
 
+from jaxunshear.checks import confidence
 from jaxunshear.checks.confidence import Group, Observed, auc, calibrate, measure, recorded, wilson
 from jaxunshear.image.understood import ALLOWED, Expected, Seen, verdict
 
@@ -36,6 +39,16 @@ def test_rows(observed):
     doubled = [observed[0]._replace(strange={"the same": observed[0].known})]
     rows = {row["name"]: row for row in measure(doubled)}
     assert rows["the same"]["auc"] == 0.5 and rows["the same"]["accepted"] == 1
+
+
+def test_the_command_keeps_its_rows(command, monkeypatch, tmp_path):
+    monkeypatch.setattr(confidence, "COUNT", 4)
+    answer = command("bench", "strangers", "--seed", "3", "--json", tmp_path / "rows.json")
+    assert answer.code == 0, answer.err
+    rows = {row["name"]: row for row in json.loads((tmp_path / "rows.json").read_text())["rows"]}
+    assert rows["simulated, tactip331"]["images"] == rows["white noise"]["images"] / 2 == 4
+    assert rows["all known"]["refused"] == 0 and rows["white noise"]["accepted"] == 0 and "white noise" in answer.out
+    assert command("bench", "strangers", "--size", "128").code == 2
 
 
 def test_auc():
