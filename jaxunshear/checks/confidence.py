@@ -67,7 +67,9 @@ def recorded(folder: Path, count: int, seed: int, expected: Expected | None = No
     if expected is None:
         pins = [find_pins(image) for image in images[:first]]
         expected = expected_of(fit_lattice(pins, layout_of(TACTIP_331)).place, SIZE)
-    return Group(f"recorded, {'/'.join(folder.parts[-3:])}", _half_varied(images[first : first + count], seed), expected)
+    return Group(
+        f"recorded, {'/'.join(folder.parts[-3:])}", _half_varied(images[first : first + count], seed), expected
+    )
 
 
 def _half_varied(images: np.ndarray, seed: int) -> np.ndarray:
