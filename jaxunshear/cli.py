@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxunshear import __version__, cli_applications, cli_checks, cli_recordings, cli_sweep, cli_validate
 from jaxunshear.errors import Note, UserError
+from jaxunshear.owners import check_apart
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
 if TYPE_CHECKING:
@@ -208,9 +209,7 @@ def _run(argv: list[str]) -> int:
         arguments = _parser().parse_args(cli_checks.joined(list(words)))
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
-    check_new_file(getattr(arguments, "json", None))
-    if arguments.command not in DRAWN:
-        check_new_folder(getattr(arguments, "out", None))
+    _check_places(arguments)
     command = shlex.join(["jaxunshear", *argv])
     if arguments.command in STAGES:
         _stages(arguments, fields, command)
@@ -239,6 +238,20 @@ def _run(argv: list[str]) -> int:
     return 0
 
 
+def _check_places(arguments: argparse.Namespace) -> None:
+    """Refuses, before any work, places for results where these cannot be written or would replace what others live on."""
+    json, out = getattr(arguments, "json", None), getattr(arguments, "out", None)
+    check_apart(json, "--json")
+    check_new_file(json)
+    for option, value in vars(arguments).items():
+        if json is not None and option != "json" and isinstance(value, Path) and value.resolve() == json.resolve():
+            raise UserError(f"--json {json} is also what this command reads or writes: name another file")
+    if arguments.command not in DRAWN:
+        check_new_folder(out)
+    if arguments.command not in (*STAGES, "sweep", *cli_applications.COMMANDS):  # these have folders of their own
+        check_apart(out, "--out")
+
+
 def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> None:
     from jaxunshear.experiment import trained
 
@@ -256,6 +269,7 @@ def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> N
         if arguments.network not in networks:
             raise UserError(f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}")
         networks = (arguments.network,)
+    check_apart(getattr(arguments, "json", None), "--json", home=arguments.out / experiment.name)
     stages = [name for stage in STAGES[arguments.command] for name in (networks if stage == NETWORKS else (stage,))]
     from jaxunshear.memory import keep_freed_memory
     from jaxunshear.run import run_stages

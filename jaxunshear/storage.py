@@ -65,7 +65,7 @@ BROKEN_NPZ = (OSError, ValueError, EOFError, KeyError, RuntimeError, zlib.error,
 
 
 def check_new_file(path: Path | None, option: str = "--json") -> None:
-    """Refuses, before there is work to lose, a file for JSON that is a folder, lies in a file, or holds something else."""
+    """Refuses, before there is work to lose, a file for JSON that is a folder, lies in a file, or holds what no command wrote there."""
     if path is None:
         return
     if Path(path).is_dir():
@@ -73,11 +73,19 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
     above = _file_above(Path(path))
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
-    if Path(path).is_file():
-        with Path(path).open("rb") as file:
-            begins = file.read(1)
-        if begins not in (b"", b"{"):
-            raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
+    if Path(path).is_file() and Path(path).stat().st_size and not _measured(Path(path)):
+        raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
+
+
+def _measured(path: Path) -> bool:
+    """Whether a file is of `--json`, whose writers tell machines and versions, or of `--lines`."""
+    with path.open("rb") as file:
+        line = file.readline(2**20)
+    with contextlib.suppress(ValueError, TypeError):
+        if "frame" in json.loads(line):
+            return True
+    held = read_json_if_sound(path)
+    return isinstance(held, dict) and "versions" in held and not held.keys().isdisjoint(("machine", "machines"))
 
 
 def check_new_folder(path: Path | None, option: str = "--out") -> None:
