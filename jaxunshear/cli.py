@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxunshear import __version__, cli_applications, cli_checks, cli_recordings, cli_sweep, cli_validate
+from jaxunshear.environment import check_environment, check_links, settle
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
@@ -39,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can mend (one line); 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
     warnings.formatwarning = _noted
+    settle()
     try:
         return _run(argv)
     except UserError as error:
@@ -209,7 +211,10 @@ def _run(argv: list[str]) -> int:
         arguments = _parser().parse_args(cli_checks.joined(list(words)))
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
+    check_links(vars(arguments).values())
     _check_places(arguments)
+    if arguments.command not in (*DRAWN, "report"):
+        check_environment()
     command = shlex.join(["jaxunshear", *argv])
     if arguments.command in STAGES:
         _stages(arguments, fields, command)

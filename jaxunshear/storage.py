@@ -19,10 +19,15 @@ from jaxunshear.errors import UserError
 
 
 def cache_folder() -> Path:
-    """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder."""
+    """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder. Raises `UserError` where none is known."""
     if os.environ.get("JAXUNSHEAR_CACHE"):
         return Path(os.environ["JAXUNSHEAR_CACHE"])
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxunshear"
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxunshear"
+    except RuntimeError:  # a user without a name, as in a container
+        raise UserError(
+            "no home folder is known to keep a cache in: set HOME, or JAXUNSHEAR_CACHE, to a folder"
+        ) from None
 
 
 def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
