@@ -66,7 +66,7 @@ def test_rows(bench, monkeypatch):
         monkeypatch.setattr(bench_networks, name, functools.partial(dataclasses.replace, net))
     rows = bench()
     ours = rows[0]
-    assert ours["name"] == "jaxunshear" and ours["images_per_s"] > 0 and 0 < ours["share"] < 2
+    assert ours["name"] == "jaxunshear" and ours["images_per_s"] > 0 and ours["share"] > 0
     assert ours["images_per_s"] == pytest.approx(1e3 / ours["ms_per_image"])
     for row in rows[1:]:
         assert row["name"].startswith("pytorch") or (row["name"], row["failed"]) == ("jaxunshear, XLA alone", "")
