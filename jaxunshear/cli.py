@@ -26,6 +26,8 @@ STAGES = {
     "run": ("data", NETWORKS, "evaluate", "report"),
     "fit": ("data", NETWORKS, "evaluate", "report"),
 }
+CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
+AGAIN = "the same command begins anew"
 DRAWN = ("sensors", "stimuli")
 OWN_OPTIONS = (
     *("--help", "--out", "--data", "--json", "--network", "--recordings", "--taps", "--slides", "--pairs"),
@@ -46,14 +48,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     except UserError as error:
         return _complain(str(error))
     except KeyboardInterrupt:
-        print("stopped; run the same command to continue", file=sys.stderr)
+        goes_on = bool(argv) and argv[0] in CONTINUED
+        print(f"stopped; {'run the same command to continue' if goes_on else AGAIN}", file=sys.stderr)
         return 130
     except BrokenPipeError:
         sys.stdout = None  # whoever read us has gone: nothing more can be said there
         return 141
     except Exception as error:
         if disk_is_full(error):
-            return _complain("the disk is full; free some space, then run the same command to continue")
+            return _complain("the disk is full; free some space, then run the same command")
         if isinstance(error, OSError) and error.filename is not None:
             return _complain(f"{error.filename}: {error.strerror}")
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):

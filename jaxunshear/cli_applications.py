@@ -344,6 +344,7 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
     if arguments.images is not None and Path(arguments.source).exists():
         check_beside(Path(arguments.source), arguments.images, "--images")
     check_new_file(arguments.lines, "--lines")
+    check_new_folder(arguments.images, "--images")
     check_apart(arguments.lines, "--lines")
     check_apart(arguments.images, "--images")
     folder, experiment = model

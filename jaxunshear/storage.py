@@ -10,6 +10,7 @@ import errno
 import io
 import json
 import os
+import tempfile
 import zipfile
 import zlib
 from pathlib import Path
@@ -80,6 +81,7 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
         raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
     if Path(path).is_file() and Path(path).stat().st_size and not _measured(Path(path)):
         raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
+    _check_writable(Path(path).absolute().parent, f"{option} {path}")
 
 
 def _measured(path: Path) -> bool:
@@ -102,6 +104,16 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
     above = _file_above(Path(path))
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name another folder")
+    _check_writable(Path(path).absolute(), f"{option} {path}")
+
+
+def _check_writable(folder: Path, named: str) -> None:
+    """By a file without a name in it, or in the nearest folder above that is there: rights alone do not tell of file systems."""
+    place = next(above for above in (folder, *folder.parents) if above.exists())
+    try:
+        tempfile.TemporaryFile(dir=place).close()
+    except OSError as error:
+        raise UserError(f"{named}: {place} cannot be written ({error.strerror or error}): name another place") from None
 
 
 def _file_above(path: Path) -> Path | None:

@@ -220,6 +220,34 @@ def test_an_interrupt_says_how_to_go_on(monkeypatch, command):
     assert (answer.code, answer.err) == (130, "stopped; run the same command to continue\n")
 
 
+@pytest.mark.parametrize(
+    ("name", "module"), [("identify", "calibration.identify.run"), ("verify", "checks.verify.verify")]
+)
+def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, command, name, module):
+    monkeypatch.setattr(f"jaxunshear.{module}", fails_with(KeyboardInterrupt()))
+    answer = command(name)
+    assert (answer.code, answer.err) == (130, f"stopped; {cli.AGAIN}\n")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("pins", "IMAGE", "--out", "/proc/new"),
+        ("pins", "IMAGE", "--json", "/proc/new/a.json"),
+        ("identify", "--out", "/proc/new"),
+        ("servo", "--out", "/proc/new"),
+        ("stream", "IMAGE", "--images", "/proc/new"),
+        ("stream", "IMAGE", "--lines", "/proc/new/a"),
+        ("run", DEMO, "--out", "/proc/new"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_before_any_work(command, no_stage, tmp_path, words):
+    Image.fromarray(np.eye(64, dtype=np.uint8) * 255).save(tmp_path / "a.png")
+    answer = command(*(tmp_path / "a.png" if word == "IMAGE" else word for word in words))
+    is_one_line(answer)
+    assert "/proc cannot be written" in answer.err and "name another place" in answer.err
+
+
 def test_a_bug_keeps_its_traceback(monkeypatch, command):
     with pytest.raises(ZeroDivisionError):
         run_with(monkeypatch, command, fails_with(ZeroDivisionError()))

@@ -74,6 +74,18 @@ def test_rows(bench, monkeypatch):
     assert "jaxunshear" in bench_networks.table(rows)
 
 
+def test_what_is_not_installed_has_not_failed():
+    def absent():
+        raise ModuleNotFoundError(name="torch")
+
+    def broken():
+        raise RuntimeError("no")
+
+    sides = iter([("jaxunshear", lambda: lambda: None), ("pytorch", absent), ("pytorch, other", broken)])
+    said = bench_networks.table(bench_networks._compared(sides, 32, 1, 1, 1))
+    assert "torch is not installed" in said and said.count("FAILED") == 1 and "FAILED: RuntimeError: no" in said
+
+
 @pytest.mark.parametrize(("size", "batch"), [(100, 1), (128, 0)])
 def test_what_cannot_be_measured_is_refused(size, batch):
     with pytest.raises(UserError, match=rf"--size {size}:|--batch {batch}:"):
