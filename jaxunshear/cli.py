@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from jaxunshear import __version__, cli_applications, cli_checks, cli_recordings, cli_sweep, cli_validate
+from jaxunshear.environment import check_environment, check_links, settle
 from jaxunshear.errors import Note, UserError
+from jaxunshear.owners import check_apart
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
 if TYPE_CHECKING:
@@ -24,6 +26,8 @@ STAGES = {
     "run": ("data", NETWORKS, "evaluate", "report"),
     "fit": ("data", NETWORKS, "evaluate", "report"),
 }
+CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
+AGAIN = "the same command begins anew"
 DRAWN = ("sensors", "stimuli")
 OWN_OPTIONS = (
     *("--help", "--out", "--data", "--json", "--network", "--recordings", "--taps", "--slides", "--pairs"),
@@ -38,19 +42,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can mend (one line); 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
     warnings.formatwarning = _noted
+    settle()
     try:
         return _run(argv)
     except UserError as error:
         return _complain(str(error))
     except KeyboardInterrupt:
-        print("stopped; run the same command to continue", file=sys.stderr)
+        goes_on = bool(argv) and argv[0] in CONTINUED
+        print(f"stopped; {'run the same command to continue' if goes_on else AGAIN}", file=sys.stderr)
         return 130
     except BrokenPipeError:
         sys.stdout = None  # whoever read us has gone: nothing more can be said there
         return 141
     except Exception as error:
         if disk_is_full(error):
-            return _complain("the disk is full; free some space, then run the same command to continue")
+            return _complain("the disk is full; free some space, then run the same command")
         if isinstance(error, OSError) and error.filename is not None:
             return _complain(f"{error.filename}: {error.strerror}")
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
@@ -208,9 +214,10 @@ def _run(argv: list[str]) -> int:
         arguments = _parser().parse_args(cli_checks.joined(list(words)))
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
-    check_new_file(getattr(arguments, "json", None))
-    if arguments.command not in DRAWN:
-        check_new_folder(getattr(arguments, "out", None))
+    check_links(vars(arguments).values())
+    _check_places(arguments)
+    if arguments.command not in (*DRAWN, "report"):
+        check_environment()
     command = shlex.join(["jaxunshear", *argv])
     if arguments.command in STAGES:
         _stages(arguments, fields, command)
@@ -239,6 +246,20 @@ def _run(argv: list[str]) -> int:
     return 0
 
 
+def _check_places(arguments: argparse.Namespace) -> None:
+    """Refuses, before any work, places for results where these cannot be written or would replace what others live on."""
+    json, out = getattr(arguments, "json", None), getattr(arguments, "out", None)
+    check_apart(json, "--json")
+    check_new_file(json)
+    for option, value in vars(arguments).items():
+        if json is not None and option != "json" and isinstance(value, Path) and value.resolve() == json.resolve():
+            raise UserError(f"--json {json} is also what this command reads or writes: name another file")
+    if arguments.command not in DRAWN:
+        check_new_folder(out)
+    if arguments.command not in (*STAGES, "sweep", *cli_applications.COMMANDS):  # these have folders of their own
+        check_apart(out, "--out")
+
+
 def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> None:
     from jaxunshear.experiment import trained
 
@@ -256,6 +277,7 @@ def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> N
         if arguments.network not in networks:
             raise UserError(f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}")
         networks = (arguments.network,)
+    check_apart(getattr(arguments, "json", None), "--json", home=arguments.out / experiment.name)
     stages = [name for stage in STAGES[arguments.command] for name in (networks if stage == NETWORKS else (stage,))]
     from jaxunshear.memory import keep_freed_memory
     from jaxunshear.run import run_stages

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import simulated_of
+from jaxunshear.owners import check_apart
 from jaxunshear.storage import check_beside, check_new_file, check_new_folder
 
 if TYPE_CHECKING:
@@ -119,6 +120,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     home = results_folder(model[0] if model and finished else Path(), arguments.command)
     out = home if arguments.command == "stream" else arguments.out or home
     check_new_folder(out)
+    if out.resolve() != home.resolve():
+        check_apart(out, "--out")
     work: dict[str, Callable[..., dict[str, Any]]] = {
         "pins": _pins,
         "geometry": _geometry,
@@ -341,6 +344,9 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
     if arguments.images is not None and Path(arguments.source).exists():
         check_beside(Path(arguments.source), arguments.images, "--images")
     check_new_file(arguments.lines, "--lines")
+    check_new_folder(arguments.images, "--images")
+    check_apart(arguments.lines, "--lines")
+    check_apart(arguments.images, "--images")
     folder, experiment = model
     robot = robot_of(folder, experiment, arguments.precision, arguments.way)
     frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)

@@ -74,11 +74,13 @@ def run(arguments: argparse.Namespace, fields: list[str], command: str) -> int:
         sweep = dataclasses.replace(sweep, base=with_recordings(sweep.base, *words))
     check(sweep, str(arguments.file))
 
+    from jaxunshear.owners import check_apart
     from jaxunshear.storage import write_json
     from jaxunshear.sweep import engines
     from jaxunshear.sweep.run import run_sweep
     from jaxunshear.sweep.table import table
 
+    check_apart(arguments.json, "--json", home=arguments.out / sweep.name)
     engine: engines.Engine = engines.serial
     if arguments.engine == "ray":
         engine = engines.ray_engine(arguments.ray_address, arguments.ray_cores or 2)

@@ -10,6 +10,7 @@ import errno
 import io
 import json
 import os
+import tempfile
 import zipfile
 import zlib
 from pathlib import Path
@@ -19,10 +20,15 @@ from jaxunshear.errors import UserError
 
 
 def cache_folder() -> Path:
-    """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder."""
+    """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder. Raises `UserError` where none is known."""
     if os.environ.get("JAXUNSHEAR_CACHE"):
         return Path(os.environ["JAXUNSHEAR_CACHE"])
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxunshear"
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxunshear"
+    except RuntimeError:  # a user without a name, as in a container
+        raise UserError(
+            "no home folder is known to keep a cache in: set HOME, or JAXUNSHEAR_CACHE, to a folder"
+        ) from None
 
 
 def os_error(path: Path, error: OSError, verb: str = "write") -> UserError:
@@ -65,7 +71,7 @@ BROKEN_NPZ = (OSError, ValueError, EOFError, KeyError, RuntimeError, zlib.error,
 
 
 def check_new_file(path: Path | None, option: str = "--json") -> None:
-    """Refuses, before there is work to lose, a file for JSON that is a folder, lies in a file, or holds something else."""
+    """Refuses, before there is work to lose, a file for JSON that is a folder, lies in a file, or holds what no command wrote there."""
     if path is None:
         return
     if Path(path).is_dir():
@@ -73,11 +79,20 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
     above = _file_above(Path(path))
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
-    if Path(path).is_file():
-        with Path(path).open("rb") as file:
-            begins = file.read(1)
-        if begins not in (b"", b"{"):
-            raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
+    if Path(path).is_file() and Path(path).stat().st_size and not _measured(Path(path)):
+        raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
+    _check_writable(Path(path).absolute().parent, f"{option} {path}")
+
+
+def _measured(path: Path) -> bool:
+    """Whether a file is of `--json`, whose writers tell machines and versions, or of `--lines`."""
+    with path.open("rb") as file:
+        line = file.readline(2**20)
+    with contextlib.suppress(ValueError, TypeError):
+        if "frame" in json.loads(line):
+            return True
+    held = read_json_if_sound(path)
+    return isinstance(held, dict) and "versions" in held and not held.keys().isdisjoint(("machine", "machines"))
 
 
 def check_new_folder(path: Path | None, option: str = "--out") -> None:
@@ -89,6 +104,16 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
     above = _file_above(Path(path))
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name another folder")
+    _check_writable(Path(path).absolute(), f"{option} {path}")
+
+
+def _check_writable(folder: Path, named: str) -> None:
+    """By a file without a name in it, or in the nearest folder above that is there: rights alone do not tell of file systems."""
+    place = next(above for above in (folder, *folder.parents) if above.exists())
+    try:
+        tempfile.TemporaryFile(dir=place).close()
+    except OSError as error:
+        raise UserError(f"{named}: {place} cannot be written ({error.strerror or error}): name another place") from None
 
 
 def _file_above(path: Path) -> Path | None:

@@ -1,5 +1,6 @@
 """How figures look. Imports no Matplotlib."""
 
+from textwrap import wrap
 from typing import Any
 
 INK, FAINT = "#1c2330", "#8a93a3"
@@ -31,3 +32,14 @@ STYLE: Any = {  # the names are a closed list of matplotlib's
     "axes.axisbelow": True,
     "legend.frameon": False,
 }
+ABREAST, PANEL_IN, DPI = (
+    3,
+    3.5,
+    110,
+)  # panels of a picture side by side: what a report's page shows without making it smaller
+HEAD, LABEL = 9, 8  # points: of titles, and of all that is smaller
+
+
+def headed(text: str, columns: int) -> str:
+    """A title over `columns` panels, in as many lines as it takes."""
+    return "\n".join(wrap(text, 48 * columns))

@@ -4,7 +4,6 @@ import errno
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -221,6 +220,34 @@ def test_an_interrupt_says_how_to_go_on(monkeypatch, command):
     assert (answer.code, answer.err) == (130, "stopped; run the same command to continue\n")
 
 
+@pytest.mark.parametrize(
+    ("name", "module"), [("identify", "calibration.identify.run"), ("verify", "checks.verify.verify")]
+)
+def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, command, name, module):
+    monkeypatch.setattr(f"jaxunshear.{module}", fails_with(KeyboardInterrupt()))
+    answer = command(name)
+    assert (answer.code, answer.err) == (130, f"stopped; {cli.AGAIN}\n")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("pins", "IMAGE", "--out", "/proc/new"),
+        ("pins", "IMAGE", "--json", "/proc/new/a.json"),
+        ("identify", "--out", "/proc/new"),
+        ("servo", "--out", "/proc/new"),
+        ("stream", "IMAGE", "--images", "/proc/new"),
+        ("stream", "IMAGE", "--lines", "/proc/new/a"),
+        ("run", DEMO, "--out", "/proc/new"),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_refused_before_any_work(command, no_stage, tmp_path, words):
+    Image.fromarray(np.eye(64, dtype=np.uint8) * 255).save(tmp_path / "a.png")
+    answer = command(*(tmp_path / "a.png" if word == "IMAGE" else word for word in words))
+    is_one_line(answer)
+    assert "/proc cannot be written" in answer.err and "name another place" in answer.err
+
+
 def test_a_bug_keeps_its_traceback(monkeypatch, command):
     with pytest.raises(ZeroDivisionError):
         run_with(monkeypatch, command, fails_with(ZeroDivisionError()))
@@ -273,7 +300,7 @@ def test_lists_and_drawings(command, tmp_path):
         ["unshear"],
     ],
 )
-def test_help_and_refusals_take_half_a_second_and_no_jax(words):
+def test_help_and_refusals_take_nothing_heavy(words):
     probe = (
         "import sys\n"
         "from jaxunshear.cli import main\n"
@@ -281,13 +308,8 @@ def test_help_and_refusals_take_half_a_second_and_no_jax(words):
         "heavy = {'jax', 'flax', 'scipy', 'matplotlib', 'skimage', 'tensorflow_datasets'} & set(sys.modules)\n"
         "sys.exit(f'imported {heavy}' if heavy else code)\n"
     )
-    seconds = []
-    for _ in range(5):  # the machine may be busy: the best of five is what the program takes
-        start = time.perf_counter()
-        done = subprocess.run([sys.executable, "-c", probe, *words], cwd=ROOT, capture_output=True, text=True)
-        seconds.append(time.perf_counter() - start)
-        assert done.returncode == (0 if "--help" in words else 2), done.stderr
-    assert min(seconds) < 0.5
+    done = subprocess.run([sys.executable, "-c", probe, *words], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == (0 if "--help" in words else 2), done.stderr
 
 
 def test_help_lists_every_field(command):

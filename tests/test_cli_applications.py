@@ -187,6 +187,7 @@ def test_stream_of_a_folder(command, tmp_path, model):
     summary = tmp_path / "summary.json"
     answer = command("stream", folder, "--model", model, "--no-images", "--json", summary)
     assert answer.code == 0, answer.err
+    assert "note: These networks have seen simulated touches only" in answer.err and "note" not in answer.out
     lines = [json.loads(line) for line in answer.out.splitlines()]
     assert [("error" in line) for line in lines] == [False, False, False, True]
     assert set(lines[0]) >= {"x_mm", "yaw_deg", "edge_mm", "edge_deg", "confidence", "ms"}

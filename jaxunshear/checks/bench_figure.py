@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.checks.bench_sim import OWN
 from jaxunshear.checks.paper import KINDS
-from jaxunshear.style import FAINT, INK, STYLE
+from jaxunshear.style import FAINT, INK, LABEL, STYLE
 
 COLOURS = ("#1f6feb", "#d9822b", "#2a9d6f", "#8957e5", "#bf3989", "#57606a", "#9a6700")
 MARKS = "os^Dv<>PX*"
@@ -61,8 +61,8 @@ def _panel(axes: Any, rows: list[dict[str, Any]]) -> None:
         product = float(np.median(timed))
         upper = axes.secondary_xaxis("top", functions=(lambda ratio: ratio * product, lambda ms: ms / product))
         upper.set_xlabel("ms a state, here")
-    axes.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
+    axes.legend(fontsize=LABEL, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
     failures = [f"{row['name']}: {row['failed']}" for row in rows if row["failed"]]
     if failures:
         text = "failing (crossed out):\n" + "\n".join(failures)
-        axes.text(0.01, 0.01, text, transform=axes.transAxes, fontsize=6, color=FAINT, va="bottom")
+        axes.text(0.01, 0.01, text, transform=axes.transAxes, fontsize=LABEL, color=FAINT, va="bottom")

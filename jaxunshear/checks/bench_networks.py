@@ -36,6 +36,7 @@ INFERRED = (256, 128)
 ROUNDS = 7
 FROZEN: dict[str, Any] = {"freezing": True}  # PyTorch's weights as constants too
 ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
+ABSENT = "is not installed"  # which is no failure
 TARGETS = of_ranges((), Ranges())
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
@@ -232,7 +233,7 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int)
         except ModuleNotFoundError as missing:
             if name == "jaxunshear":
                 raise
-            rows[name]["failed"] = f"{missing.name} is not installed: pip install -c constraints.txt '.[torch]'"
+            rows[name]["failed"] = f"{missing.name} {ABSENT}: pip install -c constraints.txt '.[torch]'"
         except Exception as crash:
             if name == "jaxunshear":
                 raise
@@ -296,7 +297,8 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     for row in rows:
         head = f"{row['name']:22} {row['size']:<4} {row['batch']:<5}"
         if row["failed"]:
-            lines.append(f"{head}  FAILED: {row['failed']}")
+            absent = ABSENT in row["failed"]
+            lines.append(f"{head}  {'' if absent else 'FAILED: '}{row['failed']}")
             continue
         lines.append(
             f"{head} {row['images_per_s']:9.1f} {row['ms_per_image']:9.2f} {row['ms_p95']:7.2f} "

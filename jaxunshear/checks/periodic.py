@@ -39,7 +39,7 @@ def against_tamaas(body: HalfSpace) -> list[Row]:
     try:
         import tamaas
     except ImportError:
-        note = "tamaas is not installed: pip install 'jaxunshear[tamaas]'"
+        note = "tamaas is not installed: pip install 'tamaas>=2.8'"
         return [Row(GROUP, "left out", None, float("nan"), float("nan"), note=note)]
     tamaas.set_log_level(tamaas.LogLevel.error)
     rows = []

@@ -8,9 +8,13 @@ float32 and in float64, to a tolerance so small that how the solver stops is no 
 `stability_networks.py`.
 """
 
+import difflib
+import re
 import time
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -59,12 +63,18 @@ class Row:
     scene: str = ""  # Python that runs it again
 
 
+def _words_like(word: str | None, cases: Sequence[Case | NetworkCase]) -> list[str]:
+    """Words of the cases' names: those spelt like `word`, or the most frequent."""
+    words = Counter(chain.from_iterable(set(re.findall(r"[A-Za-z]\w{3,}", case.name)) for case in cases))
+    return difflib.get_close_matches(word or "", words, n=5) or [name for name, _ in words.most_common(8)]
+
+
 def stability(only: str | None = None, cases: Sequence[Case | NetworkCase] | None = None) -> list[Row | NetworkRow]:
     """Rows of all cases, or of those whose name contains `only`. Raises `UserError` where there is none."""
     every: Sequence[Case | NetworkCase] = [*all_cases(), *training_cases(), *value_cases()] if cases is None else cases
     found = [case for case in every if only is None or only in case.name]
     if not found:
-        raise UserError(f"--only '{only}': no case's name contains this; `jaxunshear stability` lists them")
+        raise UserError(f"--only '{only}': no case's name contains this; some do {', '.join(_words_like(only, every))}")
     rows: list[Row | NetworkRow] = []
     with Progress("stability", len(found), unit="cases") as progress:
         for case in found:

@@ -29,6 +29,8 @@ BETWEEN_CHECKS = 5
 PASSES = 2
 FIRST_PASS = 2.0  # of the tolerance is enough for all but the last pass: a quarter fewer iterations
 FAR_MM = 5.0  # gaps count no further: a hundred millimetres on a free node would drown the others in rounding
+TURNED = 1e-6  # of a force, what turning it to and fro in float32 may add to its pull
+LEAST_PULL = 1e-33  # smaller ones lose digits, or components, to the end of float32's range
 LEAST_MM, MOST_MM = 0.05, 0.5  # an increment's length for its tolerance: pauses and long presses are judged sensibly
 
 
@@ -304,7 +306,9 @@ def contact_state(skin: Skin, friction: jax.Array, tilted: bool = False) -> tupl
     if force.shape[-1] == 1:
         slipping = touching
     else:
-        pull = jnp.linalg.norm(force[..., :2], axis=-1)
+        pull = jnp.hypot(force[..., 0], force[..., 1])  # squares of a tiny one would be zero
         limit = jnp.where(jnp.isinf(friction), 0, friction)[:, None] * force[..., 2]
-        slipping = touching & ~jnp.isinf(friction)[:, None] & (pull >= limit * (1 - 1e-4))
+        rounding = 1e-4 * limit + (TURNED * force[..., 2] if tilted else 0)
+        slips = (pull >= limit - rounding) | (limit < LEAST_PULL)
+        slipping = touching & ~jnp.isinf(friction)[:, None] & slips
     return jnp.sum(touching & ~slipping, -1), jnp.sum(slipping, -1), jnp.sum(~touching, -1)

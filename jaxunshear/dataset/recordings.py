@@ -16,13 +16,13 @@ import json
 import os
 import re
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from jaxunshear.dataset.labels import TABLES, UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
 from jaxunshear.errors import UserError
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 # Folders that hold a recording's images, the most processed first: only the first that has any is read.
 IMAGE_FOLDERS = ("processed_images", "frames_bw", "images", "frames", "sensor_images")
+PHOTOMETRIC, SAMPLE_FORMAT = 262, 339  # TIFF's tags: 0 for white at zero; 1 for numbers without a sign
 PROBES = 20  # frames that a common crop is found from
 DEPTH = 4  # folders below the given one that are searched
 
@@ -120,16 +121,35 @@ class Recordings:
 
 
 def read_image(file: Path) -> np.ndarray:
-    """An image file as an array of its own depth and channels. Raises UserError for what Pillow cannot read."""
+    """An image file as an array of its own depth and channels, turned as its orientation tag says. Raises UserError for what Pillow
+    cannot read, and for several frames in one file."""
     try:
         with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of tags that are broken: the image is read without them
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with Image.open(file) as opened:
-                opened.load()
+                frames = getattr(opened, "n_frames", 1)
+                if frames > 1 and opened.format != "MPO":  # a JPEG with a small copy of itself behind it
+                    raise UserError(
+                        f"it holds {frames} frames, of which one would be read: save each as a file of its own"
+                    )
+                tags = getattr(opened, "tag_v2", {})
+                opened.filename = ""  # Pillow maps plain TIFFs into memory by name, and those that are turned wrongly
+                ImageOps.exif_transpose(opened, in_place=True)
                 plain = opened.mode in ("1", "L", "LA", "RGB", "RGBA", "I", "F") or opened.mode.startswith("I;16")
-                return np.array(opened if plain else opened.convert("RGB"))
+                raw = np.array(opened if plain else opened.convert("RGB"))
+    except UserError:
+        raise
     except Exception as error:  # decoders meet broken files with errors of every kind
         raise UserError(f"no readable image ({_one_line(error)})") from None
+    return _unsigned(raw, tags)
+
+
+def _unsigned(raw: np.ndarray, tags: Mapping[int, Any]) -> np.ndarray:
+    """What Pillow leaves to do for a TIFF with these tags: 32 bits without a sign, and 16 bits of which 0 is white."""
+    if tags and raw.dtype == np.int32 and tags.get(SAMPLE_FORMAT, 1) in (1, (1,)):
+        return raw.view(np.uint32)
+    return np.iinfo(np.uint16).max - raw if raw.dtype == np.uint16 and tags.get(PHOTOMETRIC) == 0 else raw
 
 
 def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:

@@ -39,7 +39,7 @@ def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
     """Any image array -> (H, W) float32 in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger, or
     1 itself.
 
-    Raises UserError for a wrong shape, no pixels, or values that are no numbers.
+    Raises UserError for a wrong shape, no pixels, values that are no numbers, or numbers below zero (floats may overshoot).
     """
     raw = np.asarray(raw)
     if raw.ndim == 3 and raw.shape[-1] in (1, 2):
@@ -56,6 +56,8 @@ def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
     elif raw.dtype != bool and not np.issubdtype(raw.dtype, np.integer):
         raise UserError(f"this is no image: an array of type {raw.dtype}")
     own = white_of(raw)
+    if raw.dtype != bool and (least := raw.min()) < (-own / 2 if np.issubdtype(raw.dtype, np.floating) else 0):
+        raise UserError(f"this image holds numbers below zero (down to {least:g}): save it so that black is 0")
     grey = raw.astype(np.float32) / (own if own == 1 else max(own, white))
     return np.clip(grey if grey.ndim == 2 else grey[..., :3] @ LUMA, 0.0, 1.0)
 

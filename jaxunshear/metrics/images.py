@@ -47,11 +47,12 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Array:
     before a 2x2 mean. Values and gradients of finite images are finite; where a clamped factor makes the value 0, so is the
     gradient. An image with a NaN scores NaN.
 
-    Raises `ValueError` for shapes that differ, integers, or an image too small for `scales`.
+    Raises `ValueError` for shapes that differ, integers, an image too small for `scales`, or scales that are no whole number.
     """
     a, b = _checked(a, b)
-    if not 1 <= scales <= len(WEIGHTS):
-        raise ValueError(f"scales must be 1 to {len(WEIGHTS)}, not {scales}")
+    if not isinstance(scales, int | np.integer) or not 1 <= scales <= len(WEIGHTS):
+        raise ValueError(f"scales must be a whole number, 1 to {len(WEIGHTS)}, not {scales}")
+    scales = int(scales)
     size = min(a.shape[1:3])
     if scales > (fit := scales_that_fit(size)):
         height, width = a.shape[1:3]
@@ -111,11 +112,12 @@ def _ssim(a: Array, b: Array) -> Array:
 
 def _local(a: Array, b: Array) -> tuple[Array, Array]:
     """SSIM and contrast-structure of (B, H, W) pairs, each averaged over its image -> (B,), (B,)."""
-    mean_a, mean_b, square_a, square_b, product = _both_sides(_blur, jnp.stack([a, b, a * a, b * b, a * b]))
-    covariance = product - mean_a * mean_b
-    variances = square_a - mean_a * mean_a + square_b - mean_b * mean_b
-    contrast = (2 * covariance + C2) / (variances + C2)
-    luminance = (2 * mean_a * mean_b + C1) / (mean_a * mean_a + mean_b * mean_b + C1)
+    # as what is lacking to 1, not as (2 cov + C2) / (var + C2): that cancels in bright flat images, and goes beyond 1
+    mean_a, mean_b, squares, apart = _both_sides(_blur, jnp.stack([a, b, a * a + b * b, jnp.square(a - b)]))
+    bright = mean_a * mean_a + mean_b * mean_b
+    off = jnp.square(mean_a - mean_b)
+    contrast = 1 - jnp.maximum(apart - off, 0) / (jnp.maximum(squares - bright, 0) + C2)
+    luminance = 1 - off / (bright + C1)
     return jnp.mean(luminance * contrast, axis=(1, 2)), jnp.mean(contrast, axis=(1, 2))
 
 

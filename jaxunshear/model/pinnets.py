@@ -19,6 +19,7 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from jaxunshear.model.parts import check_sheared, holds
 from jaxunshear.model.settings import PinNet, PinPoseNet, PinRenderer, PinUnshear
 
 Variables = dict[str, Any]
@@ -94,7 +95,9 @@ def unshear(net: PinUnshear, variables: Variables, pins: Array) -> Array:
 
 
 def encode(net: PinUnshear, variables: Variables, pins: Array) -> tuple[Array, Array | None]:
-    """Pins (B, P, 2) px -> (z_p (B, pose_code), z_s (B, shear_code) or None)."""
+    """Pins (B, P, 2) px -> (z_p (B, pose_code), z_s (B, shear_code) or None, as in released weights)."""
+    if net.shear_code and not holds(variables, "shear"):
+        return _codes(net, variables, "pose_code", _motions(variables, pins)), None
     return _codes(net, variables, "encode", _motions(variables, pins))
 
 
@@ -104,7 +107,8 @@ def decode_canonical(net: PinUnshear, variables: Variables, z_p: Array) -> Array
 
 
 def decode_sheared(net: PinUnshear, variables: Variables, z_p: Array, z_s: Array) -> Array:
-    """DS: both codes -> pins (B, P, 2) px of the slide."""
+    """DS: both codes -> pins (B, P, 2) px of the slide. Raises UserError for released weights, which leave it out."""
+    check_sheared(variables)
     return _places(variables, _codes(net, variables, "decode_sheared", z_p, z_s))
 
 

@@ -21,6 +21,7 @@ from jax import Array
 
 from jaxunshear.model import conv
 from jaxunshear.model.layers import First, Last, Same, Up, both_sides, inner
+from jaxunshear.model.parts import check_sheared, holds
 from jaxunshear.model.settings import UnshearNet
 
 Variables = dict[str, Any]  # {"params": ..., "batch_stats": ...}, each by module: E, pose, shear, DC, DS
@@ -139,8 +140,10 @@ def as_large_entangled(net: UnshearNet) -> UnshearNet:
 
 
 def encode(net: UnshearNet, variables: Variables, images: Array, train: bool = False) -> tuple[Array, Array | None]:
-    """Images (B, S, S, 1) in [0, 1] -> (z_p, z_s), each (B, s, s, channels); z_s is None without a shear code.
+    """Images (B, S, S, 1) in [0, 1] -> (z_p, z_s), each (B, s, s, channels); z_s is None without a shear code, as in released weights.
     With `train` the batch's own statistics are used (and not kept)."""
+    if net.disentangled and net.shear_channels and not holds(variables, "shear"):
+        return _apply(net, variables, "encode_pose", images, train=train), None
     return _apply(net, variables, "encode", images, train=train)
 
 
@@ -155,7 +158,8 @@ def decode_canonical(net: UnshearNet, variables: Variables, z_p: Array, train: b
 
 
 def decode_sheared(net: UnshearNet, variables: Variables, z_p: Array, z_s: Array, train: bool = False) -> Array:
-    """DS: both codes -> logits (B, S, S, 1) of the sheared image."""
+    """DS: both codes -> logits (B, S, S, 1) of the sheared image. Raises UserError for released weights, which leave it out."""
+    check_sheared(variables)
     return _apply(net, variables, "decode_sheared", z_p, z_s, train=train)
 
 

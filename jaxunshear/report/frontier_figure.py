@@ -11,7 +11,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from jaxunshear.experiment import TEACHER
-from jaxunshear.style import COLOURS, FAINT, INK, STYLE
+from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "ms_ssim/disentangled": ("likeness to the tap, MS-SSIM", True),
@@ -142,7 +142,7 @@ def _panel(axes: Any, summary: dict[str, Any], metric: str, cost: str, number: d
             (x[index], y[index]),
             ha="center",
             va="center",
-            fontsize=7,
+            fontsize=LABEL,
             color="white" if full else INK,
             bbox={"boxstyle": "circle,pad=0.25", "facecolor": inside, "edgecolor": "white" if full else FAINT},
             zorder=3 + on,

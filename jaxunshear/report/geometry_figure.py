@@ -9,8 +9,9 @@ from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry import surface
 from jaxunshear.applications.geometry_scores import Geometry, correlation
 from jaxunshear.image.lattice import Lattice
+from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN
 
-CELLS = 48
+CELLS, WIDTH = 48, 2.7
 VIEW = {"elev": 42, "azim": -60}
 
 
@@ -38,7 +39,9 @@ def of_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray
 
 def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], truth: str | None) -> bytes:
     columns = len(lines[0][1]) if lines else 1
-    figure = Figure(figsize=(2.7 * columns, 2.6 * max(1, len(lines))), layout="constrained", dpi=110)
+    wide = WIDTH * columns
+    figure = Figure(figsize=(wide, 2.6 * max(1, len(lines))), layout="constrained", dpi=DPI)
+    size = LABEL * max(1, wide / (ABREAST * PANEL_IN))  # a page shows a wider picture smaller
     low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
     x, y = np.meshgrid(*(np.linspace(low[i], high[i], CELLS) for i in (0, 1)))
     for row, (name, heights) in enumerate(lines):
@@ -49,7 +52,7 @@ def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], 
             axes.set_axis_off()
             title = kind if row == 0 else ""
             if np.isnan(height[0]):
-                axes.text2D(0.5, 0.5, "pins not sure", ha="center", transform=axes.transAxes, fontsize=8)
+                axes.text2D(0.5, 0.5, "pins not sure", ha="center", transform=axes.transAxes, fontsize=size)
             else:
                 drawn = surface(lattice.place, height, CELLS)
                 axes.plot_surface(x, -y, drawn, cmap="viridis", vmin=span[0], vmax=span[1], rstride=1, cstride=1, lw=0)
@@ -58,9 +61,9 @@ def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], 
                 if truth is not None and kind != truth:
                     likeness = correlation(height[None], heights[truth][None])[0]
                     title += f"\ncorrelation {likeness:.2f}"
-            axes.set_title(title, fontsize=8)
+            axes.set_title(title, fontsize=size)
             if column == 0:
-                axes.text2D(0.0, 0.92, name[-30:], transform=axes.transAxes, fontsize=8)
+                axes.text2D(0.0, 0.92, name[-30:], transform=axes.transAxes, fontsize=size)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})
     return buffer.getvalue()

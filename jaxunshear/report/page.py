@@ -9,7 +9,7 @@ STYLE = """
 :root { --ink: #1c2330; --soft: #5b6575; --line: #dfe3ea; --paper: #f4f5f8; --good: #1a7f4b; --bad: #b3261e; }
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--paper); color: var(--ink); font: 16px/1.5 system-ui, "Segoe UI", Roboto, sans-serif; }
-main { max-width: 1080px; margin: 0 auto; padding: 28px 20px 60px; }
+main { max-width: 1240px; margin: 0 auto; padding: 28px 20px 60px; }
 h1 { font-size: 1.7rem; line-height: 1.2; margin: 0 0 4px; }
 h2 { font-size: 1.15rem; margin: 0 0 4px; }
 p { margin: 0 0 12px; max-width: 76ch; }
@@ -26,7 +26,8 @@ section { background: #fff; border: 1px solid var(--line); border-radius: 10px; 
 table { border-collapse: collapse; font-size: .94rem; font-variant-numeric: tabular-nums; margin: 8px 0; }
 th, td { padding: 5px 12px 5px 0; text-align: right; vertical-align: top; border-bottom: 1px solid var(--line); white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
-thead th { font-weight: 600; vertical-align: bottom; } tbody th { font-weight: 400; }
+thead th { font-weight: 600; vertical-align: bottom; } tbody th { font-weight: 400; min-width: 9em; }
+th { white-space: normal; }
 .real { color: #6b5a2b; background: #fbf7ea; padding-left: 12px; padding-right: 12px; }
 .strong td, .strong th { font-weight: 650; }
 table.montage td, table.montage th { border: 0; padding: 3px; text-align: center; vertical-align: top; font-size: .85rem; }

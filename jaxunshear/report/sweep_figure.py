@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from jaxunshear.style import COLOURS, FAINT, INK, STYLE
+from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
 
 SHOWN = (  # in this order; a metric that is the same in all cells says nothing and is left out
     "ms_ssim/*",
@@ -107,7 +107,7 @@ def _heat_map(axes: Any, summary: dict[str, Any], name: str) -> None:
                 hatch="///",
                 linewidth=0,
             )
-            _write(axes, column, row, _short(cell["failures"]), INK, 6)
+            _write(axes, column, row, _short(cell["failures"]), INK, LABEL)
     down, across = summary["axes"]
     axes.set(xlabel=across["name"], ylabel=down["name"])
     axes.set_xticks(range(len(across["values"])), across["values"])
@@ -132,14 +132,14 @@ def _lines(axes: Any, summary: dict[str, Any], name: str) -> None:
         if cell["failures"]:
             below = axes.get_xaxis_transform()
             axes.plot(place, 0.03, "x", color=INK, transform=below, clip_on=False)
-            axes.text(place, 0.07, _short(cell["failures"]), transform=below, fontsize=6, ha="center", va="bottom")
+            axes.text(place, 0.07, _short(cell["failures"]), transform=below, fontsize=LABEL, ha="center", va="bottom")
     axes.set_xlabel(axis["name"])
     axes.set_xticks(range(len(axis["values"])), axis["values"])
     axes.margins(x=0.1)
 
 
 def _write(axes: Any, x: float, y: float, text: str, colour: str, size: float) -> None:
-    box = {"facecolor": "white", "edgecolor": "none", "pad": 1} if colour == INK and size < 8 else None
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 1} if colour == INK and size <= LABEL else None
     axes.text(x, y, text, color=colour, fontsize=size, ha="center", va="center", bbox=box)
 
 

@@ -8,8 +8,8 @@ from matplotlib.patches import Polygon
 
 from jaxunshear.applications.contour import Outline
 from jaxunshear.applications.servo import CLOSED, ENDS, Walks
+from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed
 
-WIDTH = 3.4
 WORDS = {
     "true": "true pose",
     "sheared": "sheared images",
@@ -26,8 +26,12 @@ WORDS = {
 def walk_figure(walks: Walks, line: Outline, stimulus: str) -> bytes:
     """A PNG: a panel a way, all its walks over the object; a cross where one ended without closing the outline."""
     ways = list(dict.fromkeys(walks.way.tolist()))
-    figure = Figure(figsize=(WIDTH * len(ways), WIDTH + 0.6), layout="constrained", dpi=110)
-    for axes, way in zip(figure.subplots(1, len(ways), squeeze=False)[0], ways, strict=True):
+    columns, rows = min(ABREAST, len(ways)), -(-len(ways) // ABREAST)
+    figure = Figure(figsize=(PANEL_IN * columns, (PANEL_IN + 0.3) * rows + 0.3), layout="constrained", dpi=DPI)
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for axes in panels[len(ways) :]:
+        axes.set_axis_off()
+    for axes, way in zip(panels, ways, strict=False):
         axes.add_patch(Polygon(line.points, facecolor="0.9", edgecolor="0.6", linewidth=0.8))
         mine = np.flatnonzero(walks.way == way)
         for walk in mine:
@@ -38,10 +42,10 @@ def walk_figure(walks: Walks, line: Outline, stimulus: str) -> bytes:
                 axes.plot(*track[-1], "x", color="black", markersize=6)
         ends = [ENDS[end] for end in walks.end[mine] if end != CLOSED]
         why = f"\n{max(set(ends), key=ends.count)}" if ends else ""
-        axes.set_title(f"{WORDS.get(way, way)}\n{len(mine) - len(ends)} of {len(mine)} closed{why}", fontsize=8)
+        axes.set_title(f"{WORDS.get(way, way)}\n{len(mine) - len(ends)} of {len(mine)} closed{why}", fontsize=HEAD)
         axes.set_aspect("equal")
-        axes.tick_params(labelsize=6)
-    figure.suptitle(f"{stimulus}: the sensor's way, mm (simulated)", fontsize=9)
+        axes.tick_params(labelsize=LABEL)
+    figure.suptitle(headed(f"{stimulus}: the sensor's way, mm (simulated)", columns), fontsize=HEAD + 1)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})
     return buffer.getvalue()

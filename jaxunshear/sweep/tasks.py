@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from jaxunshear.environment import settled
 from jaxunshear.errors import UserError
 from jaxunshear.storage import read_json, write_json
 
@@ -68,6 +69,7 @@ def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bo
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
+            env=settled(os.environ),  # a machine of a cluster has its own
             start_new_session=True,  # Ctrl-C is for the sweep, which then ends its tasks
         )
         try:

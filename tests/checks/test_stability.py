@@ -126,3 +126,9 @@ def test_a_line_says_what_sets_a_sensor_apart():
     sensor = replace(cases.TACTIP_331, skin_modulus_mpa=7.0)
     assert cases.written(sensor) == "Sensor(skin_modulus_mpa=7.0)"
     assert "skin_modulus_mpa=7.0" in cases.one_path("any", SHALLOW, sensor=sensor).line
+
+
+@pytest.mark.parametrize(("asked", "said"), [("frictoin", "some do friction"), ("0x0q", "some do network, ")])
+def test_cases_are_told_by_words_of_their_names(asked, said):
+    with pytest.raises(UserError, match=f"--only '{asked}': no case's name contains this; {said}"):
+        stability.stability(asked)

@@ -8,7 +8,17 @@ import pytest
 from jaxunshear.checks.half_space import HalfSpace, press, trace
 from jaxunshear.checks.normal import SPHERE_MM, depth
 from jaxunshear.checks.shear import FRICTION, slip_distance
-from jaxunshear.contact.friction import BETWEEN_CHECKS, RHO, Skin, System, contact_state, follow_path, project, rest
+from jaxunshear.contact.friction import (
+    BETWEEN_CHECKS,
+    RHO,
+    Skin,
+    System,
+    contact_state,
+    follow_path,
+    level_frame,
+    project,
+    rest,
+)
 from jaxunshear.contact.obstacle import Obstacles
 
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
@@ -65,6 +75,23 @@ def test_what_sticks_what_slips_and_what_is_free(half_space, system):
     assert stuck[0] > 0.8 * (stuck[0] + slipping[0])  # pressed only
     assert 0 < stuck[1] < stuck[0]
     assert stuck[2] == 0 and slipping[2] > 0
+
+
+@pytest.mark.parametrize("friction", [0.3, 1e-5, 1e-18, 1e-20, 1e-30, 1e-35, 1e-37])
+def test_tiny_frictions_tell_stuck_from_slipping(friction):
+    rng = np.random.default_rng(0)
+    force = np.concatenate([100 * rng.normal(size=(1, 99, 2)), rng.uniform(0.1, 2, (1, 99, 1))], -1)
+    mu = jnp.full(1, friction, jnp.float32)
+    held = project(jnp.asarray(force, jnp.float32), mu)
+    level, tilted = jnp.zeros((1, 6)), jnp.zeros((1, 6)).at[:, 4].set(0.2)
+
+    def found(force, pose):
+        skin = Skin(force @ level_frame(pose), force, force, pose)  # from the level frame to the sensor's
+        return [int(part[0]) for part in contact_state(skin, mu, pose is tilted)]
+
+    assert found(held, level) == found(held, tilted) == [0, 99, 0]
+    if friction > 1e-31:
+        assert found(held.at[..., :2].multiply(0.5), level) == [99, 0, 0]
 
 
 def test_no_friction_no_pull(half_space, system):

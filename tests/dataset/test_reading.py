@@ -1,7 +1,6 @@
 import dataclasses
 import itertools
 import re
-import time
 
 import numpy as np
 import pytest
@@ -175,15 +174,13 @@ def test_a_split_too_large_for_memory_is_the_same(made, monkeypatch, paired, sen
     assert [path.name for path in made.folder.parent.iterdir()] == [VERSION]
 
 
-def test_reading_keeps_up_with_training(made):
+def test_reading_keeps_up_with_training(made, monkeypatch):
+    """After the first batch nothing is read or decoded: a step takes rows that are in memory."""
     steps = made.train_batches(16, 0, 0.015)(0)
     next(steps)
-    seconds = []
-    for _ in range(3):  # the best one: other work may hold up any of them
-        start = time.perf_counter()
-        take(steps, 20)
-        seconds.append(time.perf_counter() - start)
-    assert 320 / min(seconds) > 500  # training takes 50-100 pairs/s; measured: several thousand
+    for name in ("_read_rows", "_check_shards", "Image", "read_json"):
+        monkeypatch.setattr(reading, name, None)
+    assert len(take(steps, 20)) == 20
 
 
 @pytest.mark.parametrize("damage", ["truncated", "changed", "missing", "empty"])

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.dataset.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image import preprocess
+from jaxunshear.image.grey import to_grey
 from jaxunshear.image.settings import Preprocess
 
 PREPROCESS = Preprocess(size=64)
@@ -257,3 +258,50 @@ def test_what_an_image_hides_is_told(tmp_path):
     recordings = read_recordings(tmp_path, PREPROCESS)
     (note,) = recordings.notes
     assert len(recordings) == 1 and "images of its own" in note and str(tmp_path / "a") in note
+
+
+def test_several_frames_in_one_file_are_refused_by_name(tmp_path):
+    first, *others = (Image.fromarray(binary(seed)) for seed in range(5))
+    for name in ("a.tif", "b.png", "c.webp"):
+        first.save(tmp_path / name, save_all=True, append_images=others)
+    first.save(tmp_path / "d.tif")
+    recordings = read_recordings(tmp_path, PREPROCESS)
+    assert [name for _, name, _ in recordings.frames()] == ["d.tif"]
+    for name, note in zip(("a.tif", "b.png", "c.webp"), recordings.notes, strict=True):
+        assert f"{name}: it holds 5 frames" in note and "save each as a file of its own" in note
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.jpg", "a.tif"])
+@pytest.mark.parametrize("tag", range(1, 9))
+def test_orientation_tags_are_followed(tmp_path, name, tag):
+    seen = np.kron([[255, 0, 0], [0, 0, 255]], np.ones((16, 16))).astype(np.uint8)
+    turned = [seen, seen[:, ::-1], seen[::-1, ::-1], seen[::-1], seen.T, seen.T[::-1], seen[::-1, ::-1].T, seen[::-1].T]
+    tags = Image.Exif()
+    tags[274] = tag
+    Image.fromarray(np.ascontiguousarray(turned[tag - 1])).save(tmp_path / name, exif=tags)
+    read = read_image(tmp_path / name)
+    assert read.shape == seen.shape
+    np.testing.assert_array_equal(read > 127, seen > 127)
+
+
+def test_wide_integers_mean_what_the_file_says(tmp_path):
+    """Unsigned ones above half their range, and 16 bits whose zero is white."""
+    seen = binary(0)
+    wide = Image.frombytes("I", seen.shape[::-1], (seen.astype(np.uint32) * 0x01010101).tobytes())
+    wide.save(tmp_path / "a.tif")
+    data = (tmp_path / "a.tif").read_bytes()
+    head, tail = data.split(
+        signed := bytes.fromhex("5301 0300 01000000")
+    )  # Pillow writes it as signed; the tag is set by hand
+    (tmp_path / "a.tif").write_bytes(head + signed + b"\1" + tail[1:])
+    Image.fromarray((255 - seen).astype(np.uint16) * np.uint16(257)).save(tmp_path / "b.tif", tiffinfo={262: 0})
+    for name in ("a.tif", "b.tif"):
+        read = read_image(tmp_path / name)
+        np.testing.assert_array_equal(read, seen.astype(np.int64) * (0x01010101 if name == "a.tif" else 257))
+        np.testing.assert_array_equal(to_grey(read), seen / np.float32(255))
+
+
+def test_numbers_below_zero_are_refused(tmp_path):
+    Image.frombytes("I", (96, 96), (binary(0).astype(np.int32) - 128).tobytes()).save(tmp_path / "a.tif")
+    with pytest.raises(UserError, match="below zero"):
+        list(read_recordings(tmp_path, PREPROCESS).frames())

@@ -172,3 +172,36 @@ def test_half_precision_is_scored_in_float32():
     found = images.ms_ssim(jnp.asarray(a, jnp.bfloat16), jnp.asarray(b, jnp.bfloat16), 2)
     assert found.dtype == jnp.float32
     np.testing.assert_allclose(found[1:4], images.ms_ssim(a, b, 2)[1:4], atol=1e-5)  # dots are exact in bfloat16
+
+
+@pytest.mark.parametrize("metric", [images.ms_ssim, images.ssim])
+def test_no_pair_is_more_alike_than_equal_ones(metric):
+    """Nearly flat images, bright ones most of all, and such with an edge between two flat halves."""
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(2, 60, 192, 192, 1)) * 10.0 ** rng.uniform(-6, -2, (60, 1, 1, 1))
+    level = np.where(np.arange(192)[:, None, None] < 96, 0.3, 1.0) ** rng.integers(0, 2, (60, 1, 1, 1))
+    a, b = (level * rng.uniform(0.9, 1, (60, 1, 1, 1)) + noise).astype(np.float32)
+    found = np.asarray(metric(a, b))
+    assert found.max() <= 1 and found.min() > 0.5
+    exact = [
+        _exact_ssim(x.astype(np.float64)[..., 0], y.astype(np.float64)[..., 0])
+        for x, y in zip(a[:9], b[:9], strict=True)
+    ]
+    if metric is images.ssim:
+        np.testing.assert_allclose(found[:9], exact, atol=1e-4)
+
+
+def _exact_ssim(a, b):
+    """By the formula as it is printed, in float64."""
+    blur = lambda x: images._blur(192) @ x @ images._blur(192).T  # noqa: E731
+    mean_a, mean_b = blur(a), blur(b)
+    variances = blur(a * a) - mean_a**2 + blur(b * b) - mean_b**2
+    luminance = (2 * mean_a * mean_b + images.C1) / (mean_a**2 + mean_b**2 + images.C1)
+    return np.mean(luminance * (2 * (blur(a * b) - mean_a * mean_b) + images.C2) / (variances + images.C2))
+
+
+@pytest.mark.parametrize("scales", [2.0, 0, 6, "2", None])
+def test_scales_are_a_whole_number(scales):
+    image = np.zeros((1, 192, 192, 1), np.float32)
+    with pytest.raises(ValueError, match="whole number, 1 to 5"):
+        images.ms_ssim(image, image, scales)

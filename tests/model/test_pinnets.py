@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.errors import Note, UserError
 from jaxunshear.model import pinnets
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
 
@@ -32,6 +33,18 @@ def test_shapes_and_batches(jit):
     assert canonical.shape == pins.shape
     np.testing.assert_allclose(unshear(net, variables, pins[1:2])[0], canonical[1], rtol=1e-5, atol=1e-4)
     assert pinnets.decode_sheared(net, variables, z_p, z_s).shape == pins.shape
+
+
+def test_released_weights_give_the_pose_code_and_say_so():
+    net, variables = made(PinUnshear)
+    released = variables | {"params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS")}}
+    with pytest.warns(Note, match="z_p alone"):
+        z_p, z_s = pinnets.encode(net, released, moved())
+    whole, other = pinnets.encode(net, variables, moved())
+    assert z_s is None
+    np.testing.assert_array_equal(z_p, whole)
+    with pytest.raises(UserError, match="no DS"):
+        pinnets.decode_sheared(net, released, whole, other)
 
 
 def test_the_canonical_pins_do_not_know_the_shear_code():

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.errors import Note, UserError
 from jaxunshear.model import unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.settings import UnshearNet
@@ -38,6 +39,17 @@ def test_shapes(variables, images, jit):
     sheared = wrap(lambda v, *z: unshearnet.decode_sheared(NET, v, *z))(variables, z_p, z_s)
     assert canonical.shape == sheared.shape == images.shape
     np.testing.assert_allclose(unshearnet.unshear(NET, variables, images), jax.nn.sigmoid(canonical), atol=1e-6)
+
+
+def test_released_weights_give_the_pose_code_and_say_so(variables, images):
+    released = {kind: {n: v for n, v in held.items() if n not in ("shear", "DS")} for kind, held in variables.items()}
+    with pytest.warns(Note, match="no shear code, as released ones do: z_p alone is given"):
+        z_p, z_s = unshearnet.encode(NET, released, images)
+    assert z_s is None
+    whole, other = unshearnet.encode(NET, variables, images)
+    np.testing.assert_array_equal(z_p, whole)
+    with pytest.raises(UserError, match="no DS"):
+        unshearnet.decode_sheared(NET, released, whole, other)
 
 
 def test_the_paper_at_256_px_has_codes_of_8_by_8():

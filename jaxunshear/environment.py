@@ -1,0 +1,76 @@
+"""What the environment may decide: on which device, and where files are kept. Not what comes out. Does not import JAX."""
+
+import errno
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterable, Mapping
+
+from jaxunshear.errors import Note, UserError
+from jaxunshear.storage import cache_folder
+
+# Of JAX's variables those of devices, caches and messages; others decide keys, number types or what is allowed
+HEEDED = (
+    *("JAX_PLATFORM", "JAX_CUDA_", "JAX_ROCM_", "JAX_COMPILATION_CACHE_", "JAX_PERSISTENT_CACHE_"),
+    *("JAX_ENABLE_COMPILATION_CACHE", "JAX_LOG", "JAX_DEBUG_LOG_", "JAX_TRACEBACK_", "JAX_DUMP_"),
+)
+DEVICES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "XLA_FLAGS")
+ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
+PROBE = "import jax; jax.devices()"
+SECONDS = 120  # a GPU on a busy machine needs some
+
+
+def settled(environment: Mapping[str, str]) -> dict[str, str]:
+    """`environment` without what would change results under the same name. Figures go to files, whatever a notebook draws on."""
+    kept = {
+        name: value for name, value in environment.items() if not name.startswith("JAX_") or name.startswith(HEEDED)
+    }
+    if not kept.get("HOME"):
+        kept.pop("HOME", None)  # empty would mean /
+    return kept | {"MPLBACKEND": "agg"}
+
+
+def settle() -> None:
+    """Makes this process's environment a `settled` one, before JAX and Matplotlib read it; notes what it sets aside."""
+    new = settled(os.environ)
+    aside = [name for name in os.environ if name not in new]
+    for name in aside:
+        del os.environ[name]
+    os.environ.update(new)
+    told = ", ".join(sorted(name for name in aside if name.startswith("JAX_")))
+    if told:
+        warnings.warn(f"set aside, since it would give other results under the same name: {told}", Note, stacklevel=2)
+
+
+def check_environment() -> None:
+    """Raises UserError, before there is work to lose, where the environment names no place for a cache, devices that are not there, or
+    flags of XLA that round otherwise."""
+    cache_folder()
+    flags = os.environ.get("XLA_FLAGS", "").split()
+    for flag in flags:
+        if any(word in flag for word in ROUNDING):
+            raise UserError(f"XLA_FLAGS: {flag} would give other results under the same name: leave it out")
+    asked = {name: os.environ[name] for name in DEVICES if os.environ.get(name, "") not in ("", "cpu")}
+    if asked:  # in a process of its own: XLA ends the one that meets a bad flag, and a sweep is to leave the devices to its rows
+        if not _starts():
+            told = ", ".join(f"{name}={value}" for name, value in asked.items())
+            raise UserError(f"{told}: JAX cannot start with that on this machine; unset it, or name what is there")
+
+
+def _starts() -> bool:
+    try:
+        return subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=SECONDS).returncode == 0
+    except subprocess.TimeoutExpired:
+        return False
+
+
+def check_links(paths: Iterable[object]) -> None:
+    """Raises UserError for a path that is, or lies in, a link that leads back to itself."""
+    for path in paths:
+        if isinstance(path, os.PathLike):
+            try:
+                os.stat(path)
+            except OSError as error:
+                if error.errno == errno.ELOOP:
+                    raise UserError(f"{path} is, or lies in, a link that leads back to itself: name another") from None

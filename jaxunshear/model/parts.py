@@ -1,0 +1,24 @@
+"""What released weights leave out: the shear code and DS, which unshearing does not need."""
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+from jaxunshear.errors import Note, UserError
+
+
+def holds(variables: Mapping[str, Any], part: str) -> bool:
+    """Whether these weights hold `part` of a network; a note where they do not hold the shear code."""
+    there = part in variables["params"]
+    if not there and part == "shear":
+        told = "these weights hold no shear code, as released ones do: z_p alone is given; a run's own hold both"
+        warnings.warn(told, Note, stacklevel=3)
+    return there
+
+
+def check_sheared(variables: Mapping[str, Any]) -> None:
+    """Raises UserError for weights without DS."""
+    if not holds(variables, "DS"):
+        raise UserError(
+            "these weights hold no DS to draw sheared contacts, as released ones do: load those of the run itself"
+        )

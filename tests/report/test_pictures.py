@@ -1,0 +1,91 @@
+"""Pictures as a page of 1280 px shows them: no text beyond the picture's edge, none too small to read; and no table cut off."""
+
+import re
+import shutil
+import subprocess
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from jaxunshear.applications.contour import outline
+from jaxunshear.applications.objects import Solid
+from jaxunshear.applications.reconstruct import Fused, Likeness
+from jaxunshear.applications.servo import CLOSED
+from jaxunshear.report import page
+from jaxunshear.report.geometry_figure import of_recordings
+from jaxunshear.report.object_figure import object_figure
+from jaxunshear.report.walk_figure import WORDS, walk_figure
+from jaxunshear.scene.stimuli import STIMULI
+
+PAGE_PX = 1158  # of a picture, at most
+READ_PX = 10  # height of letters
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """The figures as they were saved."""
+    figures, save = [], Figure.savefig
+
+    def kept(figure, file, **settings):
+        figures.append(figure)
+        save(figure, file, **settings)
+
+    monkeypatch.setattr(Figure, "savefig", kept)
+    return figures
+
+
+def check(figure):
+    figure.canvas.draw()
+    shrunk = min(1, PAGE_PX / figure.bbox.width)
+    titles = [axes.title for axes in figure.axes] + ([figure._suptitle] if figure._suptitle else [])
+    ticks = [tick for axes in figure.axes if axes.axison for tick in (*axes.get_xticklabels(), *axes.get_yticklabels())]
+    for text in titles + ticks + [text for axes in figure.axes for text in axes.texts]:
+        assert text.get_fontsize() * figure.dpi / 72 * shrunk > READ_PX, text
+    for text in titles:
+        box = text.get_window_extent()
+        assert 0 <= box.x0 <= box.x1 <= figure.bbox.width and 0 <= box.y0 <= box.y1 <= figure.bbox.height, text
+
+
+@pytest.mark.parametrize("count", [1, 3, 7])
+def test_objects_fit(drawn, count):
+    x = np.linspace(-20, 20, 30)
+    shape = np.hypot(*np.meshgrid(x, x)) < 15
+    solid = Solid(Fused(x, x, np.where(shape, 1.0, -1.0)), shape, shape.T, Likeness(0.93, 0.21, 1.0), 0)
+    object_figure("teardrop", dict.fromkeys(list(WORDS)[:count], solid))
+    check(*drawn)
+
+
+@pytest.mark.parametrize("count", [1, 3, 7])
+def test_walks_fit(drawn, count):
+    line = outline(STIMULI["disk"])
+    tracks = np.repeat(line.points[None], 2 * count, 0)
+    way = np.repeat(list(WORDS)[:count], 2)
+    end = np.where(np.arange(2 * count) % 2, CLOSED, CLOSED + 1)
+    walk_figure(SimpleNamespace(way=way, point=tracks, end=end), line, "disk")
+    check(*drawn)
+
+
+def test_heights_fit(drawn):
+    place = np.stack(np.meshgrid(*[np.linspace(-9, 9, 9)] * 2), -1).reshape(-1, 2)
+    kinds = {name: np.exp(-np.sum(place**2, 1) / 30)[None] for name in ("sheared", *list(WORDS)[2:7])}
+    of_recordings(SimpleNamespace(place=place), (["a/recording.png"], kinds))
+    check(*drawn)
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="needs a browser: chromium")
+def test_no_table_is_cut_off_at_1280_px(tmp_path):
+    """The widest: likeness with intervals, of four groups and with the paper's four."""
+    head = ["image compared with its tap", *["teardrop"] * 4, *["teardrop<br>paper"] * 4]
+    cells = [page.spanned(0.5, [0.4, 0.6], 3)] * 4 + ["0.91"] * 4
+    rows = [["sheared, best translation (knows the tap)", *cells], ["unsheared, entangled (large)", *cells]]
+    probe = "<script>for (const e of document.querySelectorAll('.wide')) document.title = e.scrollWidth - e.clientWidth</script>"
+    (tmp_path / "a.html").write_text(
+        page.page("a", page.section("a", "b", page.table(head, rows, range(5, 9), [1]))) + probe
+    )
+    words = ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,900", "--dump-dom")
+    told = subprocess.run(
+        ["chromium", *words, (tmp_path / "a.html").as_uri()], capture_output=True, text=True, timeout=120
+    )
+    assert re.search("<title>(.*)</title>", told.stdout)[1] == "0"
