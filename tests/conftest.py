@@ -1,6 +1,8 @@
 """What all tests share. Real recordings are third-party and lie beside the checkout, if at all."""
 
 import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -8,6 +10,12 @@ from typing import NamedTuple
 import pytest
 
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Many tests, their workers and the commands they start compile the same programs: once is enough.
+COMPILED = "JAX_COMPILATION_CACHE_DIR"
+OWN = COMPILED not in os.environ
+if OWN:
+    os.environ[COMPILED] = tempfile.mkdtemp(prefix="compiled-")
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 
 REAL = Path(__file__).resolve().parents[1].parent / "shared" / "real"
 
@@ -18,6 +26,11 @@ def real_recordings() -> Path:
     if not REAL.is_dir():
         pytest.skip(f"needs the real recordings in {REAL}, which no clone has")
     return REAL
+
+
+def pytest_unconfigure() -> None:
+    if OWN:  # workers have it from the process that started them
+        shutil.rmtree(os.environ[COMPILED], ignore_errors=True)
 
 
 class Answer(NamedTuple):
