@@ -21,6 +21,7 @@ NOT_STORED = (
     "pairs",
     "pairing",
     "labelled",
+    "unlabelled",
 )  # of `Recorded`: where it lies, and what is made of it
 Settings = PairedData | PoseData | Recorded
 
