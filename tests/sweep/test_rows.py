@@ -14,6 +14,7 @@ from jaxunshear.fit import BASE as RECORDED
 from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.sweep.rows import cells_of, needed, reference_of, row_digest, rows_of, training_part
 from jaxunshear.sweep.settings import Sweep, check
+from jaxunshear.training.origin import origin_of
 
 BASE = Experiment(name="plain", claim="none")
 PLAIN = Sweep(name="plain", claim="none", base=BASE)
@@ -224,3 +225,28 @@ def test_networks_without_codes_are_shared_by_rows_of_other_codes(asked, network
     assert training_part(BASE, network) == training_part(other, network)
     assert asked(BASE, network) == asked(other, network)
     assert training_part(BASE, "disentangled") != training_part(other, "disentangled")
+
+
+CHANGES = {  # of recordings: which trainings each concerns
+    "labelled": ({"labelled": 0.1}, {"posenet_sheared", "disentangled"}),
+    "unlabelled": ({"unlabelled": "read"}, {"disentangled"}),
+    "pairing": ({"pairing": "nearest"}, {"disentangled"}),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_recorded_taps_teach_the_same_whatever_is_made_of_slides(change):
+    changed, concerned = CHANGES[change]
+    base = replace(RECORDED, unshear=replace(RECORDED.unshear, input="pins"))
+    other = replace(base, paired=replace(base.paired, **changed))
+    for network in (RENDERER, TEACHER, "posenet", "posenet_sheared", "disentangled"):
+        same = network not in concerned
+        assert (training_part(base, network) == training_part(other, network)) == same, network
+        assert (origin_of(base, network) == origin_of(other, network)) == same, network
+
+
+def test_turned_pins_concern_those_that_read_slides():
+    base = replace(RECORDED, unshear=replace(RECORDED.unshear, input="pins"))
+    other = replace(base, pins=replace(base.pins, turned=0.5))
+    names = (RENDERER, TEACHER, "posenet", "posenet_sheared")
+    assert {name for name in names if training_part(base, name) != training_part(other, name)} == {"posenet_sheared"}
