@@ -52,13 +52,13 @@ def check_environment() -> None:
         if any(word in flag for word in ROUNDING):
             raise UserError(f"XLA_FLAGS: {flag} would give other results under the same name: leave it out")
     asked = {name: os.environ[name] for name in DEVICES if os.environ.get(name, "") not in ("", "cpu")}
-    if asked:  # in a process of its own: XLA ends the one that meets a bad flag, and a sweep is to leave the devices to its rows
-        if not _starts():
-            told = ", ".join(f"{name}={value}" for name, value in asked.items())
-            raise UserError(f"{told}: JAX cannot start with that on this machine; unset it, or name what is there")
+    if asked and not _starts():
+        told = ", ".join(f"{name}={value}" for name, value in asked.items())
+        raise UserError(f"{told}: JAX cannot start with that on this machine; unset it, or name what is there")
 
 
 def _starts() -> bool:
+    """In a process of its own: XLA ends the one that meets a bad flag, and a sweep is to leave the devices to its rows."""
     try:
         return subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=SECONDS).returncode == 0
     except subprocess.TimeoutExpired:
