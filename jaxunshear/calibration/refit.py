@@ -10,6 +10,7 @@ from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from jaxunshear.calibration.alignment import DAMPING, ENOUGH, FARTHEST, SHORTER, STEPS, Matter
 from jaxunshear.calibration.calibrated import Calibrated, value_of, with_value
@@ -40,7 +41,8 @@ LOG_STEPS = {  # of forward differences; for Poisson's ratios of what they lack 
     "mm_across": 0.03,
     "distance_mm": 0.15,
 }
-FACTOR = 5.0  # by which a value may go up or down, at most
+FACTOR = 10.0  # by which a value may go up or down, at most
+LEAST = 1e-3  # of a value, or of what a Poisson's ratio lacks of 0.5
 ROUNDS = 4
 
 
@@ -65,7 +67,7 @@ def refit(
     here = Point(start, tuple(frames))
     motions = _compared(matters, here)
     for _ in range(ROUNDS):
-        step = _step(matters, here, names, framed, motions, advance)
+        step = _step(matters, here, start, names, framed, motions, advance)
         there, tried = here, motions
         for share in SHORTER:
             there = _along(here, start, names, framed, share * step)
@@ -102,37 +104,55 @@ def _compared(matters: list[Matter], point: Point) -> list[tuple[np.ndarray, np.
 def _step(
     matters: list[Matter],
     here: Point,
+    start: Calibrated,
     names: list[str],
     framed: Collection[str],
     motions: list[tuple[np.ndarray, np.ndarray]],
     advance: Callable[[], None],
 ) -> np.ndarray:
-    """Of Gauss-Newton, in units of LOG_STEPS for the values, then of STEPS for each folder's frame."""
-    sizes = [np.linalg.norm(recorded) for recorded, _ in motions]
-    blank = [np.zeros(recorded.size) for recorded, _ in motions]
+    """Of Gauss-Newton within bounds, in units of LOG_STEPS for the values, then of STEPS for each folder's frame."""
+    sizes = [float(np.linalg.norm(recorded)) for recorded, _ in motions]
+    matrix = _slopes(matters, here, names, framed, motions, sizes, advance)
+    off = np.concatenate([(one - two).ravel() / size for (one, two), size in zip(motions, sizes, strict=True)])
+    normal = matrix @ matrix.T
+    low, high = np.full(len(normal), -FARTHEST), np.full(len(normal), FARTHEST)
+    for i, name in enumerate(names):
+        low[i] = _size(here.known, start, name, -FARTHEST) - 1e-9
+        high[i] = _size(here.known, start, name, FARTHEST) + 1e-9
+    moves = np.diag(normal) > 0  # friction moves no pin of a tap, and a flat top has no edge
+    lower = np.linalg.cholesky((normal + DAMPING * np.diag(np.diag(normal)))[np.ix_(moves, moves)])
+    step = np.zeros(len(normal))
+    step[moves] = lsq_linear(lower.T, np.linalg.solve(lower, (matrix @ off)[moves]), (low[moves], high[moves])).x
+    return step
+
+
+def _slopes(
+    matters: list[Matter],
+    here: Point,
+    names: list[str],
+    framed: Collection[str],
+    motions: list[tuple[np.ndarray, np.ndarray]],
+    sizes: list[float],
+    advance: Callable[[], None],
+) -> np.ndarray:
+    """(K, M): how a step of each unknown changes all simulated motions, those of a folder over its size."""
     slopes = []
     for name in names:
-        there = here._replace(known=_changed(here.known, here.known, name, 1.0))
-        pairs = zip(_compared(matters, there), motions, sizes, strict=True)
-        slopes.append(np.concatenate([(new[1] - old[1]).ravel() / size for new, old, size in pairs]))
+        step = _size(here.known, here.known, name, 1.0) or np.inf
+        there = _compared(matters, here._replace(known=_changed(here.known, here.known, name, 1.0)))
+        pairs = zip(there, motions, sizes, strict=True)
+        slopes.append(np.concatenate([(new[1] - old[1]).ravel() / size / step for new, old, size in pairs]))
         advance()
     for i, (matter, frame) in enumerate(zip(matters, here.frames, strict=True)):
         for name in framed:
-            column = list(blank)
+            column = [np.zeros(recorded.size) for recorded, _ in motions]
             if name != "across_mm" or matter.side:
                 moved = frame._replace(**{name: getattr(frame, name) + STEPS[name]})
                 simulated = with_values(matter, here.known).compared(moved)[1]
                 column[i] = (simulated - motions[i][1]).ravel() / sizes[i]
             slopes.append(np.concatenate(column))
             advance()
-    matrix = np.array(slopes)
-    off = np.concatenate([(one - two).ravel() / size for (one, two), size in zip(motions, sizes, strict=True)])
-    normal = matrix @ matrix.T
-    moves = np.diag(normal) > 0  # friction moves no pin of a tap, and a flat top has no edge
-    step = np.zeros(len(normal))
-    normal, wanted = normal[np.ix_(moves, moves)], (matrix @ off)[moves]
-    step[moves] = np.linalg.solve(normal + DAMPING * np.diag(np.diag(normal)), wanted)
-    return np.clip(step, -FARTHEST, FARTHEST)
+    return np.array(slopes)
 
 
 def _along(here: Point, start: Calibrated, names: list[str], framed: Collection[str], step: np.ndarray) -> Point:
@@ -150,13 +170,21 @@ def _free(name: str, value: float) -> float:
     return 0.5 - value if name.endswith("poisson") else value
 
 
-def _changed(known: Calibrated, start: Calibrated, name: str, size: float) -> Calibrated:
-    """One value, `size` steps on, within FACTOR of where it started."""
+def _size(known: Calibrated, start: Calibrated, name: str, size: float) -> float:
+    """`size` in LOG_STEPS from a value, or as much of it as leaves the value within FACTOR of where it started."""
     first, now = _free(name, value_of(start, name)), _free(name, value_of(known, name))
-    free = float(np.clip(now * np.exp(size * LOG_STEPS[name]), max(first / FACTOR, 1e-3), first * FACTOR))
+    least, most = max(first / FACTOR, LEAST), first * FACTOR
     if name.endswith("poisson"):
-        free = min(free, 0.5)
-    return with_value(known, name, _free(name, free))
+        most = min(most, 0.5)
+    ends = np.log(np.array([min(least, now), max(most, now)]) / now) / LOG_STEPS[name]
+    return float(np.clip(size, *ends))
+
+
+def _changed(known: Calibrated, start: Calibrated, name: str, size: float) -> Calibrated:
+    """One value moved on, as far as `_size` lets it."""
+    now = _free(name, value_of(known, name))
+    free = now * np.exp(_size(known, start, name, size) * LOG_STEPS[name])
+    return with_value(known, name, _free(name, float(free)))
 
 
 def _framed_alike(matters: list[Matter], start: Calibrated, here: Point) -> Calibrated:
