@@ -18,6 +18,12 @@ def add_parser(commands: Any) -> None:
         "--calibration", metavar="FILE", type=Path, help="calibration.json of `calibrate` (default: the fitted preset)"
     )
     parser.add_argument(
+        "--refit",
+        metavar="FILE",
+        type=Path,
+        help="refit sensor, camera and friction pin by pin first; for --calibration",
+    )
+    parser.add_argument(
         "--contacts", metavar="N", type=int, default=400, help="of each folder, at random; 0: all (400)"
     )
     parser.add_argument(
@@ -34,15 +40,28 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UserError(f"--contacts {arguments.contacts}: use 1 or more, or 0 for all")
     if arguments.seed < 0:
         raise UserError(f"--seed {arguments.seed}: use 0 or more")
-    from jaxunshear.calibration.validate import SHIPPED, read_calibration, validate
+    from jaxunshear.calibration.calibrated import SHIPPED, read_calibration
+    from jaxunshear.calibration.validate import validate
     from jaxunshear.metrics.machine import machine, versions
-    from jaxunshear.storage import check_beside, write_json
+    from jaxunshear.storage import check_beside, check_new_file, write_json
 
     if arguments.out is not None:
         check_beside(arguments.recordings, arguments.out, "--out")
+    check_new_file(arguments.json)
+    check_new_file(arguments.refit, "--refit")
+    if arguments.refit is not None and arguments.refit.resolve().is_relative_to(arguments.recordings.resolve()):
+        raise UserError(
+            f"--refit {arguments.refit} lies among the recordings in {arguments.recordings}: name another file"
+        )
     calibrated = SHIPPED if arguments.calibration is None else read_calibration(arguments.calibration)
     found = validate(
-        arguments.recordings, calibrated, arguments.contacts or None, arguments.seed, arguments.out, told=arguments.told
+        arguments.recordings,
+        calibrated,
+        arguments.contacts or None,
+        arguments.seed,
+        arguments.out,
+        told=arguments.told,
+        refit=arguments.refit,
     )
     if arguments.json is not None:
         told = {"command": command, "machine": machine(), "versions": versions(), "seed": arguments.seed, **found}

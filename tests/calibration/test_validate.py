@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxunshear.calibration.calibrated import SHIPPED, Calibrated, read_calibration
 from jaxunshear.calibration.held_out import among, held_out
-from jaxunshear.calibration.validate import SHIPPED, Calibrated, _used, read_calibration, validate
+from jaxunshear.calibration.validate import _used, validate
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Camera
 from tests.calibration.conftest import write_recording

@@ -1,0 +1,76 @@
+"""A sensor, a camera and a friction that are validated together: read from a file, and with single values changed.
+
+known = read_calibration(Path("runs/calibration/calibration.json"))
+with_value(known, "friction", 0.3).friction  # 0.3
+"""
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.calibration.prediction import Values, skin_to_gel
+from jaxunshear.errors import UserError
+from jaxunshear.image.settings import FITTED_CAMERA, Camera
+from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
+from jaxunshear.storage import read_json
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What is validated; `used` names the images that it was fitted to, as `Recorded.names` has them; None: those of the preset."""
+
+    name: str
+    sensor: Sensor
+    camera: Camera
+    friction: float
+    used: tuple[str, ...] | None = None
+
+    @property
+    def values(self) -> Values:
+        camera = self.camera
+        ratio = skin_to_gel(self.sensor)
+        return Values(
+            camera.mm_across, camera.distance_mm, self.sensor.pin_spacing_mm, self.friction, ratio, (), camera.housing
+        )
+
+    @property
+    def preset(self) -> dict[str, Any]:
+        """Fields of `Sensor` and `Camera` and the friction, as `read_calibration` reads them."""
+        return {"sensor": asdict(self.sensor), "camera": asdict(self.camera), "friction": self.friction}
+
+
+SHIPPED = Calibrated(f"preset {TACTIP_331_FITTED.name}", TACTIP_331_FITTED, FITTED_CAMERA, FITTED_FRICTION)
+
+
+def read_calibration(file: Path) -> Calibrated:
+    """A `calibration.json` of `jaxunshear calibrate`. Raises `UserError` where it is none."""
+    found = read_json(file)
+    try:
+        preset = found["preset"]
+        sensor, camera = Sensor(**preset["sensor"]), Camera(**preset["camera"])
+        friction, used = float(preset["friction"]), tuple(str(name) for name in found.get("image_names", ()))
+        check_sensor(sensor)
+    except (KeyError, TypeError, ValueError) as error:
+        raise UserError(
+            f"--calibration {file}: {type(error).__name__} {error}: give a calibration.json of `jaxunshear calibrate --out`"
+        ) from None
+    return Calibrated(f"calibration {file.name}", sensor, camera, friction, used)
+
+
+def value_of(known: Calibrated, name: str) -> float:
+    """A field of `Sensor` or `Camera`, `friction`, or `skin_to_gel` (the skin's modulus over the gel's)."""
+    if name in ("friction", "skin_to_gel"):
+        return getattr(known.values, name)
+    return getattr(known.sensor if hasattr(known.sensor, name) else known.camera, name)
+
+
+def with_value(known: Calibrated, name: str, value: float) -> Calibrated:
+    """The same with one value changed, named as for `value_of`."""
+    if name == "friction":
+        return replace(known, friction=value)
+    if name == "skin_to_gel":
+        return replace(known, sensor=replace(known.sensor, gel_modulus_mpa=known.sensor.skin_modulus_mpa / value))
+    changed: dict[str, Any] = {name: value}
+    if hasattr(known.sensor, name):
+        return replace(known, sensor=replace(known.sensor, **changed))
+    return replace(known, camera=replace(known.camera, **changed))
