@@ -77,7 +77,8 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     results = rounded(results)
     if gathered is not None:
         write_bytes(run_dir / "scores.npz", every_score(gathered))
-        write_bytes(run_dir / "montage.npz", montage(names, gathered))
+        if names:
+            write_bytes(run_dir / "montage.npz", montage(names, gathered))
     for name, found in further.items():
         write_bytes(run_dir / f"scores-{name}.npz", every_score(found))
     write_json(run_dir / "results.json", results)
@@ -116,8 +117,8 @@ def _recorded(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Sco
     test = recorded.what_to_test(experiment, stored, targets, run_dir)
     slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets)
     results = recorded.results_of(experiment, stored, targets, slides, taps, test)
-    shown = None if slides is None or not test.paired else recorded.as_montage(slides)
-    return results, shown, {} if taps is None else {"taps": taps}, ("recorded",)
+    scored = None if slides is None else recorded.as_montage(slides)
+    return results, scored, {} if taps is None else {"taps": taps}, ("recorded",) if test.paired else ()
 
 
 def every_score(gathered: Gathered) -> bytes:
