@@ -117,8 +117,10 @@ def _recorded(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Sco
     test = recorded.what_to_test(experiment, stored, targets, run_dir)
     slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets)
     results = recorded.results_of(experiment, stored, targets, slides, taps, test)
-    scored = None if slides is None else recorded.as_montage(slides)
-    return results, scored, {} if taps is None else {"taps": taps}, ("recorded",) if test.paired else ()
+    if slides is None:
+        return results, taps, {}, ()
+    further = {} if taps is None else {"taps": taps}
+    return results, recorded.as_montage(slides), further, ("recorded",) if test.paired else ()
 
 
 def every_score(gathered: Gathered) -> bytes:

@@ -194,9 +194,12 @@ def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path
         "--data",
         tmp_path / "d",
     )
-    answer = command(*words, *SHORT[:2], "--train_pins.epochs", "2", *SHORT[4:], "--targets", "y_mm,Rz_deg")
+    short = (*SHORT[:2], "--train_pins.epochs", "2", *SHORT[4:], "--targets", "y_mm,Rz_deg")
+    answer = command(*words, *short)
     assert answer.code == 0, answer.err
     results = json.loads((tmp_path / "runs" / network / "results.json").read_text())
+    with np.load(tmp_path / "runs" / network / "scores.npz") as scores:  # which a sweep over seeds reads
+        assert f"pose/{'sheared_learnt' if slid else 'tap'}/y_mm" in scores
     assert list(results["pose_mae"]) == (["sheared_learnt"] if slid else ["tap"])
     assert list(next(iter(results["pose_mae"].values()))) == ["y_mm", "Rz_deg"]
 
