@@ -16,6 +16,19 @@ ROWS = {
 SHARES = ("0.01", "0.05", "0.1", "0.3", "1.0")
 WAYS = ("left_out", "read")
 LEARNT = ("directly", "unsheared", "directly, pins turned", "unsheared, pins turned, the others read")
+REFITTED = {
+    "frame": "the object's frame, found in other contacts",
+    "friction": "friction",
+    "skin_to_gel": "stiffness, skin : gel",
+    "skin_mm": "skin's thickness, mm",
+    "pin_length_mm": "pins' length, mm",
+    "skin_poisson": "skin's Poisson's ratio",
+    "gel_poisson": "gel's Poisson's ratio",
+    "dome_radius_mm": "dome's radius, mm",
+    "mm_across": "camera: mm across",
+    "distance_mm": "camera: distance, mm",
+    "all": "all values together",
+}
 PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
 
 
@@ -57,6 +70,19 @@ def pairings() -> str:
     return "\n".join(lines)
 
 
+def refit() -> str:
+    """What the simulator gains on contacts kept out, by the object's frame, by each value of the sensor, and by all of them."""
+    rows = {row["name"]: row["value"] for row in json.loads((RESULTS / "validate_refit.json").read_text())["rows"]}
+    lines = ["| changed | before | after | R2 gained, taps | R2 gained, slides |", "|---|---|---|---|---|"]
+    for name, told in REFITTED.items():
+        values = [f"{rows[f'{when}.{name}']:.3g}" if f"{when}.{name}" in rows else "" for when in ("before", "after")]
+        lines.append(_line(told, values + [f"{rows[f'gain.r2.{kind}.{name}']:+.3f}" for kind in ("tap", "slide")]))
+    for when, told in (("before", "R2 before the refit, frame found"), ("after", "R2 after it")):
+        found = [rows[f"before.r2.{kind}" if when == "before" else f"r2.{kind}"] for kind in ("tap", "slide")]
+        lines.append(_line(told, ["", "", *(f"{value:.3f}" for value in found)]))
+    return "\n".join(lines)
+
+
 def _cells(name: str) -> list[dict[str, Any]]:
     return json.loads((RESULTS / f"{name}.json").read_text())["cells"]
 
@@ -70,7 +96,11 @@ def _cell(metric: dict[str, Any], digits: int) -> str:
     return f"{metric['mean']:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-TABLES = {"README.md": (real_skin,), "docs/your-own-recordings.md": (few_labels, pairings)}
+TABLES = {
+    "README.md": (real_skin,),
+    "docs/your-own-recordings.md": (few_labels, pairings),
+    "docs/simulator.md": (refit,),
+}
 
 if __name__ == "__main__":
     for page, tables in TABLES.items():
