@@ -94,9 +94,8 @@ class Reader:
 
         drawn = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
         order = _shuffled(self.length("train"), batch, seed)
-        still = (
-            not shift and not mirror and all(len(each) == 1 for each in siblings)
-        )  # then nothing is drawn of an example
+        # whether nothing of an example is drawn at random: then a batch is read whole
+        still = not shift and not mirror and all(len(each) == 1 for each in siblings)
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
             steps = itertools.count(start_step)

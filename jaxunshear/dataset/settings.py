@@ -70,9 +70,7 @@ class Recorded:
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
     pairing: str = "rendered"  # a slide's partner: what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"
     labelled: float = 1.0  # share of the training slides whose labels teach
-    unlabelled: str = (
-        "left_out"  # what of training slides without a label; or "read": posenet_sheared reads their poses
-    )
+    unlabelled: str = "left_out"  # training slides without a label; or "read": posenet_sheared reads their poses
     test: float = 0.1  # share of the poses kept out, where no folder is
     validation: float = 0.1
     seed: int = 0
