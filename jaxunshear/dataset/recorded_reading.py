@@ -28,7 +28,8 @@ from jaxunshear.scene.sensor import Sensor
 from jaxunshear.targets import Targets, of_labels
 
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
-Read = Callable[[np.ndarray, np.ndarray], np.ndarray]  # images (N, S, S) uint8, pins (N, P, 2) px -> poses (N, 6)
+# images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)
+Read = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
 
 
 def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0) -> "RecordedSet":
@@ -121,15 +122,19 @@ class RecordedSet:
         `weight` (B,) is what a pair counts in training, `gap` (B, 6) how far the partner's pose is off. Raises UserError where no slide
         has a partner.
         """
-        return Reader(lambda split: self._paired(split, self._slides(split, read), targets, render, images), self.size)
 
-    def _slides(self, split: str, read: Read | None = None) -> Batch:
+        def load(split: str) -> Batch:
+            return self._paired(split, self._slides(split, read, images), targets, render, images)
+
+        return Reader(load, self.size)
+
+    def _slides(self, split: str, read: Read | None = None, images: bool = True) -> Batch:
         rows = self._of(split, True)
         known = np.isfinite(rows["pose"]).all(axis=1)
         if split != "test":
             known &= _share(rows["number"], self.seed) < self.settings.labelled
         if read and split == "train":
-            unpacked = unpack(rows["image"][~known], self.size)
+            unpacked = unpack(rows["image"][~known], self.size) if images else None
             pose = rows["pose"].copy()
             pose[~known] = read(unpacked, rows["pins"][~known])
             rows = rows | {"pose": pose}

@@ -120,13 +120,13 @@ def _read(folder: Path, pins: bool) -> Read:
     predict = partial((pinnets if pins else posenet).predict, net, variables)
     run = jax.jit(lambda seen: posenet.pose_from_outputs(predict(seen), targets))
 
-    def read(images: np.ndarray, places: np.ndarray) -> np.ndarray:
+    def read(images: np.ndarray | None, places: np.ndarray) -> np.ndarray:
         def poses(part: np.ndarray) -> np.ndarray:
             found = run(part if pins else part[..., None].astype(np.float32) / 255)
             zero = np.zeros(len(part), np.float32)
             return np.stack([np.asarray(found.get(name, zero)) for name in RECORDED], axis=-1)
 
-        return _in_parts(poses, places if pins else images, READ_AT_ONCE)
+        return _in_parts(poses, places if images is None else images, READ_AT_ONCE)
 
     return read
 
