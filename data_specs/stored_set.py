@@ -100,6 +100,7 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
         "2.1.0": "Presses in increments of 3 mm.",
         "2.3.0": "Polygons without a ridge along rows through a corner.",
         "2.4.0": "Pairs drift too.",
+        "3.0.0": "Exact distances from every shape's outline; slides along x, y or both; the fitted sensor but for tiny and demo.",
         "1.0.0": "First release.",
     }
     engine: Engine | None = None  # tests put a fast stand-in for the simulator here

@@ -1,4 +1,4 @@
-"""Claim: a network trained for minutes on simulated pairs takes most of the slide out of a tactile image.
+"""Claim: minutes of training on simulated pairs take most of the slide out of an image; the pins are flush, as no real skin's.
 
     jaxunshear run experiments/demo.py          # `make demo` does this after setting up
 
@@ -6,8 +6,9 @@ Expected on two cores, within 10 minutes (half as much again where the machine i
 at least 0.90 (0.45 at most for the sheared image itself), and a PoseNet trained on taps that errs, in edge distance and edge
 angle, at most 0.6 times as much on the unsheared images as on the sheared ones.
 
-Its pins end flush with the skin. Pins as levers, which real ones are (calibrated.py has them), show how the skin turns at an edge,
-and so much of the pose is read from a sheared image that minutes of training win back a third of what is lost, not half and more.
+Its pins end flush with the skin and its friction is 0.7. Pins as levers, which real ones are (calibrated.py and standard.py have
+them), show how the skin turns at an edge, and so much of the pose is read from a sheared image that minutes of training win back a
+third of what is lost, not half and more.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of

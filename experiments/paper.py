@@ -1,4 +1,4 @@
-"""Claim: the paper's own set-up, all of section 3.2 and appendices A and B, in simulation.
+"""Claim: the paper's own set-up, all of section 3.2 and appendices A and B, simulated with a sensor fitted to recordings.
 
     jaxunshear run experiments/paper.py
 
@@ -9,7 +9,8 @@ whole. The same way in minutes: `--paired.poses 10 --paired.taps 1 --paired.slid
 
 Read as the text is meant: "10e-4" is 1e-3, "10:1" a weight of 0.1 on the patch loss, "one-fifth and one-tenth" factors
 on the first learning rate. A slide is paired with a tap whose depth misses its own by up to 1 mm, as in the paper,
-which no network can foresee: the test against taps of the slide's own depth stands apart. The widths and the 4x4
+which no network can foresee: the test against taps of the slide's own depth stands apart. Sensor, camera and friction
+are those fitted to recordings of a TacTip (docs/simulator.md): those of the paper's own are not known. The widths and the 4x4
 kernels stand in figures that the text lacks: ours (docs/model.md).
 """
 

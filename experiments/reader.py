@@ -2,7 +2,8 @@
 
     jaxunshear sweep experiments/reader.py
 
-Expected on two cores: half an hour a seed beside 7 minutes for the data; the same images win back 0.84 of what the slide
+Expected on two cores, as measured with flush pins, data version 2.4.0: half an hour a seed
+beside 7 minutes for the data; the same images win back 0.84 of what the slide
 adds to the error in x with the PoseNet that learnt least, 0.70 with those that learnt most (docs/results/reader.json).
 One disentangled network, that of `standard.py`, and its images; what differs is the PoseNet: how many taps it learnt
 from, and for how long. All rows of a seed share the network that unshears, which is trained once.

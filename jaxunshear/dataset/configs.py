@@ -12,7 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 
-VERSION = "2.4.0"  # of the stored sets; raise it whenever the same settings give other bits
+VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"
 PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
 NOT_STORED = (
@@ -29,12 +29,13 @@ PAIRED = {
     "tiny": PairedData(config="tiny", poses=10),
     "demo": PairedData(camera=FLUSH_CAMERA),
     "calibrated": PairedData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    "standard": PairedData(config="standard", poses=1200, camera=FLUSH_CAMERA),
-    "best": PairedData(config="best", poses=9000, camera=FLUSH_CAMERA),
+    "standard": PairedData(config="standard", poses=1200, camera=FITTED_CAMERA, friction=FITTED_FRICTION),
+    "best": PairedData(config="best", poses=9000, camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "paper_short": PairedData(
         config="paper_short",
         poses=1200,
-        camera=replace(FLUSH_CAMERA, frame_px=256),
+        friction=FITTED_FRICTION,
+        camera=replace(FITTED_CAMERA, frame_px=256),
         preprocess=Preprocess(size=256),
     ),
     "paper": PairedData(
@@ -43,7 +44,8 @@ PAIRED = {
         taps=50,
         slides=150,
         tap_depth_jitter_mm=1.0,
-        camera=replace(FLUSH_CAMERA, frame_px=256),
+        friction=FITTED_FRICTION,
+        camera=replace(FITTED_CAMERA, frame_px=256),
         preprocess=Preprocess(size=256),
     ),
 }
@@ -51,13 +53,21 @@ POSE = {
     "tiny": PoseData(config="tiny", poses=10),
     "demo": PoseData(camera=FLUSH_CAMERA),
     "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    "standard": PoseData(config="standard", poses=3000, camera=FLUSH_CAMERA),
-    "best": PoseData(config="best", poses=18000, camera=FLUSH_CAMERA),
+    "standard": PoseData(config="standard", poses=3000, camera=FITTED_CAMERA, friction=FITTED_FRICTION),
+    "best": PoseData(config="best", poses=18000, camera=FITTED_CAMERA, friction=FITTED_FRICTION),
     "paper_short": PoseData(
-        config="paper_short", poses=3000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
+        config="paper_short",
+        poses=3000,
+        friction=FITTED_FRICTION,
+        camera=replace(FITTED_CAMERA, frame_px=256),
+        preprocess=Preprocess(size=256),
     ),
     "paper": PoseData(
-        config="paper", poses=10_000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
+        config="paper",
+        poses=10_000,
+        friction=FITTED_FRICTION,
+        camera=replace(FITTED_CAMERA, frame_px=256),
+        preprocess=Preprocess(size=256),
     ),
 }
 CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: PAIRED, POSE_SET: POSE}
@@ -65,8 +75,8 @@ CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: P
 
 def sensor_of(config: str) -> Sensor:
     """The sensor of a stored configuration."""
-    others = {"tiny": TACTIP_331, "calibrated": TACTIP_331_FITTED}
-    return others.get(config, TACTIP_331_FLUSH)
+    others = {"tiny": TACTIP_331, "demo": TACTIP_331_FLUSH}
+    return others.get(config, TACTIP_331_FITTED)
 
 
 def set_name(settings: Settings) -> str:

@@ -13,7 +13,7 @@ class Ranges:
     yaw_deg: float = 45.0  # the text's "[-45, -45]" read as +-45
     depth_min_mm: float = 1.0
     depth_max_mm: float = 6.0
-    move_mm: float = 2.5  # slide offset in x and in y within +- this
+    move_mm: float = 2.5  # slide offset within +- this, along x or y or both, as chance has it
 
 
 DRIFTING = Nuisance(drift_px=1.0, drift_brightness=0.1)  # a set is recorded over days (paper section 3.2.2)

@@ -43,8 +43,10 @@ def draw_poses(
 
 
 def draw_moves(generator: np.random.Generator, count: int, move_mm: float) -> np.ndarray:
-    """Uniform slide offsets (count, 2) in mm."""
-    return generator.uniform(-move_mm, move_mm, (count, 2))
+    """Slide offsets (count, 2) in mm: uniform along x alone, along y alone or along both, a third of the chances each."""
+    offset = generator.uniform(-move_mm, move_mm, (count, 2))
+    axis = generator.integers(3, size=count)
+    return np.where(axis[:, None] == [1, 0], 0, offset)
 
 
 def make_scenes(

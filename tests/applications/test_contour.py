@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxunshear.applications.contour import advance, off, outline
-from jaxunshear.scene.stimuli import STIMULI, Stimulus, disk, signed_distance
+from jaxunshear.scene.shapes import disk
+from jaxunshear.scene.stimuli import STIMULI, Stimulus, signed_distance
 
 
 def test_a_disk_s_outline():

@@ -12,7 +12,8 @@ from jaxunshear.applications.walk_scores import seen_edge, walk_rows
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
 from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331
-from jaxunshear.scene.stimuli import STIMULI, Stimulus, disk
+from jaxunshear.scene.shapes import disk
+from jaxunshear.scene.stimuli import STIMULI, Stimulus
 
 SETTINGS = PairedData()
 COURSE = Course("disk", starts=2, depth_mm=2.0)

@@ -7,7 +7,8 @@ from jaxunshear.dataset.configs import PAIRED, POSE, config_name, sensor_of
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.dataset.shots import LEAST_DEPTH_MM, SPLITS, draw_paired, draw_pose
 from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import TACTIP_127
+from jaxunshear.image.settings import FITTED_CAMERA
+from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_127, TACTIP_331_FITTED
 
 
 def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
@@ -27,7 +28,7 @@ def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
             assert np.ptp(shots.age[here]) == 0  # a tap and its slides drift alike
             assert np.ptp(shots.scenes.pose[here], axis=0).max() == 0  # no depth jitter asked for
     assert not shots.scenes.move[~shots.slid].any()
-    assert np.all(shots.scenes.move[shots.slid] != 0)
+    assert np.all(np.any(shots.scenes.move[shots.slid] != 0, axis=-1))
 
 
 @pytest.mark.parametrize(("poses", "parts"), [(3, (1, 1, 1)), (10, (6, 2, 2)), (200, (120, 40, 40))])
@@ -45,6 +46,23 @@ def test_ranges_are_those_of_the_paper_and_filled():
     assert np.all(most > [4.9, 4.9, 44])
     assert 1 <= shots.scenes.pose[:, 3].min() < 1.1 < 5.9 < shots.scenes.pose[:, 3].max() <= 6
     assert 2.4 < np.abs(shots.scenes.move).max() <= 2.5
+
+
+def test_slides_are_along_x_along_y_or_along_both_a_third_each():
+    move = draw_paired(PairedData(stimuli=("disk",), poses=1000, slides=3)).scenes.move.reshape(1000, 4, 2)[:, 1:]
+    along = move.reshape(-1, 2) != 0
+    for kind in ([True, False], [False, True], [True, True]):
+        assert abs(np.mean(np.all(along == kind, axis=-1)) - 1 / 3) < 0.04
+    assert np.all(np.abs(move) <= 2.5) and abs(np.mean(np.abs(move[move != 0])) - 1.25) < 0.05
+
+
+def test_only_demo_and_tiny_are_not_of_the_fitted_sensor():
+    for known in (PAIRED, POSE):
+        for name, settings in known.items():
+            fitted = (sensor_of(name), settings.friction) == (TACTIP_331_FITTED, FITTED_FRICTION)
+            camera = dataclasses.replace(settings.camera, frame_px=FITTED_CAMERA.frame_px) == FITTED_CAMERA
+            assert fitted == camera == (name not in ("tiny", "demo"))
+            assert not name.startswith("paper") or settings.camera.frame_px == settings.preprocess.size == 256
 
 
 def test_depth_jitter_moves_taps_alone_and_never_above_the_stimulus():

@@ -7,8 +7,8 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import edge_labels, make_scenes
+from jaxunshear.scene.shapes import FAR_MM
 from jaxunshear.scene.stimuli import (
-    FAR_MM,
     SHAPES,
     STIMULI,
     TRAINING,

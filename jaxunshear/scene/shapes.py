@@ -1,0 +1,240 @@
+"""Planar shapes as exact signed distances: mm from the outline itself, negative inside, with its normal as the slope.
+
+A `Distance` maps points (..., 2) mm of the shape's own frame to (...,) mm. Its gradient has length 1 on the outline and about it, to
+the float; it is zero, never NaN, where all directions are as near, as in the middle of a disk.
+
+A shape of one's own is a polygon, a stroke or any such function:
+
+    triangle = polygon(np.array([[0.0, 0.0], [30.0, 0.0], [0.0, 30.0]]))
+    Stimulus("triangle", triangle, target=(15.0, 0.0, -90.0), extent_mm=30.0)
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+Distance = Callable[[jax.Array], jax.Array]
+Radius = Callable[
+    [jax.Array], tuple[jax.Array, ...]
+]  # angle (rad) -> a polar curve's radius and its first two derivatives
+
+FAR_MM = 125.0  # further than any dome reaches
+AT_CORNER_MM = 1e-4  # nearer than this to a corner, rounding decides where a point lies from it
+STEPS = 8  # of Newton's method: what floats can tell, from starts as coarse as here
+STARTS = 13  # along half a petal
+
+
+def _length(v: jax.Array) -> jax.Array:
+    """Euclidean norm whose gradient at zero is zero, not NaN."""
+    squared = jnp.sum(v * v, axis=-1)
+    return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
+
+
+def edge() -> Distance:
+    """A half plane, its straight edge along y."""
+    return lambda p: p[..., 0]
+
+
+def surface() -> Distance:
+    """A plane without an edge: as if one were FAR_MM away, wherever it is asked."""
+    return lambda p: jnp.full_like(p[..., 0], -FAR_MM)
+
+
+def disk(radius: float) -> Distance:
+    return lambda p: _length(p) - radius
+
+
+def _fillet_centre(radius: float, offset: float, fillet: float) -> float:
+    """x and y of the middle of a circle that touches two neighbouring lobes from outside."""
+    return float((offset + np.sqrt(2 * (radius + fillet) ** 2 - offset**2)) / 2)
+
+
+def clover(radius: float, offset: float, fillet: float) -> Distance:
+    """Four disks about (+-offset, 0) and (0, +-offset); arcs of radius `fillet` round the four corners between them.
+
+    What lies nearest to a point lies in the same eighth of the plane: there one lobe's arc passes into one fillet's, and the line
+    through both centres parts the points of the one from those of the other.
+    """
+    middle = _fillet_centre(radius, offset, fillet)
+
+    def distance(p: jax.Array) -> jax.Array:
+        x, y = jnp.abs(p[..., 0]), jnp.abs(p[..., 1])
+        eighth = jnp.stack([jnp.maximum(x, y), jnp.minimum(x, y)], axis=-1)
+        from_lobe = eighth - jnp.asarray([offset, 0.0], p.dtype)
+        from_fillet = eighth - jnp.asarray([middle, middle], p.dtype)
+        at_fillet = (middle - offset) * from_lobe[..., 1] > middle * from_lobe[..., 0]
+        return jnp.where(at_fillet, fillet - _length(from_fillet), _length(from_lobe) - radius)
+
+    return distance
+
+
+def clover_corner(radius: float, offset: float, fillet: float) -> float:
+    """x and y of the place where the diagonal leaves the clover."""
+    return _fillet_centre(radius, offset, fillet) - fillet / float(np.sqrt(2))
+
+
+def teardrop(radius: float, tip_radius: float, length: float) -> Distance:
+    """Convex hull of a disk at the origin and a small one at (length, 0) (Quilez, 'uneven capsule')."""
+    b = (radius - tip_radius) / length
+    a = float(np.sqrt(1 - b * b))
+
+    def distance(p: jax.Array) -> jax.Array:
+        along, side = p[..., 0], jnp.abs(p[..., 1])
+        k = a * along - b * side
+        flank = a * side + b * along - radius
+        tip = _length(jnp.stack([along - length, side], axis=-1)) - tip_radius
+        return jnp.where(k < 0, _length(p) - radius, jnp.where(k > a * length, tip, flank))
+
+    return distance
+
+
+def leaf(radius: float, offset: float, round_mm: float) -> Distance:
+    """The overlap of two disks with centres (0, +-offset), its two tips rounded (Quilez, 'vesica')."""
+    half = float(np.sqrt(radius**2 - offset**2))
+
+    def distance(p: jax.Array) -> jax.Array:
+        along, side = jnp.abs(p[..., 0]), jnp.abs(p[..., 1])
+        at_tip = (along - half) * offset > side * half
+        tip = _length(jnp.stack([along - half, side], axis=-1))
+        arc = _length(jnp.stack([along, side + offset], axis=-1)) - radius
+        return jnp.where(at_tip, tip, arc) - round_mm
+
+    return distance
+
+
+def _nearest_angle(radius: Radius, start: jax.Array, low: jax.Array, high: jax.Array, p: jax.Array) -> jax.Array:
+    """Where a polar curve, between two angles, lies nearest to points (..., 2), sought from `start`; all (...,) rad."""
+    far, towards = _length(p), jnp.arctan2(p[..., 1], p[..., 0])
+
+    def step(_: int, angle: jax.Array) -> jax.Array:
+        r, rise, bend = radius(angle)
+        cos, sin = far * jnp.cos(angle - towards), far * jnp.sin(angle - towards)
+        slope = r * rise - rise * cos + r * sin  # of half the squared distance
+        curve = rise**2 + r * bend - bend * cos + 2 * rise * sin + r * cos
+        # beyond the centre of curvature Newton's step would lead uphill
+        return jnp.clip(angle - slope / jnp.where(curve > 0, curve, r**2 + rise**2), low, high)
+
+    return jax.lax.fori_loop(0, STEPS, step, start)
+
+
+def _on_curve(radius: Radius, angle: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Points (..., 2) of a polar curve and its unit normals (..., 2), to the right of its course."""
+    r, rise, _ = radius(angle)
+    cos, sin = jnp.cos(angle), jnp.sin(angle)
+    normal = jnp.stack([rise * sin + r * cos, r * sin - rise * cos], axis=-1)
+    return jnp.stack([r * cos, r * sin], axis=-1), normal / jnp.sqrt(r**2 + rise**2)[..., None]
+
+
+def flower(mean: float, wave: float, petals: int) -> Distance:
+    """The outline `mean + wave cos(petals angle)`; by symmetry what is nearest to a point lies on the same half petal."""
+    half = np.pi / petals
+
+    def radius(angle: jax.Array) -> tuple[jax.Array, ...]:
+        cos, sin = jnp.cos(petals * angle), jnp.sin(petals * angle)
+        return mean + wave * cos, -petals * wave * sin, -(petals**2) * wave * cos
+
+    def distance(p: jax.Array) -> jax.Array:
+        fixed = jax.lax.stop_gradient(p)
+        petal = 2 * half * jnp.round(jnp.arctan2(fixed[..., 1], fixed[..., 0]) / (2 * half))
+        off_axis = jnp.arctan2(fixed[..., 1], fixed[..., 0]) - petal
+        folded = _length(fixed)[..., None] * jnp.stack([jnp.cos(off_axis), jnp.abs(jnp.sin(off_axis))], axis=-1)
+        starts = jnp.asarray(np.linspace(0, half, STARTS), p.dtype)
+        apart = jnp.sum((folded[..., None, :] - _on_curve(radius, starts)[0]) ** 2, axis=-1)
+        start, gap = starts[jnp.argmin(apart, axis=-1)], half / (STARTS - 1)
+        angle = _nearest_angle(radius, start, jnp.maximum(start - gap, 0), jnp.minimum(start + gap, half), folded)
+        point, normal = _on_curve(radius, petal + jnp.where(off_axis < 0, -angle, angle))
+        return jnp.sum((p - point) * normal, axis=-1)  # the outline's point stands still, to first order
+
+    return distance
+
+
+def spiral(inner: float, pitch: float, turns: float, half_width: float) -> Distance:
+    """The curve `inner + pitch angle / 2 pi`, drawn with a round pen that nowhere reaches the next winding."""
+    last = 2 * np.pi * turns
+
+    def radius(angle: jax.Array) -> tuple[jax.Array, ...]:
+        return _spiral_radius(inner, pitch, angle)
+
+    def distance(p: jax.Array) -> jax.Array:
+        fixed = jax.lax.stop_gradient(p)[..., None, :]
+        windings = jnp.asarray(2 * np.pi * np.arange(-1, np.ceil(turns) + 1), p.dtype)
+        start = jnp.clip(jnp.arctan2(fixed[..., 1], fixed[..., 0]) + windings, 0, last)
+        angle = _nearest_angle(radius, start, jnp.maximum(start - 1, 0), jnp.minimum(start + 1, last), fixed)
+        points = _on_curve(radius, angle)[0]
+        nearest = jnp.argmin(jnp.sum((fixed - points) ** 2, axis=-1), axis=-1)
+        point = jnp.take_along_axis(points, nearest[..., None, None], axis=-2)[..., 0, :]
+        return _length(p - point) - half_width
+
+    return distance
+
+
+def _spiral_radius(inner: float, pitch: float, angle: jax.Array) -> tuple[jax.Array, ...]:
+    rise = jnp.full_like(angle, pitch / (2 * np.pi))
+    return inner + rise * angle, rise, jnp.zeros_like(angle)
+
+
+def spiral_target(inner: float, pitch: float, half_width: float, turns: float) -> tuple[float, float, float]:
+    """x, y (mm) and direction of the outward normal (deg) where the outer side of a spiral stands after so many turns."""
+    angle, rise = 2 * np.pi * turns, pitch / (2 * np.pi)
+    r = inner + rise * angle
+    cos, sin = np.cos(angle), np.sin(angle)
+    normal = np.array([rise * sin + r * cos, r * sin - rise * cos]) / np.hypot(r, rise)
+    x, y = r * np.array([cos, sin]) + half_width * normal
+    return float(x), float(y), float(np.degrees(np.arctan2(normal[1], normal[0])))
+
+
+def _along(p: jax.Array, start: np.ndarray, end: np.ndarray) -> tuple[jax.Array, jax.Array, jax.Array]:
+    """Of the segments (V, 2) to (V, 2) the one nearest to each point (...,): its index, where along it in [0, 1], and the point."""
+    begin, along = jnp.asarray(start, p.dtype), jnp.asarray(end - start, p.dtype)
+    offset = p[..., None, :] - begin
+    t = jnp.clip(jnp.sum(offset * along, -1) / jnp.sum(along * along, -1), 0, 1)
+    index = jnp.argmin(jnp.sum((offset - t[..., None] * along) ** 2, -1), axis=-1)
+    t = jnp.take_along_axis(t, index[..., None], axis=-1)[..., 0]
+    # a corner to the bit, from whichever of its two segments it is seen
+    point = jnp.where((t < 1)[..., None], begin[index] + t[..., None] * along[index], jnp.asarray(end, p.dtype)[index])
+    return index, t, point
+
+
+def polygon(corners: np.ndarray) -> Distance:
+    """A closed polygon that does not cross itself, corners (V, 2).
+
+    Beside a segment the distance is that from its line, which knows inside from outside and has a slope on the outline, too. At a
+    corner it is that from the corner, outside where the mean of both normals points to.
+    """
+    apart = np.any(corners != np.roll(corners, 1, axis=0), axis=-1)  # the first corner may be given again as the last
+    corners = np.asarray(corners, float)[apart]
+    x, y = corners.T
+    if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0:
+        corners = corners[::-1]
+    following = np.roll(corners, -1, axis=0)
+    side = following - corners
+    flat = np.stack([side[:, 1], -side[:, 0]], axis=-1) / np.linalg.norm(side, axis=-1, keepdims=True)
+    mean = flat + np.roll(flat, 1, axis=0)
+    mean = mean / np.linalg.norm(mean, axis=-1, keepdims=True)
+
+    def distance(p: jax.Array) -> jax.Array:
+        index, t, point = _along(jax.lax.stop_gradient(p), corners, following)
+        inside_segment, at_end = (t > 0) & (t < 1), (index + (t >= 1)) % len(corners)
+        normal = jnp.where(
+            inside_segment[..., None], jnp.asarray(flat, p.dtype)[index], jnp.asarray(mean, p.dtype)[at_end]
+        )
+        signed = jnp.sum((p - point) * normal, axis=-1)
+        far = _length(p - point)
+        return jnp.where(inside_segment | (far < AT_CORNER_MM), signed, jnp.where(signed < 0, -far, far))
+
+    return distance
+
+
+def stroke(points: np.ndarray, half_width: float) -> Distance:
+    """An open curve through points (V, 2), drawn with a round pen.
+
+    Exact outside; inside it is so but where the pen covers its own track: at crossings, and on the inner side of sharp bends.
+    """
+    points = points[np.append(True, np.any(np.diff(points, axis=0) != 0, axis=-1))]
+
+    def distance(p: jax.Array) -> jax.Array:
+        return _length(p - _along(jax.lax.stop_gradient(p), points[:-1], points[1:])[2]) - half_width
+
+    return distance
