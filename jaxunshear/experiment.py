@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from jaxunshear.dataset.settings import PairedData, PoseData, Recorded, RecordedTaps
+from jaxunshear.dataset.settings import RENDERED, PairedData, PoseData, Recorded, RecordedTaps
 from jaxunshear.errors import UserError
 from jaxunshear.model.settings import PinNet, PoseNet, UnshearNet
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
@@ -96,7 +96,7 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
     renderer, a teacher, a reader of slides without labels."""
     unshears = set(experiment.networks) - {*POSENETS, RENDERER}
     recorded = recorded_of(experiment)
-    rendered = (RENDERER,) if recorded and recorded.pairing == "rendered" and unshears else ()
+    rendered = (RENDERER,) if recorded and recorded.pairing in RENDERED and unshears else ()
     reader = ("posenet_sheared",) if recorded and recorded.unlabelled == "read" and unshears else ()
     training = experiment.train_pins if over_pins(experiment) else experiment.train
     taught = (TEACHER,) if training.pose_weight and unshears else ()

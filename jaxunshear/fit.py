@@ -58,7 +58,8 @@ def with_recordings(experiment: Experiment, taps: str = "", slides: str = "", pa
     if pairs:
         recorded = replace(recorded, pairing="file")
     contacts = survey(recorded)
-    networks = allowed(experiment.networks, bool((~contacts.slid).any()), bool(contacts.slid.any()))
+    dragged = bool(contacts.slid.any()) or recorded.pairing == "simulated"
+    networks = allowed(experiment.networks, bool((~contacts.slid).any()), dragged)
     if not networks:
         raise UserError(f"networks: none of {', '.join(experiment.networks)} can learn from these recordings")
     sensor = sensor_of(contacts, recorded.preprocess)

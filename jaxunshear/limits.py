@@ -24,7 +24,7 @@ from jaxunshear.experiment import (
     trained,
 )
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
-from jaxunshear.scene.sensor import Sensor, sensor_rules
+from jaxunshear.scene.sensor import TACTIP_331_FITTED, Sensor, sensor_rules
 from jaxunshear.targets import RECORDED, SIMULATED, names_of, of_ranges, parsed
 from jaxunshear.training.settings import Training
 
@@ -108,6 +108,16 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
         bool(recorded.pairs) == (recorded.pairing == "file"),
         "paired.pairs",
         "a table of pairs goes with pairing file: add both, or neither",
+    )
+    yield (
+        recorded.pairing != "simulated" or (recorded.labelled == 1 and recorded.unlabelled == "left_out"),
+        "paired.pairing",
+        "simulated takes no recorded slide to learn from: leave paired.labelled at 1 and paired.unlabelled at left_out",
+    )
+    yield (
+        recorded.pairing != "simulated" or experiment.sensor.pins == TACTIP_331_FITTED.pins,
+        "paired.pairing",
+        f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; yours has {experiment.sensor.pins}",
     )
     yield 0 < recorded.labelled <= 1, "paired.labelled", "use a share above 0, at most 1"
     yield recorded.unlabelled in UNLABELLED, "paired.unlabelled", f"is unknown: use {' or '.join(UNLABELLED)}"
@@ -442,6 +452,11 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
         not pins.turned or (over_pins(experiment) and recorded_of(experiment) is not None),
         "pins.turned",
         "is for networks over recorded pins: leave it at 0",
+    )
+    yield (
+        not pins.turned or "posenet_sheared" in trained(experiment),
+        "pins.turned",
+        "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
     )
 
 

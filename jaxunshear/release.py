@@ -87,6 +87,13 @@ def card(results: dict[str, Any], name: str) -> str:
     return _simulated_card(results, name) if results.get("simulated", True) else _recorded_card(results, name)
 
 
+def _slides_of(results: dict[str, Any]) -> str:
+    recordings = results["recordings"]
+    if results["pairing"]["way"] == "simulated":
+        return "no slide: those that teach are simulated"
+    return f"{recordings['slides']['train']} slides, {recordings['labelled']:.0%} of the slides' labels"
+
+
 def _recorded_card(results: dict[str, Any], name: str) -> str:
     """Of networks that learnt from recordings."""
     metric, counts, recordings = results["metric"], results["counts"], results["recordings"]
@@ -104,8 +111,7 @@ def _recorded_card(results: dict[str, Any], name: str) -> str:
         f"    jaxunshear pose RECORDINGS --model {name}",
         "",
         f"* **Learnt from** recordings (digest {recordings['digest']}): {recordings['taps']['train']} taps and "
-        f"{recordings['slides']['train']} slides, {recordings['labelled']:.0%} of the slides' labels; "
-        f"pairing: {results['pairing']['way']}.",
+        f"{_slides_of(results)}; pairing: {results['pairing']['way']}.",
         f"* **Poses** {', '.join(targets)}, in the names, the frame and the units of the recorded labels.",
         "* **Not measured**: another sensor, another object, another camera.",
         f"* **Seed** {results['seeds']['experiment']}.",

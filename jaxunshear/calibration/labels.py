@@ -64,11 +64,17 @@ def framed(contacts: Motions, frame: Frame) -> Motions:
     return Motions(tip, turn * contacts.turn, contacts.across)
 
 
+def depth_axis(poses: np.ndarray) -> int:
+    """Of labels (N, 6): z, or, where z does not vary, the first other one that does."""
+    vary = np.ptp(poses, axis=0) > 1e-6
+    return next((axis for axis in (2, 1, 0) if vary[axis]), 2)
+
+
 def motions(poses: np.ndarray, moves: np.ndarray | None) -> Motions:
-    """From labels (N, 6) mm and degrees. The depth axis is z, or, where z does not vary, the first other one that does."""
+    """From labels (N, 6) mm and degrees."""
     moves = np.zeros_like(poses) if moves is None else np.nan_to_num(moves)
     vary = np.ptp(poses, axis=0) > 1e-6
-    depth = next((axis for axis in (2, 1, 0) if vary[axis]), 2)
+    depth = depth_axis(poses)
     rest = [axis for axis in (1, 0, 2) if axis != depth]
     lateral = next((axis for axis in rest if vary[axis]), rest[0])
     basis = np.zeros((3, 3))
@@ -84,9 +90,9 @@ def motions(poses: np.ndarray, moves: np.ndarray | None) -> Motions:
     return Motions(points[..., :3] @ basis.T, turn, bool(vary[lateral]))
 
 
-def to_paths(motions: Motions, sensor: Sensor, surface_mm: float, side: int, friction: float) -> Paths:
+def to_paths(motions: Motions, sensor: Sensor, surface_mm: float, side: int, friction: float | np.ndarray) -> Paths:
     """Paths over HALF_PLANE. The top lies at `surface_mm` of the depth axis; `side` is +1 or -1 for an edge whose object lies
-    towards negative or positive labels, 0 for no edge."""
+    towards negative or positive labels, 0 for no edge; `friction` of all, or (N,)."""
     count = len(motions)
     tip = motions.tip.copy()
     tip[..., 2] += surface_mm

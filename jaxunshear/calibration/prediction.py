@@ -98,7 +98,7 @@ def _periodic(count: int, turn: np.ndarray) -> np.ndarray:
 
 
 def displacements(
-    sensor: Sensor, contacts: Motions, side: int, friction: float, surface_mm: float, ratio: float
+    sensor: Sensor, contacts: Motions, side: int, friction: float | np.ndarray, surface_mm: float, ratio: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(N, Q, 3) mm of the probe's pins, and (N,) bool which contacts were reached and converged."""
     body = probe(sensor, ratio)

@@ -19,7 +19,7 @@ from jaxunshear.dataset.preparing import Frame
 from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
 from jaxunshear.dataset.recorded import Contacts
 from jaxunshear.dataset.recorded_examples import counts_of
-from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.settings import RENDERED, Recorded
 from jaxunshear.dataset.shots import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice
@@ -30,6 +30,9 @@ from jaxunshear.targets import Targets, of_labels
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 # images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)
 Read = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
+Drag = Callable[
+    [str], Batch
+]  # split -> row (N,) of a labelled tap, sheared_pins (N, P, 2) px and move (N, 6): simulated slides
 
 
 def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0) -> "RecordedSet":
@@ -102,28 +105,41 @@ class RecordedSet:
     def taps(self) -> Reader:
         """Labelled taps: image, pins, sure, pose, pose_id, stimulus, number. One at each pose of its own."""
 
+        return Reader(lambda split: _numbered(self.labelled_taps(split)), self.size)
+
+    def labelled_taps(self, split: str) -> Batch:
+        """All of a split, images at one bit a pixel."""
+        rows = self._of(split, False)
+        return _taken(rows, np.isfinite(rows["pose"]).all(axis=1))
+
+    def slides(self, drag: Drag | None = None, images: bool = True) -> Reader:
+        """Labelled slides alone: sheared, sheared_pins, sure, pose, move, pose_id, stimulus, number. Of training and validation slides
+        the settings' share; with `drag` simulated ones in their place, without `images` as pins alone."""
+
         def load(split: str) -> Batch:
-            rows = self._of(split, False)
-            return _numbered(_taken(rows, np.isfinite(rows["pose"]).all(axis=1)))
+            return self._dragged(split, drag, images) if drag and split != "test" else _numbered(self._slides(split))
 
         return Reader(load, self.size)
 
-    def slides(self) -> Reader:
-        """Labelled slides alone: sheared, sheared_pins, sure, pose, move, pose_id, stimulus, number. Of training and validation slides
-        the settings' share."""
-        return Reader(lambda split: _numbered(self._slides(split)), self.size)
-
     def pairs(
-        self, targets: Targets, render: Render | None = None, images: bool = True, read: Read | None = None
+        self,
+        targets: Targets,
+        render: Render | None = None,
+        images: bool = True,
+        read: Read | None = None,
+        drag: Drag | None = None,
     ) -> Reader:
         """The same, each with a partner by the settings' pairing: canonical, canonical_pins; `render` for "rendered". Without `images`
-        partners are pins alone. `read` gives training slides without a label a pose; without it these are left out.
+        partners are pins alone. `read` gives training slides without a label a pose; without it these are left out. `drag` for
+        "simulated": all slides but the test's are simulated, each paired with the tap it was made from.
 
         `weight` (B,) is what a pair counts in training, `gap` (B, 6) how far the partner's pose is off. Raises UserError where no slide
         has a partner.
         """
 
         def load(split: str) -> Batch:
+            if drag and split != "test":
+                return self._dragged(split, drag, images)
             return self._paired(split, self._slides(split, read, images), targets, render, images)
 
         return Reader(load, self.size)
@@ -145,9 +161,9 @@ class RecordedSet:
 
     def _paired(self, split: str, batch: Batch, targets: Targets, render: Render | None, images: bool) -> Batch:
         way, count = self.settings.pairing, len(batch["pose"])
-        if way == "rendered":
+        if way in RENDERED:
             if render is None:
-                raise ValueError("pairing 'rendered' takes a renderer")
+                raise ValueError(f"pairing '{way}' takes a renderer")
             pins = render(batch["pose"]).astype(np.float32)
             partner = {"canonical_pins": pins, "gap": np.zeros((count, 6), np.float32)}
             if images:
@@ -176,6 +192,21 @@ class RecordedSet:
         }
         batch = batch | partner
         return batch if way in ("pose_id", "file") else _numbered(batch)
+
+    def _dragged(self, split: str, drag: Drag, images: bool) -> Batch:
+        """Simulated slides to taps, each with the tap."""
+        slides, taps = drag(split), self.labelled_taps(split)
+        row, sheared = slides["row"], slides["sheared_pins"]
+        batch = {name: taps[name][row] for name in ("pose", "sure", "stimulus")}
+        batch |= {"sheared_pins": sheared, "canonical_pins": taps["pins"][row], "move": slides["move"]}
+        batch |= {"weight": np.ones(len(row), np.float32), "gap": np.zeros((len(row), 6), np.float32)}
+        if images:
+            place = np.array(self.frame["place_px"])
+            spread = pairing.spread_over(place, self.frame["spacing_px"], self.size)
+            motion = np.nan_to_num(sheared - batch["canonical_pins"])
+            taken = taps["image"][row]
+            batch |= {"canonical": taken, "sheared": pairing.warped(unpack(taken, self.size), motion, spread)}
+        return _numbered(batch | {"number": np.arange(len(row), dtype=np.int32)})
 
     def _redrawn(self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: Render) -> np.ndarray:
         """(N, S, S) uint8: of each pose (N, 6) the nearest training tap, its pins moved to where the renderer puts them (N, P, 2).

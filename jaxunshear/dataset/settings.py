@@ -52,7 +52,8 @@ class PoseData:
     preprocess: Preprocess = field(default_factory=Preprocess)
 
 
-PAIRINGS = ("rendered", "nearest", "pose_id", "file")
+PAIRINGS = ("rendered", "nearest", "pose_id", "file", "simulated")
+RENDERED = ("rendered", "simulated")  # pairings that take a renderer; the latter for test slides alone
 UNLABELLED = ("left_out", "read")
 
 
@@ -68,7 +69,9 @@ class Recorded:
     slide_folder: str = ""
     digest: str = ""  # of what lies there; found when the recordings are named
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
-    pairing: str = "rendered"  # a slide's partner: what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"
+    # a slide's partner: "rendered", what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"; or "simulated":
+    # the slides that teach are simulated, recorded ones test alone
+    pairing: str = "rendered"
     labelled: float = 1.0  # share of the training slides whose labels teach
     unlabelled: str = "left_out"  # training slides without a label; or "read": posenet_sheared reads their poses
     test: float = 0.1  # share of the poses kept out, where no folder is

@@ -16,7 +16,6 @@ import numpy as np
 
 from jaxunshear.dataset.making import read_metadata
 from jaxunshear.dataset.reading import open_set
-from jaxunshear.dataset.recorded_reading import RecordedSet
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.dataset.shots import SPLITS
 from jaxunshear.errors import UserError
@@ -64,7 +63,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         check_finished(run_dir / network)
         check_origin(experiment, network, run_dir)
     if recorded_of(experiment):
-        results, gathered, further, names = _recorded(experiment, run_dir, stored_of(experiment, data_dir))
+        results, gathered, further, names = _recorded(experiment, run_dir, data_dir)
     else:
         results, gathered, further, names = _simulated(experiment, run_dir, data_dir)
     results |= {
@@ -111,10 +110,11 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     return results, gathered, further, paired.stimuli
 
 
-def _recorded(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Scored:
+def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     """On the test split of a recorded set."""
+    stored = stored_of(experiment, data_dir)
     targets = stored.targets(experiment.targets)
-    test = recorded.what_to_test(experiment, stored, targets, run_dir)
+    test = recorded.what_to_test(experiment, stored, targets, run_dir, data_dir)
     slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets)
     results = recorded.results_of(experiment, stored, targets, slides, taps, test)
     if slides is None:

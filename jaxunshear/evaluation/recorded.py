@@ -42,15 +42,15 @@ class Test(NamedTuple):
 
 
 def what_to_test(
-    experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, paired: bool = True
+    experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, data_dir: Path | None = None
 ) -> Test:
-    """The test split of a recorded set, for the networks of a run; not `paired`: slides without partners, which give no likeness."""
-    unshears = paired and any(name not in POSENETS for name in experiment.networks)
+    """The test split of a recorded set, for the networks of a run; without `data_dir` slides have no partners, and no likeness."""
+    paired = data_dir is not None and any(name not in POSENETS for name in experiment.networks)
     slides = None
     if stored.count("slides", "test"):
-        slides = pairs_of(experiment, stored, targets, run_dir) if unshears else stored.slides()
+        slides = pairs_of(experiment, stored, targets, run_dir, data_dir) if paired and data_dir else stored.slides()
     taps = stored.taps() if stored.count("taps", "test") and "posenet" in experiment.networks else None
-    return Test(slides, taps, unshears and slides is not None)
+    return Test(slides, taps, paired and slides is not None)
 
 
 def gathered_of(

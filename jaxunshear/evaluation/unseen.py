@@ -48,7 +48,7 @@ def score_recordings(
     stored = _prepared(experiment, run_dir, contacts, settings, folder)
     targets = read_targets(run_dir / experiment.networks[-1])
     unseen = replace(experiment, paired=settings)
-    test = recorded.what_to_test(unseen, stored, targets, run_dir, paired=False)
+    test = recorded.what_to_test(unseen, stored, targets, run_dir)
     slides, taps = recorded.gathered_of(unseen, run_dir, stored, test, targets)
     results = recorded.results_of(unseen, stored, targets, slides, taps, test)
     shutil.rmtree(folder, ignore_errors=True)

@@ -13,6 +13,8 @@ WAYS = {
     "nearest": "A slide's partner is the recorded tap whose pose is nearest, in units of the labels' ranges. In training, a "
     "pair counts the less the further the two poses are apart.",
     "pose_id": "A slide's partner is the tap that was recorded at the same pose, under the same pose_id.",
+    "simulated": "No recorded slide teaches: training slides are recorded taps whose pins are dragged as the contact simulator says, each "
+    "paired with its tap. Recorded slides are for the test alone; there a slide's partner is what a renderer draws at its pose.",
     "file": "A slide's partner is the tap that a table of pairs names.",
 }
 

@@ -56,7 +56,11 @@ def over_pins(results: dict[str, Any]) -> bool:
 
 def truth(results: dict[str, Any]) -> str:
     """What an unsheared slide should be: a tap of the same pose, or whatever stands for one."""
-    return "partner" if not simulated(results) and results["pairing"]["way"] in ("rendered", "nearest") else "tap"
+    return (
+        "partner"
+        if not simulated(results) and results["pairing"]["way"] in ("rendered", "nearest", "simulated")
+        else "tap"
+    )
 
 
 def comparable(results: dict[str, Any]) -> bool:

@@ -123,7 +123,9 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     if isinstance(part.paired, Recorded) and network in (RENDERER, TEACHER, "posenet"):  # these learn from taps alone
         part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, labelled=1.0))
     if isinstance(part.paired, Recorded) and network in (*POSENETS, RENDERER):  # and none of these from pairs
-        alone = dataclasses.replace(part.paired, pairing="rendered", pairs="", unlabelled="left_out")
+        dragged = network == "posenet_sheared" and part.paired.pairing == "simulated"  # it learns from simulated slides
+        way = "simulated" if dragged else "rendered"
+        alone = dataclasses.replace(part.paired, pairing=way, pairs="", unlabelled="left_out")
         part = dataclasses.replace(part, paired=alone)
     if network in (RENDERER, TEACHER, "posenet"):
         part = dataclasses.replace(part, pins=without_turns(part.pins))

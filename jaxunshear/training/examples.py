@@ -14,8 +14,8 @@ import numpy as np
 
 from jaxunshear.dataset import configs
 from jaxunshear.dataset.reading import Reader, open_set
-from jaxunshear.dataset.recorded_reading import Read, RecordedSet, Render, open_recorded
-from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.recorded_reading import Drag, Read, RecordedSet, Render, open_recorded
+from jaxunshear.dataset.settings import RENDERED, PairedData, PoseData
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import RENDERER, TEACHER, Experiment, learnt_from, over_pins, recorded_of
 from jaxunshear.image.framing import undeformed
@@ -55,9 +55,11 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
     if network in OF_TAPS:
         reader, epoch = stored.taps(), stored.count("taps", "train")
     elif network == "posenet_sheared":
-        reader = stored.slides()
+        reader = stored.slides(_drag(experiment, stored, data_dir), not over_pins(experiment))
     else:
-        reader = pairs_of(experiment, stored, targets, run_dir)
+        reader = pairs_of(experiment, stored, targets, run_dir, data_dir)
+    if stored.settings.pairing == "simulated":
+        epoch = stored.count("taps", "train")
     taps = stored.taps() if stored.count("taps", "train") else None
     return Examples(reader, targets, pins_of(stored.frame), epoch, taps)
 
@@ -70,13 +72,22 @@ def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
     return open_recorded(recorded, experiment.sensor, data_dir, experiment.seed)
 
 
-def pairs_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path) -> Reader:
+def pairs_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, data_dir: Path) -> Reader:
     """Slides with their partners, drawn by the run's renderer where the pairing asks for one; poses that no label gives are read by
     its posenet_sheared where the settings ask for that."""
     settings = stored.settings
-    render = _render(run_dir / RENDERER) if settings.pairing == "rendered" else None
+    render = _render(run_dir / RENDERER) if settings.pairing in RENDERED else None
+    drag = _drag(experiment, stored, data_dir)
     read = _read(run_dir / "posenet_sheared", over_pins(experiment)) if settings.unlabelled == "read" else None
-    return stored.pairs(targets, render, not over_pins(experiment), read)
+    return stored.pairs(targets, render, not over_pins(experiment), read, drag)
+
+
+def _drag(experiment: Experiment, stored: RecordedSet, data_dir: Path) -> Drag | None:
+    if stored.settings.pairing != "simulated":
+        return None
+    from jaxunshear.training.dragged import drag_of
+
+    return drag_of(stored, experiment.sensor, data_dir)
 
 
 def pins_of(frame: dict[str, Any]) -> Pins:

@@ -16,8 +16,9 @@ def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
     described = describe(settings, experiment.sensor)
     if isinstance(settings, Recorded) and network not in ("posenet", TEACHER, RENDERER):
         described |= {"labelled": settings.labelled}
-        if network not in POSENETS:
+        if network not in POSENETS or settings.pairing == "simulated":
             described |= {"pairing": settings.pairing}
+        if network not in POSENETS:
             described |= {"unlabelled": settings.unlabelled} if settings.unlabelled != "left_out" else {}
     return described
 

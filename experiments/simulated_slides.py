@@ -1,0 +1,29 @@
+"""Claim: where no slide was recorded, simulated ones to recorded taps undo half of what a slide spoils.
+
+    jaxunshear sweep experiments/simulated_slides.py --recordings DIR
+
+Over pins. Two ways to learn: from simulated slides, for which the recorded taps are dragged as the contact simulator says; and from recorded
+slides, each with what a renderer draws at its pose. Both are tested on recorded slides. Rows `sheared_learnt` are of a PoseNet that learns
+from the same slides directly.
+
+Expected: docs/results/simulated_slides.json, half an hour on two cores.
+"""
+
+from dataclasses import replace
+
+from jaxunshear.experiment import PINS
+from jaxunshear.fit import BASE
+from jaxunshear.sweep.settings import Sweep
+
+sweep = Sweep(
+    name="simulated_slides",
+    claim="What simulated slides to recorded taps are worth, beside recorded slides.",
+    base=replace(
+        BASE,
+        name="simulated_slides",
+        unshear=replace(BASE.unshear, input="pins"),
+        train_pins=replace(PINS, epochs=40),
+    ),
+    grid=(("paired.pairing", ("simulated", "rendered")),),
+    seeds=(0, 1, 2),
+)

@@ -1,0 +1,117 @@
+"""Training slides that nobody recorded: recorded taps, dragged as the simulator says. For `paired.pairing` "simulated".
+
+drag = drag_of(stored, data_dir)
+drag("train")   # {"row", "sheared_pins", "move"}: DRAWN slides to each labelled tap of the split
+
+What the simulator cannot know is drawn widely about what was fitted: friction, how far the pins follow, and how the sensor is turned and
+shifted before its camera on another day than that of the taps.
+"""
+
+import hashlib
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+
+from jaxunshear.calibration.calibrated import SHIPPED
+from jaxunshear.calibration.labels import depth_axis
+from jaxunshear.calibration.simulated_slides import Taps, View, shear, view_of
+from jaxunshear.dataset.chunks import load_chunk
+from jaxunshear.dataset.configs import config_name
+from jaxunshear.dataset.reading import Batch
+from jaxunshear.dataset.recorded_reading import Drag, RecordedSet
+from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
+from jaxunshear.scene.sensor import Sensor
+from jaxunshear.storage import write_bytes
+
+SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
+TWIST_DEG = 5.0  # about all three axes
+FRICTION = (0.25, 0.55)  # fits to recordings gave .34 to .50
+FOLLOW = (0.5, 2.5)  # times the simulated motion: recorded pins went 1.5 times as far
+TURNED_DEG, SHIFTED = (
+    4.0,
+    0.065,
+)  # standard deviations between the days of taps and of slides; the latter in the pins' spacing
+DRAWN = 4  # slides to each tap, of one simulated motion
+CHUNK = 250  # contacts in a file
+VERSION = 1  # raise it whenever the same taps give other slides
+
+
+def drag_of(stored: RecordedSet, sensor: Sensor, data_dir: Path) -> Drag:
+    """Simulates a slide to each labelled tap of training and validation, beside the data sets, or finds them there; a killed run goes
+    on where it stopped. Raises UserError."""
+    place = Path(data_dir).absolute() / "simulated_slides" / f"{config_name(stored.settings, sensor)}-{_digest()}"
+    motions = {split: _motions(stored, split, place / split) for split in ("train", "validation")}
+
+    def drag(split: str) -> Batch:
+        rest = np.array(stored.frame["place_px"])
+        return _drawn(_taps(stored, split), *motions[split], rest, stored.frame["spacing_px"], split)
+
+    return drag
+
+
+def _digest() -> str:
+    """Of what decides the simulated motions."""
+    known = (SHIPPED.preset, SLIDE_MM, TWIST_DEG, FRICTION, VERSION)
+    return hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:8]
+
+
+def _taps(stored: RecordedSet, split: str) -> Taps:
+    rows = stored.labelled_taps(split)
+    return Taps(np.where(rows["sure"][:, None, None] == 1, rows["pins"], np.nan), rows["pose"])
+
+
+def _motions(stored: RecordedSet, split: str, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows of the split's taps (M,), how far their pins are dragged (M, P, 2) px, and the slides (M, 6)."""
+    taps = _taps(stored, split)
+    rows = np.flatnonzero(np.isfinite(taps.pins).any((1, 2)))
+    parts = [rows[start : start + CHUNK] for start in range(0, len(rows), CHUNK)]
+    paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
+    missing = [i for i, path in enumerate(paths) if not path.exists()]
+    if missing:
+        view = view_of(_taps(stored, "train"), stored.lattice(), stored.size, SHIPPED)
+        done = len(rows) - sum(len(parts[i]) for i in missing)
+        with Progress(f"simulate slides ({split})", len(rows), unit="contacts", done=done) as progress:
+            for i in missing:
+                _write(paths[i], view, taps.pose, parts[i])
+                progress.advance(len(parts[i]))
+    chunks = [load_chunk(path) for path in paths]
+    joined = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in ("row", "motion", "move", "fine")}
+    fine = joined["fine"]
+    if not fine.all():
+        print(
+            f"simulated slides ({split}): {int((~fine).sum())} of {len(fine)} out of reach or not converged, left out"
+        )
+    if not fine.any():
+        raise UserError(f"paired.pairing simulated: of {len(fine)} slides none converged: use another pairing")
+    return joined["row"][fine], joined["motion"][fine], joined["move"][fine]
+
+
+def _write(path: Path, view: View, pose: np.ndarray, rows: np.ndarray) -> None:
+    generator = np.random.default_rng([VERSION, *path.parent.name.encode(), int(path.stem)])
+    move = np.zeros((len(rows), 6))
+    move[:, [axis for axis in range(3) if axis != depth_axis(pose)]] = (
+        generator.uniform(-1, 1, (len(rows), 2)) * SLIDE_MM
+    )
+    move[:, 3:] = generator.uniform(-1, 1, (len(rows), 3)) * TWIST_DEG
+    motion, fine = shear(view, pose[rows], move, generator.uniform(*FRICTION, len(rows)))
+    buffer = io.BytesIO()
+    np.savez(buffer, row=rows, motion=motion, move=move.astype(np.float32), fine=fine)
+    write_bytes(path, buffer.getvalue())
+
+
+def _drawn(
+    taps: Taps, row: np.ndarray, motion: np.ndarray, move: np.ndarray, rest: np.ndarray, spacing_px: float, split: str
+) -> Batch:
+    """DRAWN slides of each motion."""
+    generator = np.random.default_rng([VERSION, *split.encode()])
+    again = np.tile(np.arange(len(row)), DRAWN)
+    follow = generator.uniform(*FOLLOW, len(again))[:, None, None]
+    angle = np.radians(TURNED_DEG) * generator.standard_normal(len(again))
+    cosine, sine = np.cos(angle), np.sin(angle)
+    turn = np.stack([np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2)
+    moved = (taps.pins[row[again]] - rest + follow * motion[again]) @ turn
+    moved += SHIFTED * spacing_px * generator.standard_normal((len(again), 1, 2))
+    return {"row": row[again], "sheared_pins": (rest + moved).astype(np.float32), "move": move[again]}

@@ -1,0 +1,76 @@
+"""Slides to recorded taps: of taps that were simulated, what must come out is known."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.calibration.calibrated import Calibrated
+from jaxunshear.calibration.labels import motions
+from jaxunshear.calibration.prediction import displacements
+from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
+from jaxunshear.calibration.validation import places
+from jaxunshear.errors import UserError
+from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.scene.sensor import pin_lattice
+from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM
+
+KNOWN = Calibrated("small", SMALL, GUESS, 0.35)
+TURN = np.array([[0.0, 1.0], [1.0, 0.0]])  # a camera behind the pins: turned, and mirrored
+MIDDLE = 63.0
+COUNT = 40
+
+
+def _at(moved):
+    """Pins (N, P, 2) px in the images of that camera."""
+    return places(KNOWN.values, SMALL, 128, pin_lattice(SMALL), moved) @ TURN.T + MIDDLE
+
+
+def _moved(poses, moves, friction):
+    values = KNOWN.values
+    moved, converged = displacements(SMALL, motions(poses, moves), 1, friction, SURFACE_MM, values.skin_to_gel)
+    assert converged.all()
+    return moved
+
+
+@pytest.fixture(scope="module")
+def taps():
+    generator = np.random.default_rng(0)
+    poses = np.zeros((COUNT, 6))
+    poses[:, 1] = generator.uniform(-2, 1, COUNT)  # an edge
+    poses[:, 2] = generator.uniform(0.5, 1.4, COUNT) - SURFACE_MM
+    poses[:, 5] = generator.uniform(-180, 180, COUNT)
+    return Taps(_at(_moved(poses, None, KNOWN.friction)), poses)
+
+
+@pytest.fixture(scope="module")
+def lattice(taps):
+    return make_lattice(_at(np.zeros((1, *_moved(taps.pose[:1], None, 0.3).shape[1:])))[0], shells(SMALL))
+
+
+@pytest.fixture(scope="module")
+def view(taps, lattice):
+    return view_of(taps, lattice, 128, KNOWN)
+
+
+def test_a_slide_to_a_tap_is_the_one_that_the_simulator_knows(taps, view):
+    assert view.frame.surface_mm == pytest.approx(SURFACE_MM, abs=0.1)
+    generator = np.random.default_rng(1)
+    move, friction = np.zeros((6, 6)), generator.uniform(0.2, 0.6, 6)
+    move[:, :2], move[:, 5] = generator.uniform(-1, 1, (6, 2)), generator.uniform(-5, 5, 6)
+    poses = taps.pose[:6]
+    motion, fine = shear(view, poses, move, friction)
+    true = _at(_moved(poses, move, friction)) - _at(_moved(poses, None, friction))
+    assert fine.all() and np.sqrt(np.mean(true**2)) > 0.2
+    assert np.sqrt(np.mean((motion - true) ** 2)) < 0.15 * np.sqrt(np.mean(true**2))
+
+
+def test_no_slide_drags_nothing(taps, view):
+    motion, fine = shear(view, taps.pose[:3], np.zeros((3, 6)), np.full(3, 0.3))
+    assert fine.all() and not motion.any()
+
+
+def test_what_tells_too_little_is_refused(taps, lattice):
+    with pytest.raises(UserError, match="10 taps have a label and all pins"):
+        view_of(taps.take(np.arange(10)), lattice, 128, KNOWN)
+    shuffled = Taps(taps.pins[np.random.default_rng(2).permutation(COUNT)], taps.pose)
+    with pytest.raises(UserError, match="do not go with their images"):
+        view_of(shuffled, lattice, 128, KNOWN)

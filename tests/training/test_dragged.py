@@ -1,0 +1,92 @@
+"""Simulated slides as examples: drawn alike every time, each with its own tap, made once and continued after a kill."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.training import dragged
+
+PINS, SIZE = 7, 32
+REST = np.stack([16 + 8 * np.cos(np.arange(PINS)), 16 + 8 * np.sin(np.arange(PINS))], -1).astype(np.float32)
+
+
+class Stored(UnstoredSet):
+    """Eight taps and three slides in every split."""
+
+    def __init__(self):
+        generator = np.random.default_rng(0)
+        count = 11
+        pose = np.zeros((count, 6), np.float32)
+        pose[:, 1], pose[:, 2] = generator.uniform(-3, 3, count), generator.uniform(3, 5, count)
+        pose[2, 1] = np.nan  # a tap without a label
+        self._rows = {
+            "image": np.packbits(generator.random((count, SIZE * SIZE)) > 0.5, axis=-1),
+            "pins": REST + generator.normal(0, 1, (count, PINS, 2)).astype(np.float32),
+            "sure": np.array([1, 0] + [1] * 9, np.int32),
+            "slid": (np.arange(count) >= 8).astype(np.int32),
+            "pose": pose,
+            "move": np.zeros((count, 6), np.float32),
+            "pose_id": np.arange(count, dtype=np.int32),
+            "number": np.arange(count, dtype=np.int32),
+        }
+        frame = {"place_px": REST.tolist(), "shell": [0] + [1] * 6, "spacing_px": 8.0}
+        self.metadata = {"frame": frame}
+
+    def rows(self, split):
+        return self._rows
+
+
+@pytest.fixture
+def stored():
+    settings = Recorded(slide_folder="s", tap_folder="t", pairing="simulated", preprocess=Preprocess(size=SIZE))
+    return RecordedSet(settings, Stored())
+
+
+@pytest.fixture
+def simulator(monkeypatch):
+    """Every pin moves with the slide, and by the friction; the first contact of a file does not converge."""
+    asked = []
+
+    def shear(view, pose, moves, friction):
+        asked.append(len(pose))
+        fine = np.arange(len(pose)) > 0
+        return np.tile((friction[:, None] * moves[:, :2])[:, None], (1, PINS, 1)).astype(np.float32), fine
+
+    monkeypatch.setattr(dragged, "view_of", lambda *given: None)
+    monkeypatch.setattr(dragged, "shear", shear)
+    monkeypatch.setattr(dragged, "CHUNK", 3)
+    return asked
+
+
+def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
+    reader = stored.pairs((), drag=dragged.drag_of(stored, TACTIP_331, tmp_path))
+    # 6 of 8 taps are sure and labelled, in two files whose first contacts do not converge
+    assert reader.length("train") == 4 * dragged.DRAWN
+    pairs = next(reader.split("train", 100))
+    taps = stored.labelled_taps("train")
+    for pins, pose in zip(pairs["canonical_pins"], pairs["pose"], strict=True):
+        own = int(np.argmin(np.abs(taps["pins"] - pins).sum((1, 2))))
+        np.testing.assert_array_equal(taps["pose"][own], pose)
+    assert len(set(pairs["pose_id"].tolist())) == len(pairs["pose"])  # none is paired anew
+    assert np.abs(pairs["move"][:, :2]).max() <= dragged.SLIDE_MM and not pairs["move"][:, 2].any()
+    assert pairs["sheared"].shape == pairs["canonical"].shape == (16, SIZE, SIZE, 1)
+    assert (pairs["sheared"] != pairs["canonical"]).any(axis=(1, 2, 3)).all()
+    assert "canonical" not in next(
+        stored.pairs((), images=False, drag=dragged.drag_of(stored, TACTIP_331, tmp_path)).split("train", 1)
+    )
+
+
+def test_slides_are_simulated_once_and_go_on_after_a_kill(stored, simulator, tmp_path):
+    first = dragged.drag_of(stored, TACTIP_331, tmp_path)("train")
+    assert simulator == [3, 3, 3, 3]  # two files of training, two of validation
+    (files,) = {path.parent for path in tmp_path.rglob("train/00001.npz")}
+    (files / "00001.npz").unlink()
+    again = dragged.drag_of(stored, TACTIP_331, tmp_path)("train")
+    assert simulator[4:] == [3]
+    for name, values in first.items():
+        np.testing.assert_array_equal(values, again[name])
+    other = dragged.drag_of(stored, TACTIP_331, tmp_path)("validation")
+    assert not np.array_equal(first["move"], other["move"])
