@@ -2,9 +2,9 @@
 
     jaxunshear sweep experiments/simulated_slides.py --recordings DIR
 
-Over pins. Two ways to learn: from simulated slides, for which the recorded taps are dragged as the contact simulator says; and from recorded
-slides, each with what a renderer draws at its pose. Both are tested on recorded slides. Rows `sheared_learnt` are of a PoseNet that learns
-from the same slides directly.
+Over pins. Two ways to learn: from simulated slides, for which recorded taps are dragged as the contact simulator says; and from
+recorded slides, each with what a renderer draws at its pose. Both are tested on recorded slides. Rows `sheared_learnt` are of a
+PoseNet that learns from the same slides directly.
 
 Expected: docs/results/simulated_slides.json, half an hour on two cores.
 """
