@@ -12,7 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 
-VERSION = "2.4.0"  # of the stored sets; raise it whenever the same settings give other bits
+VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"
 PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
 NOT_STORED = (

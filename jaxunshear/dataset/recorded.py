@@ -18,7 +18,7 @@ import numpy as np
 from jaxunshear.dataset.labels import read_pair_table
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.scene.sensor import SENSORS, Sensor

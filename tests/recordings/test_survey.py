@@ -8,7 +8,7 @@ import pytest
 
 from jaxunshear.dataset.recorded import digest_of, survey
 from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 
 
