@@ -21,7 +21,8 @@ import tensorflow_datasets as tfds
 from jaxunshear.dataset import configs
 from jaxunshear.dataset.chunks import Engine, simulate_chunks, simulator
 from jaxunshear.dataset.examples import summary
-from jaxunshear.dataset.shots import SPLITS, draw
+from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import write_json
@@ -100,7 +101,8 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
         "2.1.0": "Presses in increments of 3 mm.",
         "2.3.0": "Polygons without a ridge along rows through a corner.",
         "2.4.0": "Pairs drift too.",
-        "3.0.0": "Exact distances from every shape's outline; slides along x, y or both; the fitted sensor but for tiny and demo.",
+        "3.0.0": "Exact distances from every shape's outline; slides along x, y or both; the fitted sensor but for tiny and demo; a pose's "
+        "split is its own: by seed, stimulus and number, whatever the set's size.",
         "1.0.0": "First release.",
     }
     engine: Engine | None = None  # tests put a fast stand-in for the simulator here

@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.dataset.recorded import digest_of, sensor_of, survey
+from jaxunshear.dataset.digests import digest_of
+from jaxunshear.dataset.recorded import sensor_of, survey
 from jaxunshear.dataset.settings import Recorded, RecordedTaps
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, Experiment

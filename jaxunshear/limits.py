@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PAIRINGS, UNLABELLED, PairedData, PoseData, Ranges, Recorded, RecordedTaps
+from jaxunshear.dataset.splits import BLOCK, train_poses
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import (
     ALL_NETWORKS,
@@ -49,7 +50,6 @@ PRECISIONS = ("float32", "bfloat16")
 INPUTS = ("images", "pins")
 SMALLEST_PX = 16
 LARGEST_PX = 4096
-FEWEST_POSES = 5  # the smallest number that 60:20:20 splits exactly
 
 
 def limits(experiment: Experiment) -> Iterator[Rule]:
@@ -74,8 +74,7 @@ def _simulated(experiment: Experiment, paired: PairedData, pose: PoseData) -> It
         yield from _covered(paired.ranges, pose.ranges)
         yield from _same_targets(experiment, paired, pose)
     yield from _tests(experiment, paired, pose)
-    pairs = _train_poses(paired) * len(paired.stimuli) * paired.slides
-    taps = _train_poses(pose) * len(pose.stimuli)
+    pairs, taps = _train_poses(paired) * paired.slides, _train_poses(pose)
     yield from _trainings(experiment, pairs, taps)
     yield (
         experiment.train.pose_target != "label" or paired.ranges == pose.ranges,
@@ -258,8 +257,8 @@ def _same_targets(experiment: Experiment, paired: PairedData, pose: PoseData) ->
 
 
 def _train_poses(data: PairedData | PoseData) -> int:
-    """Per stimulus, as `dataset.shots` splits them."""
-    return data.poses - 2 * max(1, round(0.2 * data.poses))
+    """Of all stimuli."""
+    return sum(train_poses(data.seed, name, data.poses) for name in data.stimuli)
 
 
 def _name(text: str) -> bool:
@@ -287,9 +286,9 @@ def _data(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[R
     yield not unknown, f"{group}.stimuli", f"stimulus {unknown} is unknown: use {', '.join(STIMULUS_NAMES)}"
     yield len(set(data.stimuli)) == len(data.stimuli), f"{group}.stimuli", "name each stimulus once"
     yield (
-        data.poses >= FEWEST_POSES,
+        data.poses >= BLOCK,
         f"{group}.poses",
-        f"use at least {FEWEST_POSES}, so that each of the three splits gets a pose",
+        f"use at least {BLOCK}, so that each of the three splits gets a pose",
     )
     yield _seed(data.seed), f"{group}.seed", "use a whole number from 0 to 2147483647"
     yield (

@@ -19,6 +19,7 @@ PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none i
     "entangled": ("E", "DC", *CONSTANTS),
     "posenet_sheared": (),
 }
+ORIGINS = ("origin", "taken_over", "start")  # what they learnt from goes with the weights
 NEEDED = ("disentangled", "posenet")
 CARD = "README.md"
 
@@ -66,7 +67,9 @@ def release(run_dir: Path, out: Path) -> Path:
     for name in names:
         write_weights(part / name, variables[name], PARTS[name])
         model = read_json(run_dir / name / MODEL)
-        write_json(part / name / MODEL, {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])})
+        origins = {key: model[key] for key in ORIGINS if key in model}
+        told = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
+        write_json(part / name / MODEL, told | origins)
     if not results.get("simulated", True):
         write_json(part / FRAME, read_json(run_dir / FRAME))
         settings["paired"] |= {

@@ -23,7 +23,8 @@ from jaxunshear.experiment import (
 from jaxunshear.infer import model_folder
 from jaxunshear.locks import locked
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
-from jaxunshear.training.origin import check_origin, origin_of
+from jaxunshear.training.kept_out import exams_of
+from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, taken_over
 
 if TYPE_CHECKING:
     pass
@@ -41,7 +42,7 @@ def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data:
     """
     for network in TRAINABLE:
         if network in stages:
-            start_folder(training_of(experiment, network).start, network)  # before data are made in vain
+            check_start(experiment, network)  # before data are made in vain
     folder = Path(out) / experiment.name
     with locked(folder / LOCK, wait=False) as free:
         if not free:
@@ -149,6 +150,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         folder / network,
         epoch_images=examples.epoch,
         origin=origin_of(experiment, network),
+        taken_over=taken_over(experiment, network, folder, begin),
         start=Start(load_best(begin), digest_of(begin)) if begin else None,
     )
     print(
@@ -156,6 +158,13 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
     )
     return True
+
+
+def check_start(experiment: Experiment, network: str) -> None:
+    """Raises UserError where the weights that `network` is to go on from are not there, or may know what the experiment tests."""
+    begin = start_folder(training_of(experiment, network).start, network)
+    if begin:
+        check_kept_out(begin, exams_of(experiment))
 
 
 def start_folder(model: str, network: str) -> Path | None:

@@ -154,8 +154,8 @@ def test_train_share_of_the_limits_is_that_of_the_split():
     from jaxunshear.dataset.shots import draw_pose
     from jaxunshear.limits import _train_poses
 
-    for poses in (5, 6, 7, 10, 13, 1000):
-        settings = PoseData(poses=poses, stimuli=("disk",))
+    for poses in (5, 6, 7, 8, 9, 10, 13, 1000):
+        settings = PoseData(poses=poses)
         assert (draw_pose(settings).split == 0).sum() == _train_poses(settings)
 
 

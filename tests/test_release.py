@@ -36,6 +36,7 @@ EXPERIMENT = Experiment(
     paired=PairedData(preprocess=SEEN),
     pose=PoseData(preprocess=SEEN),
 )
+LEARNT = {"origin": {"set": "tactip_paired"}, "taken_over": [{"set": "tactip_pose"}], "start": "1234"}
 RESULTS = {
     "settings": asdict(EXPERIMENT),
     "metric": {"ms_ssim": "ms_ssim@2", "image_px": SIZE},
@@ -65,6 +66,7 @@ def run(tmp_path):
             "targets": targets.to_json(TARGETS),
             "training": "long",
             "seed": 0,
+            **LEARNT,
         }
         checkpoint.write_settings(folder / name, settings)
         checkpoint.save(folder / name, 1, {"average": variables}, {"history": [], "best_step": 1})
@@ -101,6 +103,9 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head)
         np.genfromtxt(tmp_path / out / "poses.csv", delimiter=",", skip_header=1)[2:] for out in ("by_run", "by_name")
     ]
     np.testing.assert_allclose(*poses, atol=0.05)
+    for name in ("disentangled", "posenet"):
+        told = read_json(made / name / "model.json")
+        assert {key: told[key] for key in LEARNT} == LEARNT and "training" not in told
     assert not (made / "entangled").exists()  # which this run has not trained
     assert read_json(made / "experiment.json")["name"] == "mine"
     arrays = np.load(made / "disentangled" / "weights.npz").files

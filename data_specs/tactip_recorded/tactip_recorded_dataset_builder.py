@@ -7,7 +7,7 @@ import tensorflow_datasets as tfds
 
 from data_specs.stored_set import StoredSet
 from jaxunshear.dataset import configs, recorded_examples
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 
 
 class Builder(StoredSet):

@@ -12,6 +12,7 @@ from jaxunshear.contact.indentation import indentation
 from jaxunshear.contact.simulate import follow
 from jaxunshear.dataset.chunks import look
 from jaxunshear.dataset.shots import draw_paired
+from jaxunshear.dataset.splits import BLOCK
 from jaxunshear.experiment import Experiment, simulated_of
 from jaxunshear.scene.paths import path_of
 
@@ -35,7 +36,7 @@ def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: 
     """About `count` slides, as many of each stimulus, at the experiment's depths or all at one; the same seed gives the same."""
     paired, _ = simulated_of(experiment, "this")
     names = paired.stimuli
-    poses = max(3, -(-count // len(names)))
+    poses = max(BLOCK, -(-count // len(names)))
     new = paired.seed + SEED + seed
     settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
     if depth_mm is not None:

@@ -13,7 +13,8 @@ import numpy as np
 
 from jaxunshear.dataset.chunks import load_chunk, unpack, usable_rows
 from jaxunshear.dataset.settings import PairedData, PoseData
-from jaxunshear.dataset.shots import SPLITS, Shots
+from jaxunshear.dataset.shots import Shots
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.image.png import png
 
 PNG_LEVEL = 4

@@ -18,7 +18,7 @@ from jaxunshear.dataset.chunks import load_chunk, pack, unpack
 from jaxunshear.dataset.recorded import LARGEST_PX, Contacts, common_view, probes_of
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.progress import Progress

@@ -18,7 +18,7 @@ import numpy as np
 from jaxunshear.dataset.labels import read_pair_table
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.scene.sensor import SENSORS, Sensor
@@ -74,26 +74,12 @@ def survey(settings: Recorded) -> Contacts:
 def everything(settings: Recorded) -> Contacts:
     """The same in one split, the test's: recordings that a finished run is scored on."""
     if settings.tap_folder == settings.slide_folder:
-        parts = [_of_one_folder(_read(settings.tap_folder, settings.preprocess))]
+        parts = [_of_one_folder(read_folder(settings.tap_folder, settings.preprocess))]
     else:
         folders = ((settings.tap_folder, False), (settings.slide_folder, True))
-        parts = [_of_kind(_read(folder, settings.preprocess), slid) for folder, slid in folders if folder]
+        parts = [_of_kind(read_folder(folder, settings.preprocess), slid) for folder, slid in folders if folder]
     contacts = _joined(parts)
     return _paired(contacts, Path(settings.pairs)) if settings.pairs else contacts
-
-
-def digest_of(folders: tuple[str, ...], pairs: str = "") -> str:
-    """Sixteen hexadecimal digits of what lies there: labels by their bytes, images by name and size."""
-    digest = hashlib.sha256()
-    for folder in dict.fromkeys(folders):
-        recordings, root = _read(folder, Preprocess()), Path(folder)
-        for file, name in zip(recordings.files, recordings.names, strict=True):
-            digest.update(f"{name} {file.stat().st_size}\n".encode())
-        for table in sorted(root.rglob("*.csv")) if root.is_dir() else []:
-            digest.update(table.read_bytes())
-    if pairs and Path(pairs).is_file():
-        digest.update(Path(pairs).read_bytes())
-    return digest.hexdigest()[:16]
 
 
 def sensor_of(contacts: Contacts, preprocess: Preprocess) -> Sensor:
@@ -151,7 +137,7 @@ def _probe_images(contacts: Contacts, preprocess: Preprocess) -> list[np.ndarray
     return images
 
 
-def _read(folder: str, preprocess: Preprocess) -> Recordings:
+def read_folder(folder: str, preprocess: Preprocess) -> Recordings:
     path = Path(folder)
     if not path.is_dir():
         raise UserError(f"{folder} is no folder of recordings: name one with images and labels")

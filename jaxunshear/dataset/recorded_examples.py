@@ -14,7 +14,7 @@ from jaxunshear.dataset.chunks import load_chunk, unpack, usable_rows
 from jaxunshear.dataset.preparing import Frame, frame_of, prepare
 from jaxunshear.dataset.recorded import Contacts, survey
 from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.png import png
 from jaxunshear.scene.sensor import Sensor

@@ -20,7 +20,7 @@ from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
 from jaxunshear.dataset.recorded import Contacts
 from jaxunshear.dataset.recorded_examples import counts_of
 from jaxunshear.dataset.settings import RENDERED, Recorded
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice
 from jaxunshear.image.preprocess import View

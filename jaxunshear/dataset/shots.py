@@ -1,6 +1,7 @@
 """What a set holds before anything is simulated: poses, taps, slides and splits.
 
-All of it depends on the settings' seed and the stimulus' name alone: adding a stimulus leaves the others as they are.
+All of it depends on the settings' seed and the stimulus' name alone: adding a stimulus leaves the others as they are. Splits
+are of the pose itself (`splits.py`).
 """
 
 import zlib
@@ -10,12 +11,11 @@ import numpy as np
 
 from jaxunshear.dataset.configs import config_name, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.dataset.splits import BLOCK, splits_of
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, edge_labels, make_scenes
 from jaxunshear.scene.stimuli import stimulus_named
 
-SPLITS = ("train", "validation", "test")
-HELD_OUT = 0.2  # of the poses of each stimulus, for validation and for test each
 LEAST_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
 
 
@@ -27,7 +27,7 @@ class Shots(NamedTuple):
     instance: np.ndarray  # (B,) number of the tap or of the slide at its pose
     slid: np.ndarray  # (B,) bool: a slide, not a tap
     age: np.ndarray  # (B,) in [0, 1]: when in the session it was recorded
-    split: np.ndarray  # (B,) index into SPLITS
+    split: np.ndarray  # (B,) index into `splits.SPLITS`
     edge: np.ndarray  # (B, 2) distance (mm) and direction (deg) of the edge, see `scene.edge_labels`
 
 
@@ -43,8 +43,8 @@ def check(settings: PairedData | PoseData) -> None:
         stimulus_named(stimulus)
     if settings.seed < 0:
         raise UserError(f"{name}: seed = {settings.seed} is negative")
-    if settings.poses < 3:
-        raise UserError(f"{name}: poses = {settings.poses} is too few: each of the three splits needs at least one")
+    if settings.poses < BLOCK:
+        raise UserError(f"{name}: poses = {settings.poses} is too few: each split gets its pose from {BLOCK} on")
     ranges = settings.ranges
     if not 0 < ranges.depth_min_mm <= ranges.depth_max_mm:
         raise UserError(
@@ -69,13 +69,6 @@ def _poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
     depth = (ranges.depth_min_mm, ranges.depth_max_mm)
     generator = _generator(settings.seed, stimulus, "pose")
     return draw_poses(generator, settings.poses, ranges.lateral_mm, ranges.yaw_deg, depth)
-
-
-def _splits(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
-    """Split of every pose of a stimulus, (poses,), in the ratio 60:20:20."""
-    held = max(1, round(HELD_OUT * settings.poses))
-    split = np.repeat([0, 1, 2], [settings.poses - 2 * held, held, held])
-    return _generator(settings.seed, stimulus, "split").permutation(split)
 
 
 def _ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
@@ -122,7 +115,7 @@ def _shots(settings, pose: np.ndarray, move: np.ndarray, instance: np.ndarray, s
     stimulus = np.repeat(np.arange(len(names)), settings.poses * each)
     pose_id = np.tile(np.repeat(np.arange(settings.poses), each), len(names))
     age = np.concatenate([np.repeat(_ages(settings, index), each) for index in range(len(names))])
-    split = np.concatenate([np.repeat(_splits(settings, name), each) for name in names])
+    split = np.concatenate([np.repeat(splits_of(settings.seed, name, settings.poses), each) for name in names])
     scenes = make_scenes(names, stimulus, pose, move, settings.friction)
     return Shots(scenes, pose_id, instance, slid, age, split, edge_labels(names, scenes))
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxunshear.dataset.making import read_metadata
 from jaxunshear.dataset.reading import open_set
 from jaxunshear.dataset.settings import PairedData
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.baselines import training_taps

@@ -12,8 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.preparing import prepare
-from jaxunshear.dataset.recorded import Contacts, digest_of, everything
+from jaxunshear.dataset.recorded import Contacts, everything
 from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet, frame_from
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
@@ -23,6 +24,8 @@ from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.storage import read_json
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
+from jaxunshear.training.kept_out import Exam
+from jaxunshear.training.origin import check_kept_out
 
 
 def score_recordings(
@@ -42,7 +45,13 @@ def score_recordings(
         raise UserError(
             f"{recordings} is what {run_dir} learnt from: its held-out tenth is scored by `jaxunshear evaluate {run_dir}`"
         )
+    if _learnt(recordings, (settings.tap_folder, settings.slide_folder)):
+        raise UserError(
+            f"{recordings} shares its files with what {run_dir} learnt from: name recordings that it has not seen"
+        )
     settings = replace(settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs="")
+    for network in experiment.networks:
+        check_kept_out(run_dir / network, [Exam(settings, whole=True)])
     contacts = everything(settings)
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
     stored = _prepared(experiment, run_dir, contacts, settings, folder)
@@ -61,6 +70,13 @@ def score_recordings(
         "command": command,
     }
     return rounded(results | more)
+
+
+def _learnt(recordings: Path, folders: tuple[str, ...]) -> bool:
+    """Whether they lie in one of the folders that were learnt from, or hold one."""
+    here = Path(recordings).resolve()
+    there = [Path(folder).resolve() for folder in folders if folder and Path(folder).is_dir()]
+    return any(here.is_relative_to(folder) or folder.is_relative_to(here) for folder in there)
 
 
 def _prepared(experiment: Experiment, run_dir: Path, contacts: Contacts, settings: Any, folder: Path) -> RecordedSet:

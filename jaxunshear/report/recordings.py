@@ -3,7 +3,7 @@
 from html import escape
 from typing import Any
 
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
 

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.experiment import trained
 from jaxunshear.locks import locked
 from jaxunshear.progress import Progress
 from jaxunshear.report.frontier_figure import frontier_figure
 from jaxunshear.report.sweep_figure import sweep_figure
+from jaxunshear.run import check_start
 from jaxunshear.storage import BROKEN_NPZ, os_error, write_bytes, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.engines import Engine, serial
@@ -68,6 +70,9 @@ def _run_rows(
     left = plan.unfinished(folder, rows)
     if not left:
         return
+    for row in left:
+        for network in trained(row.experiment):
+            check_start(row.experiment, network)
     task = plan.data_task(folder, left, data)
     carry_out(task.folder, task.kind, worker, quiet=False)
     made = read_outcome(task.folder, task.kind)

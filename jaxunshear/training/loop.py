@@ -12,7 +12,7 @@ import dataclasses
 import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -62,18 +62,21 @@ def train(
     *,
     epoch_images: int,
     origin: Any = None,
+    taken_over: Sequence[Any] = (),
     start: Start | None = None,
 ) -> Summary:
     """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
 
-    Batches are those of the task. `epoch_images` examples are one epoch. `origin` is any JSON that says where the data come from; a
-    folder trained from another origin or with other settings is refused.
+    Batches are those of the task. `epoch_images` examples are one epoch. `origin` is any JSON that says where the data come from,
+    `taken_over` a list of more that was learnt through others (`training/origin.py`); a folder trained from other origins or with
+    other settings is refused.
     `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
     Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
     """
     folder = Path(folder)
     asked = {"kind": task.kind, "net": asdict(task.net), "training": asdict(training), "seed": seed}
     asked |= {"epoch_images": epoch_images, "targets": to_json(task.targets), "origin": origin}
+    asked |= {"taken_over": taken_over}
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
         return _summary(folder / checkpoint.SUMMARY)

@@ -1,13 +1,29 @@
-"""Which data set a network learnt from: it stands in its model.json. Imports no JAX."""
+"""Which data sets a network learnt from: they stand in its model.json. Imports no JAX.
 
+`origin` is its own set; `taken_over` are those of all that it got from others: of weights that it began from, of a teacher, a renderer, a
+reader of poses, and of whatever these took over.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.dataset.configs import describe, differences
+from jaxunshear.dataset.configs import (
+    PAIRED_SET,
+    POSE_SET,
+    RECORDED_SET,
+    RECORDED_VERSION,
+    describe,
+    differences,
+)
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, learnt_from
-from jaxunshear.storage import read_json
+from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, learnt_from, trained
+from jaxunshear.storage import read_json, read_json_if_sound
+from jaxunshear.training.kept_out import Exam, exams_of, known
+
+TRAININGS = ("train", "train_posenet", "train_teacher", "train_pins")
 
 
 def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
@@ -23,9 +39,62 @@ def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
     return described
 
 
+def taken_over(experiment: Experiment, network: str, run_dir: Path, begin: Path | None) -> list[dict[str, Any]]:
+    """The origins, beside its own, that `network` is to learn through networks of `run_dir` and the weights in `begin`."""
+    helpers = [run_dir / name for name in trained(replace(experiment, networks=(network,))) if name != network]
+    folders = [*helpers, begin] if begin else helpers
+    kept = [_split_rule(origin_of(experiment, network))]
+    for origin in (_split_rule(origin) for folder in folders for origin in origins_of(folder)):
+        kept += [origin] if origin not in kept else []
+    return kept[1:]
+
+
+def _split_rule(origin: dict[str, Any]) -> dict[str, Any]:
+    """What of an origin decides which contacts were learnt."""
+    return {name: origin[name] for name in ("set", "version", "settings")}
+
+
+def origins_of(folder: Path) -> list[dict[str, Any]]:
+    """Of all that the weights in `folder` have learnt from, their own set first. Raises UserError where they do not tell."""
+    model = read_json(folder / "model.json")
+    if isinstance(model, dict) and model.get("origin") and "taken_over" in model:
+        return [model["origin"], *model["taken_over"]]
+    return _earlier_origins(folder, model if isinstance(model, dict) else {})
+
+
+def _earlier_origins(folder: Path, model: dict[str, Any]) -> list[dict[str, Any]]:
+    """Of weights that do not list what they took over: at most both sets of their experiment, unless they began from others."""
+    experiment = read_json_if_sound(folder.parent / "experiment.json") or {}
+    own = model.get("origin")
+    begun = "start" in model if own else any(experiment.get(name, {}).get("start") for name in TRAININGS)
+    if begun:
+        raise UserError(f"{folder} began from weights whose data it does not tell: use weights that were trained anew")
+    version = (own or {}).get("version", "before 3.0.0")
+    origins = [own] if own else []
+    for name, kind in (("paired", PAIRED_SET), ("pose", POSE_SET)):
+        settings = experiment.get(name, {})
+        if "digest" in settings or "poses" in settings:
+            recorded = "digest" in settings
+            set_ = RECORDED_SET if recorded else kind
+            made = RECORDED_VERSION if recorded else version
+            origins.append({"set": set_, "version": made, "settings": settings})
+    if not origins:
+        raise UserError(f"{folder} does not tell what it learnt from: use weights with an experiment.json beside them")
+    return origins
+
+
+def check_kept_out(folder: Path, exams: Iterable[Exam]) -> None:
+    """Raises UserError where the weights in `folder` may know contacts of `exams`."""
+    origins = origins_of(folder)
+    for exam in exams:
+        for origin in origins:
+            if reason := known(origin, exam):
+                raise UserError(f"{folder} {reason}")
+
+
 def check_origin(experiment: Experiment, network: str, run_dir: Path) -> None:
     """Raises UserError where the trained `network` in `run_dir` learnt from another data set, such as one of an earlier version of the
-    data, or where its model.json cannot be read."""
+    data, or took over what may know its tests, or where its model.json cannot be read."""
     folder = Path(run_dir) / network
     model = read_json(folder / "model.json")
     stored = model.get("origin") if isinstance(model, dict) else None
@@ -34,3 +103,4 @@ def check_origin(experiment: Experiment, network: str, run_dir: Path) -> None:
         raise UserError(
             f"{folder} learnt from a data set with another {', '.join(changed[:3])}: give another --out, or delete that folder"
         )
+    check_kept_out(folder, exams_of(experiment))

@@ -20,7 +20,8 @@ from data_specs.stored_set import SetConfig, sha256
 from jaxunshear.dataset.chunks import load_chunk
 from jaxunshear.dataset.configs import CONFIGS, VERSION, set_folder, unfinished_folder
 from jaxunshear.dataset.making import make_set, make_sets
-from jaxunshear.dataset.shots import SPLITS, draw
+from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 

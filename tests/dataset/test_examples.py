@@ -10,7 +10,8 @@ from jaxunshear.dataset.chunks import load_chunk, pack, simulate_chunks, unpack
 from jaxunshear.dataset.configs import PAIRED
 from jaxunshear.dataset.examples import paired_examples, pose_examples, summary
 from jaxunshear.dataset.settings import PoseData
-from jaxunshear.dataset.shots import SPLITS, draw
+from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Nuisance
 from jaxunshear.scene.sensor import TACTIP_331
@@ -172,7 +173,7 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
 
 
 def test_the_real_simulator_makes_a_few_pairs(tmp_path):
-    settings = dataclasses.replace(PAIRED["tiny"], stimuli=("disk",), poses=3, slides=1)
+    settings = dataclasses.replace(PAIRED["tiny"], stimuli=("disk",), poses=5, slides=1)
     shots, paths = make(settings, TACTIP_331, tmp_path, chunks.simulator())
     counts = summary(settings, shots, paths)
     assert counts["dropped"] == 0

@@ -9,7 +9,8 @@ from jaxunshear.dataset import reading
 from jaxunshear.dataset.configs import VERSION, set_folder
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import Reader, mirrored, open_set, shifted
-from jaxunshear.dataset.shots import SPLITS, draw
+from jaxunshear.dataset.shots import draw
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 
 

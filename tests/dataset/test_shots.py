@@ -5,7 +5,8 @@ import pytest
 
 from jaxunshear.dataset.configs import PAIRED, POSE, config_name, sensor_of
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
-from jaxunshear.dataset.shots import LEAST_DEPTH_MM, SPLITS, draw_paired, draw_pose
+from jaxunshear.dataset.shots import LEAST_DEPTH_MM, draw_paired, draw_pose
+from jaxunshear.dataset.splits import SPLITS, split_of
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import FITTED_CAMERA
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_127, TACTIP_331_FITTED
@@ -31,12 +32,21 @@ def test_every_pose_has_its_taps_and_slides_in_one_split(paired):
     assert np.all(np.any(shots.scenes.move[shots.slid] != 0, axis=-1))
 
 
-@pytest.mark.parametrize(("poses", "parts"), [(3, (1, 1, 1)), (10, (6, 2, 2)), (200, (120, 40, 40))])
+@pytest.mark.parametrize(("poses", "parts"), [(5, (3, 1, 1)), (10, (6, 2, 2)), (200, (120, 40, 40))])
 def test_splits_are_60_20_20_of_the_poses(poses, parts):
     shots = draw_pose(PoseData(stimuli=("disk", "clover"), poses=poses))
     for stimulus in range(2):
         split = shots.split[shots.scenes.stimulus == stimulus]
         assert tuple(np.bincount(split, minlength=len(SPLITS))) == parts
+
+
+@pytest.mark.parametrize("draw", [draw_paired, draw_pose])
+def test_a_set_splits_its_poses_by_their_seed_stimulus_and_number(draw):
+    for kind in ({"poses": 13, "stimuli": ("clover", "disk")}, {"poses": 5, "seed": 7, "stimuli": ("leaf",)}):
+        settings = dataclasses.replace(PairedData(slides=3) if draw is draw_paired else PoseData(), **kind)
+        shots = draw(settings)
+        for stimulus, pose, split in zip(shots.scenes.stimulus, shots.pose_id, shots.split, strict=True):
+            assert split == split_of(settings.seed, settings.stimuli[stimulus], int(pose))
 
 
 def test_ranges_are_those_of_the_paper_and_filled():
@@ -120,7 +130,7 @@ def test_friction_is_the_materials(paired):
         ({"stimuli": ()}, "stimuli is empty"),
         ({"stimuli": ("disk", "disk")}, "twice"),
         ({"poses": 0}, "poses = 0"),
-        ({"poses": 2}, "poses = 2"),
+        ({"poses": 4}, "poses = 4 is too few"),
         ({"taps": 0}, "taps = 0"),
         ({"slides": 0}, "slides = 0"),
         ({"taps": 3, "slides": 2}, "taps = 3 exceeds slides = 2"),

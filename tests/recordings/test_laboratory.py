@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.config import load_experiment
+from jaxunshear.dataset.digests import digest_of
 
 sys.path.insert(0, str(Path(__file__).parent))
 from conftest import ROOT, SHORT
@@ -68,6 +70,20 @@ def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(command, pins_
 def test_what_a_run_learnt_from_is_not_taken_for_unseen(command, pins_run, place, recording):
     answer = command("evaluate", pins_run, "--recordings", recording, "--data", place / "datasets")
     assert answer.code == 2 and "is what" in answer.err and answer.err.count("\n") == 1
+    part = command("evaluate", pins_run, "--recordings", recording / "shear", "--data", place / "datasets")
+    assert part.code == 2 and "shares its files" in part.err and part.err.count("\n") == 1
+
+
+def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(command, pins_run, place, tmp_path):
+    """Its network's model.json lists it, whatever the run's own recordings are."""
+    other = made.edge(tmp_path / "other", 20, 20, seed=51)
+    run = shutil.copytree(pins_run, tmp_path / "run")
+    model = json.loads((run / "disentangled" / "model.json").read_text())
+    begun = {name: model["origin"][name] for name in ("set", "version", "settings")}
+    begun["settings"] = begun["settings"] | {"digest": f"{digest_of((str(other),))}+0123456789abcdef"}
+    (run / "disentangled" / "model.json").write_text(json.dumps(model | {"taken_over": [begun]}))
+    answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
+    assert answer.code == 2 and "disentangled learnt from recordings that are tested" in answer.err
 
 
 def test_poses_have_the_labels_names_and_their_errors_are_printed(command, pins_run, recording, tmp_path):

@@ -14,7 +14,7 @@ from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.recorded import sensor_of, survey
 from jaxunshear.dataset.recorded_reading import open_recorded
 from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.scene.sensor import TACTIP_127

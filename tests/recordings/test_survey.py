@@ -6,9 +6,10 @@ import made
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.recorded import digest_of, survey
+from jaxunshear.dataset.digests import digest_of, folders_in, pairs_in
+from jaxunshear.dataset.recorded import survey
 from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.shots import SPLITS
+from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 
 
@@ -122,3 +123,12 @@ def test_the_digest_tells_changed_labels_and_images(tmp_path):
     text = (folder / "targets.csv").read_text()
     (folder / "targets.csv").write_text(text.replace("image_1.png,1,1,0.0", "image_1.png,1,1,0.5"))
     assert digest_of((str(folder),)) != before
+
+
+def test_a_folder_is_known_beside_others(tmp_path):
+    taps, slides = (str(made.write(tmp_path / name, *made.contacts(6, name == "s", 0))) for name in ("t", "s"))
+    table = tmp_path / "pairs.csv"
+    table.write_text("slide,tap\n")
+    both = digest_of((taps, slides), str(table))
+    assert folders_in(both) == {digest_of((taps,)), digest_of((slides,))} and len(folders_in(both)) == 2
+    assert pairs_in(both) and not pairs_in(digest_of((taps, slides)))

@@ -57,6 +57,13 @@ def test_a_second_time_nothing_is_done(stand_in, swept, steps, tmp_path):
     assert times == {path: path.stat().st_mtime_ns for path in (tmp_path / "small" / "rows").rglob("*")}
 
 
+def test_weights_that_may_know_the_test_are_refused_before_any_row(stand_in, swept, steps, tmp_path):
+    axis = ("train.start", ("", "best"))
+    with pytest.raises(UserError, match=r"best/disentangled learnt from tactip_paired 2\.4\.0 of seed 0"):
+        swept(replace(stand_in.SWEEP, grid=(axis,), seeds=(0,)))
+    assert not steps() and not rows(tmp_path)
+
+
 def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(stand_in, swept, steps):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
     swept(sweep)  # trains its PoseNet in the row: no other needs it yet

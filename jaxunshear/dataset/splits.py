@@ -1,0 +1,39 @@
+"""Which split a simulated pose is in: a matter of its seed, its stimulus and its number alone. Imports no JAX.
+
+So all sets of one seed agree, whatever their sizes, slides and other stimuli: what one trains on no other tests.
+"""
+
+import hashlib
+from functools import lru_cache
+
+import numpy as np
+
+SPLITS = ("train", "validation", "test")
+BLOCK = 5  # consecutive poses of a stimulus: one is for validation, one for test, three are for training
+
+
+def split_of(seed: int, stimulus: str, pose: int) -> int:
+    """Index into SPLITS."""
+    held = _held(seed, stimulus, pose // BLOCK)
+    return {held[0]: 1, held[1]: 2}.get(pose % BLOCK, 0)
+
+
+def splits_of(seed: int, stimulus: str, poses: int) -> np.ndarray:
+    """(poses,) index into SPLITS. 60:20:20 for whole blocks; a last, broken one gives what its poses are."""
+    return np.array([split_of(seed, stimulus, pose) for pose in range(poses)], int)
+
+
+def train_poses(seed: int, stimulus: str, poses: int) -> int:
+    """How many of them are for training; takes no time for any number."""
+    whole, rest = divmod(poses, BLOCK)
+    last = (split_of(seed, stimulus, whole * BLOCK + place) for place in range(rest))
+    return whole * (BLOCK - 2) + sum(split == 0 for split in last)
+
+
+@lru_cache
+def _held(seed: int, stimulus: str, block: int) -> tuple[int, int]:
+    """Places in a block of its poses for validation and for test, drawn by a hash."""
+    key = f"{seed} {stimulus} {block}".encode()
+    number = int.from_bytes(hashlib.blake2b(key, digest_size=8).digest(), "big") % (BLOCK * (BLOCK - 1))
+    test, step = divmod(number, BLOCK - 1)
+    return (test + 1 + step) % BLOCK, test
