@@ -114,7 +114,12 @@ def _constructed(thing: Any, names: set[str], depth: int) -> str:
 
 
 def write_experiment(experiment: Experiment, file: Path) -> None:
-    """The experiment as a file to run again, and to change."""
+    """The experiment as a file to run again, and to change. Raises UserError where another one is there."""
     from jaxunshear.storage import write_text
 
-    write_text(file, as_python(experiment))
+    source = as_python(experiment)
+    if file.exists() and file.read_text() != source:
+        raise UserError(
+            f"{file} is there, and is not what these options ask for: `jaxunshear run {file}` runs it; else give another --name"
+        )
+    write_text(file, source)

@@ -136,6 +136,8 @@ def _trained(parts: Sequence[Part]) -> tuple[Use, Use]:
     slides = [part for part in kept if mixed or part.taps <= part.slides]
     named = [(option, _folder(half, parts)) for option, half in (("--taps", taps), ("--slides", slides)) if half]
     note = "" if taps and slides else "of taps or slides alone networks learn to read poses, not to unshear"
+    if not slides and all(part.seen and part.seen.pins.sensor == TACTIP_331.name for part in taps):
+        note += "; with --unshear.input pins --paired.pairing simulated they unshear by simulated slides"
     above = _above(kept)
     why = "" if _alone(above, kept, parts) else f"{above} holds recordings of another kind too: use `fit`"
     return (

@@ -139,7 +139,11 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     assert answer.code == 0, answer.err
     experiment = load_experiment(tmp_path / "runs" / "ours.py")
     assert (experiment.paired.pairing, experiment.unshear.input, experiment.train_pins.epochs) == ("nearest", "pins", 8)
-    answer = command("run", tmp_path / "runs" / "ours.py", *places)
+    file = tmp_path / "runs" / "ours.py"
+    answer = command("fit", *folders, *places, "--name", "ours", *short)
+    assert answer.code == 2 and f"{file} is there, and is not what" in answer.err and answer.err.count("\n") == 1
+    assert load_experiment(file) == experiment
+    answer = command("run", file, *places)
     assert answer.code == 0, answer.err
     ours = tmp_path / "runs" / "ours"
     results = json.loads((ours / "results.json").read_text())
