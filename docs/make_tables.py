@@ -29,6 +29,7 @@ REFITTED = {
     "distance_mm": "camera: distance, mm",
     "all": "all values together",
 }
+SOURCES = {"simulated": "simulated slides", "rendered": "recorded slides"}
 PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
 
 
@@ -70,6 +71,24 @@ def pairings() -> str:
     return "\n".join(lines)
 
 
+def simulated_slides() -> str:
+    """Errors on recorded slides by what the slides were that taught."""
+    columns = (("y_mm", 2), ("z_mm", 2), ("Rz_deg", 1))
+    lines = ["| read | learnt from | y, mm | z, mm | Rz, deg |", "|---|---|---|---|---|"]
+    cells = {way: next(c["metrics"] for c in _cells("simulated_slides") if way in c["label"]) for way in SOURCES}
+    one = cells["simulated"]
+    for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
+        lines.append(_line(name, ["taps", *(_cell(one[f"{key}/{q}"], d) for q, d in columns)]))
+    for name, key in (("slides unsheared", "disentangled"), ("slides, directly", "sheared_learnt")):
+        for way, told in SOURCES.items():
+            found = [_cell(cells[way][f"pose/{key}/{q}"], d) for q, d in columns]
+            lines.append(_line(name, [f"taps and {told}", *found]))
+    for way, told in SOURCES.items():
+        found = [_cell(cells[way][f"pose_recovery/disentangled/{q}"], 2) for q, _ in columns]
+        lines.append(_line("recovery", [f"taps and {told}", *found]))
+    return "\n".join(lines)
+
+
 def refit() -> str:
     """What the simulator gains on contacts kept out, by the object's frame, by each value of the sensor, and by all of them."""
     rows = {row["name"]: row["value"] for row in json.loads((RESULTS / "validate_refit.json").read_text())["rows"]}
@@ -98,7 +117,7 @@ def _cell(metric: dict[str, Any], digits: int) -> str:
 
 TABLES = {
     "README.md": (real_skin,),
-    "docs/your-own-recordings.md": (few_labels, pairings),
+    "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
 }
 
