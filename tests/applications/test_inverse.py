@@ -9,6 +9,7 @@ from jaxunshear.contact.batches import dome
 from jaxunshear.contact.indentation import per_force
 from jaxunshear.image.camera import project, to_image_px
 from jaxunshear.image.framing import undeformed
+from jaxunshear.image.growing import filled
 from jaxunshear.image.settings import Camera, Preprocess
 from jaxunshear.scene.sensor import TACTIP_331
 
@@ -42,6 +43,14 @@ def test_the_pressure_of_one_ring_is_recovered(physical, ring):
     true = per_force(TACTIP_331) @ force
     found = indentation_of(physical, motion)
     assert true.max() > FELT_MM and correlation(found, true[None])[0] > 0.95
+
+
+def test_a_few_missing_pins_change_little(lattice, physical):
+    motion = (pins_per_force(TACTIP_331, *SEEN) @ ring_pressed(4)).reshape(-1, 2)
+    gaps = motion.copy()
+    gaps[np.random.default_rng(0).choice(len(motion), 10, replace=False)] = np.nan
+    whole, some = indentation_of(physical, np.stack([motion, filled(lattice, gaps)]))
+    np.testing.assert_allclose(some, whole, atol=0.1 * whole.max())
 
 
 def test_pins_move_as_the_camera_sees_the_dome_move():
