@@ -1,4 +1,4 @@
-"""Tables of recorded touches in README and docs, from docs/results: `python docs/make_tables.py` prints them; a test compares."""
+"""Tables in README and docs, from docs/results: `python docs/make_tables.py` prints them; a test compares."""
 
 import json
 from pathlib import Path
@@ -102,6 +102,36 @@ def refit() -> str:
     return "\n".join(lines)
 
 
+KINDS = ("tap", "sheared", "entangled", "disentangled")
+MADE = ("voronoi", "skin", "evidence")
+
+
+def geometry() -> str:
+    """Correlation with the true indentation and error in mm by way; of images of no contact the largest height in mm."""
+    rows = {row["name"]: row for row in json.loads((RESULTS / "geometry.json").read_text())["rows"]}
+    lines = [f"| correlation / rms error, mm | {' | '.join(KINDS)} |", "|---|" + "---|" * len(KINDS)]
+    for way in ("areas", "change", "growth", "compliance", "inverse"):
+        found = [rows[f"all/{kind}/{way}"] for kind in KINDS]
+        lines.append(_line(f"`{way}`", [f"{row['correlation']:.3f} / {row['rmse_mm']:.2f}" for row in found]))
+    return "\n".join(lines)
+
+
+def objects() -> str:
+    """IoU with the true shape over the whole grid and over the cells that were felt; of `skin` the rms error of the top, mm."""
+    rows = {row["name"]: row for row in json.loads((RESULTS / "objects.json").read_text())["rows"]}
+    looks = {"unsheared": "disentangled", "sheared": "sheared"}
+    lines = ["| | " + " | ".join(f"{made}, {told}" for made in MADE for told in looks) + " |", "|---|" + "---|" * 6]
+    for shape in dict.fromkeys(row["stimulus"] for row in rows.values()):
+        cells = []
+        for made in MADE:
+            for way in looks.values():
+                row = rows[f"{shape}/{made}/{way}"]
+                top = row["height_rms_mm"]
+                cells.append(f"{row['iou']:.2f} / {row['iou_felt']:.2f}" + ("" if top is None else f" / {top:.2f}"))
+        lines.append(_line(shape, cells))
+    return "\n".join(lines)
+
+
 def _cells(name: str) -> list[dict[str, Any]]:
     return json.loads((RESULTS / f"{name}.json").read_text())["cells"]
 
@@ -119,6 +149,7 @@ TABLES = {
     "README.md": (real_skin,),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
+    "docs/applications.md": (geometry, objects),
 }
 
 if __name__ == "__main__":

@@ -194,8 +194,9 @@ def _pins(arguments: argparse.Namespace, out: Path, model: "Model | None") -> di
 
 
 def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
-    from jaxunshear.applications.fresh import fresh_contacts
-    from jaxunshear.applications.geometry_scores import geometry_of, geometry_rows, mm_of_growth
+    from jaxunshear.applications.fresh import fresh_contacts, untouched_images
+    from jaxunshear.applications.geometry_scores import geometry_of, geometry_rows
+    from jaxunshear.applications.geometry_ways import INVERSE, ways_of
     from jaxunshear.applications.perception import unshearers, unshearing_of
     from jaxunshear.applications.table import plain_table
     from jaxunshear.dataset.recordings import read_recordings
@@ -215,21 +216,22 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
     if not networks:
         raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
-    mm = mm_of_growth(lattice, fresh_contacts(experiment, KNOWN, seed=1))
+    ways = ways_of(experiment, lattice, fresh_contacts(experiment, KNOWN, seed=1))
     contacts = fresh_contacts(experiment, arguments.contacts)
-    geometry = geometry_of(lattice, contacts, mm, networks)
+    untouched = untouched_images(experiment, len(contacts.stimulus))
+    geometry = geometry_of(lattice, contacts, untouched, ways, networks)
     rows = geometry_rows(paired.stimuli, contacts, geometry)
     figure = geometry_figure.of_contacts(lattice, paired.stimuli, contacts, geometry)
     write_bytes(out / "geometry.png", figure)
-    print(plain_table(rows, ("name", "contacts", "unmatched", "correlation", "rmse_mm", "ms_per_image")))
+    print(plain_table(rows, ("name", "contacts", "unmatched", "correlation", "rmse_mm", "largest_mm", "ms_per_image")))
     print(out / "geometry.png")
     if arguments.path is not None:
         from jaxunshear.applications.recorded_geometry import heights_of_recordings
 
-        shown = heights_of_recordings(arguments.path, experiment, lattice, mm, networks)
+        shown = heights_of_recordings(arguments.path, experiment, lattice, ways[INVERSE], networks)
         write_bytes(out / "recordings.png", geometry_figure.of_recordings(lattice, shown))
         print(out / "recordings.png")
-    return {"rows": rows, "mm_per_growth": mm, "dropped": contacts.dropped}
+    return {"rows": rows, "mm_per_height": {name: way.mm for name, way in ways.items()}, "dropped": contacts.dropped}
 
 
 def _stimuli(text: str) -> tuple[str, ...]:
@@ -282,10 +284,10 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
 def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     from jaxunshear.applications import perception
     from jaxunshear.applications.fresh import fresh_contacts
-    from jaxunshear.applications.objects import objects_of, occupancy_of
+    from jaxunshear.applications.objects import makers_for, objects_of
     from jaxunshear.applications.servo import made_with, stored_walks
     from jaxunshear.applications.table import plain_table
-    from jaxunshear.report.object_figure import object_figure
+    from jaxunshear.report.object_figure import PICTURES, object_figure
     from jaxunshear.storage import write_bytes
 
     folder, experiment = model
@@ -301,7 +303,7 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
         raise UserError(f"--stimulus {lacking}: {out} holds no walk of it; run `jaxunshear servo` for it first")
     networks = perception.unshearers(folder, perception.unshearing_of(folder))
     rows: list[dict[str, Any]] = []
-    occupancies: dict[float, Any] = {}  # by depth
+    makers: dict[float, Any] = {}  # by depth
     made: dict[tuple[str, ...], str] = {}  # by ways
     for name in names:
         walked = stored_walks(out / f"{name}.npz")
@@ -310,12 +312,15 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
             made[ways] = made_with(experiment.sensor, paired, perception.digests(folder, ways))
         _check_walks(out / f"{name}.npz", walked[1], made[ways])
         depth = walked[0].depth_mm
-        if depth not in occupancies:
-            occupancies[depth] = occupancy_of(experiment, fresh_contacts(experiment, KNOWN, 1, depth))
-        found = objects_of(experiment, walked, networks, occupancies[depth])
+        if depth not in makers:
+            makers[depth] = makers_for(experiment, fresh_contacts(experiment, KNOWN, 1, depth))
+        found = objects_of(experiment, walked, networks, makers[depth])
         rows += [row for row, _ in found.values()]
-        write_bytes(out / f"{name}-object.png", object_figure(name, {way: solid for way, (_, solid) in found.items()}))
-        print(plain_table(rows[-len(found) :], ("name", "walks", "closed", "iou", "mean_mm", "hausdorff_mm")))
+        for maker, (file, text) in PICTURES.items():
+            solids = {way: solid for (by, way), (_, solid) in found.items() if by == maker}
+            write_bytes(out / f"{name}-{file}.png", object_figure(name, solids, text))
+        columns = ("name", "walks", "closed", "iou", "iou_felt", "mean_mm", "hausdorff_mm", "height_rms_mm")
+        print(plain_table(rows[-len(found) :], columns))
     print(out)
     return {"rows": rows}
 

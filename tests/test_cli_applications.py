@@ -10,6 +10,7 @@ from PIL import Image
 from jaxunshear import cli_applications
 from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
+from jaxunshear.applications.geometry_ways import WAYS
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Preprocess
@@ -121,8 +122,9 @@ def test_servo_then_reconstruct(command, tmp_path, monkeypatch, model):
     answer = command("reconstruct", *words)
     assert answer.code == 0, answer.err
     found = json.loads((out / "reconstruct.json").read_text())
-    assert len(found["rows"]) == 3 and all(0 <= row["iou"] < 0.3 for row in found["rows"])
-    assert (out / "disk-object.png").is_file()
+    assert len(found["rows"]) == 9 and all(0 <= row["iou"] < 0.4 for row in found["rows"])
+    assert {row["object"] for row in found["rows"]} == {"voronoi", "skin", "evidence"}
+    assert all((out / f"disk-{name}.png").is_file() for name in ("object", "skin", "voronoi"))
     answer = command("reconstruct", *words[:-1], "disk,leaf")
     assert answer.code == 2 and "--stimulus leaf" in answer.err
     course, walks = servo.stored_walks(out / "disk.npz")
@@ -161,10 +163,15 @@ def test_geometry_scores_and_draws(command, tmp_path, model):
     assert answer.code == 0, answer.err
     rows = {row["name"]: row for row in json.loads((tmp_path / "out" / "geometry.json").read_text())["rows"]}
     assert set(rows) == {
-        f"{s}/{k}" for s in ("all", "disk", "clover", "teardrop") for k in ("tap", "sheared", "disentangled")
+        f"{s}/{k}/{w}"
+        for s in ("all", "disk", "clover", "teardrop")
+        for k in ("tap", "sheared", "disentangled", "untouched")
+        for w in WAYS
     }
-    assert rows["all/tap"]["contacts"] == 9 and rows["all/disentangled"]["unmatched"] == 9
-    assert rows["all/tap"]["correlation"] > 0.3 and "correlation" not in rows["all/disentangled"]
+    assert rows["all/tap/growth"]["contacts"] == 9 and rows["all/disentangled/inverse"]["unmatched"] == 9
+    assert rows["all/tap/growth"]["correlation"] > 0.3 and "correlation" not in rows["all/disentangled/inverse"]
+    assert rows["all/tap/inverse"]["correlation"] > 0.9 and rows["all/tap/compliance"]["correlation"] > 0.9
+    assert rows["all/untouched/inverse"]["largest_mm"] == 0 and rows["all/untouched/areas"]["largest_mm"] > 0
     assert (tmp_path / "out" / "geometry.png").is_file()
 
 

@@ -15,6 +15,7 @@ from jaxunshear.dataset.shots import draw_paired
 from jaxunshear.dataset.splits import BLOCK
 from jaxunshear.experiment import Experiment, simulated_of
 from jaxunshear.scene.paths import path_of
+from jaxunshear.scene.sensor import pin_tips
 
 SEED = 1_000_003  # added to the data's
 
@@ -60,3 +61,10 @@ def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: 
         indentation(experiment.sensor, skins.take(tapped)),
         int(np.sum(~good)),
     )
+
+
+def untouched_images(experiment: Experiment, count: int) -> np.ndarray:
+    """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
+    paired, _ = simulated_of(experiment, "this")
+    tips = np.repeat(pin_tips(experiment.sensor)[None], count, axis=0)
+    return look(paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count))[0]

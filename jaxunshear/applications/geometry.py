@@ -2,6 +2,7 @@
 
 >>> heights = relative_growth(lattice, track.motion)           # (P,) growth of each cell's area over the undeformed one
 >>> surface(lattice.place, heights, 64)                        # (64, 64) smooth heights over the pins
+>>> read_at(lattice.place + track.motion, heights, places)     # the same surface where the pins are, at places (M, 2)
 
 A rim cell has no neighbours outside, and its Voronoi cell would be open. A ring of ghosts, one beyond each rim pin and moving with it,
 closes these cells, at rest and in touch alike; so an undeformed sensor is exactly flat.
@@ -9,7 +10,7 @@ closes these cells, at rest and in touch alike; so an undeformed sensor is exact
 
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
-from scipy.spatial import Delaunay, Voronoi
+from scipy.spatial import Delaunay, Voronoi, cKDTree
 
 from jaxunshear.image.growing import filled
 from jaxunshear.image.lattice import Lattice
@@ -52,3 +53,11 @@ def surface(place: np.ndarray, heights: np.ndarray, cells: int) -> np.ndarray:
     low, high = place.min(axis=0), place.max(axis=0)
     x, y = (np.linspace(low[i], high[i], cells) for i in (0, 1))
     return CloughTocher2DInterpolator(place, heights)(*np.meshgrid(x, y))
+
+
+def read_at(place: np.ndarray, heights: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """Heights (M, ...) at points (M, 2), of the cubic surface through (P, ...) at `place` (P, 2); beyond the rim of the nearest."""
+    found = CloughTocher2DInterpolator(place, heights)(where)
+    beyond = np.flatnonzero(np.isnan(found.reshape(len(where), -1)[:, 0]))
+    found[beyond] = heights[cKDTree(place).query(where[beyond])[1]]
+    return found

@@ -1,4 +1,8 @@
-"""How well the contact geometry of taps, sheared and unsheared images agrees with how far the simulator's skin was pressed in."""
+"""How well the contact geometry of taps, sheared and unsheared images agrees with how far the simulator's skin was pressed in.
+
+The truth stands where a camera sees it: at the places of the tap's pins. There a geometry is read off its cubic surface, through its
+heights where the image's pins are. `growth` alone is compared pin by pin, wherever a pin has gone.
+"""
 
 import time
 from collections.abc import Mapping
@@ -7,89 +11,81 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxunshear.applications.fresh import FreshContacts
-from jaxunshear.applications.geometry import relative_growth, smoothed
+from jaxunshear.applications.geometry import read_at
+from jaxunshear.applications.geometry_ways import GROWTH, Way, motions_of
 from jaxunshear.applications.perception import Unshear, in_batches
-from jaxunshear.errors import UserError
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import tracks_of
 
 SEED = 0
+UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact
 
 
 class Geometry(NamedTuple):
-    """Heights of N contacts by kind of image, NaN rows where pins were not identified for sure."""
+    """Heights of N contacts by kind of image and way, at the tap's pins; NaN rows where pins were not identified for sure."""
 
-    height_mm: dict[str, np.ndarray]  # (N, P)
-    ms: dict[str, float]  # an image, from image to heights, networks included
-
-
-def known_growths(lattice: Lattice, known: FreshContacts) -> np.ndarray:
-    """`growths` of taps. Raises `UserError` where hardly any shows its pins well enough."""
-    growth = growths(lattice, known.tap)
-    sure = np.mean(~np.isnan(growth[:, 0]))
-    if sure < 0.5:
-        raise UserError(
-            f"pins are identified in only {100 * sure:.0f} % of simulated taps of {known.tap.shape[1]} px: "
-            "use a model of larger images (128 px or more)"
-        )
-    return growth
+    height_mm: dict[tuple[str, str], np.ndarray]  # (N, P)
+    ms: dict[tuple[str, str], float]  # an image, from image to heights, networks included
 
 
-def growths(lattice: Lattice, images: np.ndarray) -> np.ndarray:
-    """Smoothed relative growth (N, P) of the pins' cells in images (N, S, S); NaN rows where pins were not identified for sure."""
-    growth = np.full((len(images), len(lattice.place)), np.nan)
-    tracks = tracks_of(lattice, images)
-    sure = np.array([track.sure for track in tracks])
-    if sure.any():
-        motion = np.stack([track.motion for track in tracks])[sure]
-        growth[sure] = smoothed(lattice, relative_growth(lattice, motion))
-    return growth
-
-
-def mm_of_growth(lattice: Lattice, known: FreshContacts) -> float:
-    """Indentation (mm) of a cell that has doubled: least squares over taps whose indentation is known."""
-    growth = known_growths(lattice, known)
-    told = ~np.isnan(growth)
-    return float(np.sum(known.indentation_mm[told] * growth[told]) / np.sum(growth[told] ** 2))
-
-
-def geometry_of(lattice: Lattice, contacts: FreshContacts, mm: float, networks: Mapping[str, Unshear]) -> Geometry:
-    """Heights of taps, sheared images and what each network makes of these."""
-    height, ms = {}, {}
-    for kind in ("tap", "sheared", *networks):
-        images = contacts.tap if kind == "tap" else contacts.sheared
+def geometry_of(
+    lattice: Lattice,
+    contacts: FreshContacts,
+    untouched: np.ndarray,
+    ways: Mapping[str, Way],
+    networks: Mapping[str, Unshear],
+) -> Geometry:
+    """Heights of taps, sheared images, what each network makes of these, and images (N, S, S) of the sensor that touches nothing."""
+    height: dict[tuple[str, str], np.ndarray] = {}
+    ms: dict[tuple[str, str], float] = {}
+    images = {"tap": contacts.tap, "sheared": contacts.sheared, **dict.fromkeys(networks, contacts.sheared)}
+    for kind, given in (images | {UNTOUCHED: untouched}).items():
         if kind in networks:
-            in_batches(networks[kind], images[:1])  # compiles
+            in_batches(networks[kind], given[:1])  # compiles
         began = time.perf_counter()
-        seen = in_batches(networks[kind], images) if kind in networks else images
-        height[kind] = mm * growths(lattice, seen)
-        ms[kind] = 1e3 * (time.perf_counter() - began) / len(images)
+        motion = motions_of(lattice, in_batches(networks[kind], given) if kind in networks else given)
+        spent = time.perf_counter() - began
+        sure = np.flatnonzero(~np.isnan(motion[:, 0, 0]))
+        felt = np.full((len(ways), *motion.shape[:2]), np.nan)
+        for row, (name, way) in enumerate(ways.items()):
+            began = time.perf_counter()
+            if len(sure):
+                felt[row, sure] = way(motion[sure])
+            ms[kind, name] = 1e3 * (spent + time.perf_counter() - began) / len(given)
+        moving = np.array([name != GROWTH for name in ways])
+        for one in sure:
+            felt[moving, one] = read_at(lattice.place + motion[one], felt[moving, one].T, contacts.tap_pins[one]).T
+        height |= {(kind, name): felt[row] for row, name in enumerate(ways)}
     return Geometry(height, ms)
 
 
 def geometry_rows(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> list[dict[str, Any]]:
-    """A row for each stimulus and kind, and for all stimuli: mean correlation with its interval, rmse, and what was left out."""
+    """A row for each stimulus, kind and way, and for all stimuli: mean correlation with its interval, rmse, and what was left out.
+
+    Of images of no contact: the correlation with the taps' indentation, as a floor, and the largest height in the place of an rmse.
+    """
     rows = []
     groups = {"all": np.ones(len(contacts.stimulus), bool)}
     groups |= {name: contacts.stimulus == index for index, name in enumerate(names)}
     for group, inside in groups.items():
-        for kind, height in geometry.height_mm.items():
+        for (kind, way), height in geometry.height_mm.items():
             told = inside & ~np.isnan(height[:, 0])
             row: dict[str, Any] = {
-                "name": f"{group}/{kind}",
+                "name": f"{group}/{kind}/{way}",
                 "stimulus": group,
                 "kind": kind,
+                "way": way,
                 "contacts": int(inside.sum()),
                 "unmatched": int((inside & ~told).sum()),
-                "ms_per_image": geometry.ms[kind],
+                "ms_per_image": geometry.ms[kind, way],
             }
             if told.any():
                 true = contacts.indentation_mm[told]
-                score = {
-                    "correlation": correlation(height[told], true),
-                    "rmse_mm": np.sqrt(np.mean((height[told] - true) ** 2, axis=-1)),
-                }
+                score = {"correlation": correlation(height[told], true)}
+                if kind == UNTOUCHED:
+                    row["largest_mm"] = float(np.abs(height[told]).max())
+                else:
+                    score["rmse_mm"] = np.sqrt(np.mean((height[told] - true) ** 2, axis=-1))
                 spans = intervals(score, np.flatnonzero(told), SEED)
                 for name, values in score.items():
                     row |= {name: float(values.mean()), f"{name}_interval": spans[name]}

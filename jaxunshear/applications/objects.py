@@ -9,19 +9,10 @@ import numpy as np
 
 from jaxunshear.applications.contour import Outline, outline
 from jaxunshear.applications.fresh import FreshContacts
-from jaxunshear.applications.geometry_scores import growths, known_growths
-from jaxunshear.applications.occupancy import Occupancy, evidence, learn
+from jaxunshear.applications.geometry_ways import motions_of
+from jaxunshear.applications.makers import Maker, makers_of
 from jaxunshear.applications.perception import Unshear, in_batches, unsheared_by
-from jaxunshear.applications.reconstruct import (
-    CELL_MM,
-    Fused,
-    Likeness,
-    filled_shape,
-    fuse,
-    likeness,
-    skin_places,
-    to_target,
-)
+from jaxunshear.applications.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target
 from jaxunshear.applications.servo import CLOSED, Course, Walks
 from jaxunshear.dataset.chunks import unpack
 from jaxunshear.experiment import Experiment, simulated_of
@@ -41,56 +32,61 @@ class Solid(NamedTuple):
     true: np.ndarray  # (K, K) bool
     likeness: Likeness
     unmatched: int  # steps whose pins were not identified for sure
+    level: float  # of the fused values, over which the object lies
+    height_rms_mm: float | None  # of the felt top from the object's, where values are heights
 
 
-def occupancy_of(experiment: Experiment, known: FreshContacts) -> Occupancy:
-    """What parts skin over the object from skin beside it, learnt from taps whose poses are known."""
+def makers_for(experiment: Experiment, known: FreshContacts) -> dict[str, Maker]:
+    """The ways to an object by name, from taps whose poses and indentations are known."""
     paired, _ = simulated_of(experiment, "reconstruct")
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
-    place = skin_places(experiment.sensor)
-    xy = to_target(known.pose[:, :3], place)
+    xy = to_target(known.pose[:, :3], skin_places(experiment.sensor))
     distance = np.zeros(xy.shape[:2])
     for index, name in enumerate(paired.stimuli):
         rows = known.stimulus == index
         distance[rows] = _distance(stimulus_named(name), xy[rows])
-    return learn(lattice, place, known_growths(lattice, known), distance)
+    return makers_of(experiment.sensor, lattice, known, distance)
 
 
-def solid(
+def solids(
     experiment: Experiment,
     lattice: Lattice,
-    walks: Walks,
+    walked: tuple[Course, Walks],
     walk: int,
     line: Outline,
-    stimulus: Stimulus,
     unshear: Unshear | None,
-    occupancy: Occupancy,
-) -> Solid:
-    """The object of one walk from every fourth of its images, unsheared or (None) as they are."""
+    makers: Mapping[str, Maker],
+) -> dict[str, Solid]:
+    """By maker, the object of one walk from every fourth of its images, unsheared or (None) as they are."""
+    course, walks = walked
     there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::EVERY]
     images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
     if unshear is not None:
         images = in_batches(unshear, images)
-    growth = growths(lattice, images)
-    place = skin_places(experiment.sensor)[occupancy.near]
+    motion = motions_of(lattice, images)
     whole = float(np.abs(line.points).max()) + CELL_MM  # also what a walk that ended early has not felt
-    fused = fuse(walks.point[walk, there], place, evidence(occupancy, growth), whole)
-    shape = filled_shape(fused)
-    true = _distance(stimulus, np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
-    return Solid(fused, shape, true, likeness(fused, shape, true, line), int(np.isnan(growth[:, 0]).sum()))
+    found = {}
+    for name, maker in makers.items():
+        fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), whole)
+        shape = maker.shape(fused)
+        true = _distance(stimulus_named(course.stimulus), np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
+        off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
+        rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
+        unmatched = int(np.isnan(motion[:, 0, 0]).sum())
+        found[name] = Solid(fused, shape, true, likeness(fused, shape, true, line), unmatched, maker.level, rms)
+    return found
 
 
 def objects_of(
-    experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], occupancy: Occupancy
-) -> dict[str, tuple[dict[str, Any], Solid]]:
-    """By way of perceiving: means over its walks as a row, and the object of its walk of middling likeness.
+    experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], makers: Mapping[str, Maker]
+) -> dict[tuple[str, str], tuple[dict[str, Any], Solid]]:
+    """By maker and way of perceiving: means over its walks as a row, and the object of its walk of middling likeness.
 
     Images are unsheared by the network that the walk perceived by; those of walks that know the true pose, or read the
     pose code, by the disentangled one.
     """
     course, walks = walked
-    stimulus = stimulus_named(course.stimulus)
-    line = outline(stimulus)
+    line = outline(stimulus_named(course.stimulus))
     paired, _ = simulated_of(experiment, "reconstruct")
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     found = {}
@@ -98,27 +94,34 @@ def objects_of(
     with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:
         for way in ways:
             unshear = networks.get(unsheared_by(way))
-            rows, solids = np.flatnonzero(walks.way == way), []
+            rows, made = np.flatnonzero(walks.way == way), []
             for walk in rows:
-                solids.append(solid(experiment, lattice, walks, int(walk), line, stimulus, unshear, occupancy))
+                made.append(solids(experiment, lattice, walked, int(walk), line, unshear, makers))
                 progress.advance()
-            order = np.argsort([each.likeness.iou for each in solids])
-            found[way] = _row(course.stimulus, way, walks, rows, solids), solids[order[len(order) // 2]]
+            for maker in makers:
+                mine = [each[maker] for each in made]
+                order = np.argsort([each.likeness.iou for each in mine])
+                found[maker, way] = _row(course.stimulus, maker, way, walks, rows, mine), mine[order[len(order) // 2]]
     return found
 
 
-def _row(stimulus: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> dict[str, Any]:
+def _row(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> dict[str, Any]:
     scores = np.array([each.likeness for each in solids])
+    heights = [each.height_rms_mm for each in solids if each.height_rms_mm is not None]
     return {
-        "name": f"{stimulus}/{way}",
+        "name": f"{stimulus}/{maker}/{way}",
         "stimulus": stimulus,
+        "object": maker,
         "way": way,
         "walks": len(rows),
         "closed": int(np.sum(walks.end[rows] == CLOSED)),
         "iou": float(scores[:, 0].mean()),
         "iou_least": float(scores[:, 0].min()),
+        "iou_felt": float(scores[:, 3].mean()),
         "mean_mm": float(scores[:, 1].mean()),
         "hausdorff_mm": float(scores[:, 2].mean()),
+        "height_rms_mm": float(np.mean(heights)) if heights else None,
+        "level": solids[0].level,
         "unmatched": int(sum(each.unmatched for each in solids)),
     }
 

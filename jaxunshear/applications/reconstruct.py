@@ -1,15 +1,17 @@
 """Whole objects (paper section 4.4): the contact geometries along a walk, fused onto a grid, and the shape that they enclose.
 
-Each step tells which skin around the sensor's axis lies over the object and which beside it. Put where the sensor was, averaged
-over all steps that touched a cell, this evidence makes a band along the outline. What a closed band surrounds is the object.
+Each step tells of the skin around the sensor's axis how high it stands, or how sure it lies over the object. Put where the sensor
+was, averaged over all steps that touched a cell, this makes a band along the outline. Heights are interpolated to a map of the whole
+object; of evidence, what a closed band surrounds is the object.
 
-Read `fuse`, then `filled_shape`.
+Read `fuse`, then `interpolated` and `filled_shape`.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
+from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours, label
 
@@ -22,11 +24,11 @@ LEAST = 0.02  # pins a cell, blurred, for it to count as touched
 
 
 class Fused(NamedTuple):
-    """Mean evidence on a square grid, rows along y; NaN where nothing was touched."""
+    """Mean height or evidence on a square grid, rows along y; NaN where nothing was touched."""
 
     x: np.ndarray  # (K,) mm, target frame
     y: np.ndarray  # (K,)
-    evidence: np.ndarray  # (K, K), above 0 over the object
+    value: np.ndarray  # (K, K)
 
 
 def skin_places(sensor: Sensor) -> np.ndarray:
@@ -37,22 +39,22 @@ def skin_places(sensor: Sensor) -> np.ndarray:
 
 
 def to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Places (P, 2) mm of the sensor frame, seen from points (T, 3) x, y mm and yaw deg: (T, P, 2) mm of the target frame."""
+    """Places (P, 2) or (T, P, 2) mm of the sensor frame, seen from points (T, 3) x, y mm and yaw deg: (T, P, 2) mm of the target frame."""
     yaw = np.radians(point[:, 2])[:, None]
-    x = point[:, 0, None] + np.cos(yaw) * place[:, 0] - np.sin(yaw) * place[:, 1]
-    y = point[:, 1, None] + np.sin(yaw) * place[:, 0] + np.cos(yaw) * place[:, 1]
+    x = point[:, 0, None] + np.cos(yaw) * place[..., 0] - np.sin(yaw) * place[..., 1]
+    y = point[:, 1, None] + np.sin(yaw) * place[..., 0] + np.cos(yaw) * place[..., 1]
     return np.stack([x, y], -1)
 
 
-def fuse(point: np.ndarray, place: np.ndarray, evidence: np.ndarray, cover_mm: float = 0.0) -> Fused:
-    """Evidence (T, Q) of skin at (Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid around them
-    that reaches at least `cover_mm` from the origin.
+def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: float = 0.0) -> Fused:
+    """Values (T, Q) of skin at (Q, 2) or (T, Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid
+    around them that reaches at least `cover_mm` from the origin.
 
-    Rows with NaN evidence (an image whose pins were not identified) are left out.
+    Rows with a NaN (an image whose pins were not identified) are left out.
     """
-    told = ~np.isnan(evidence).any(axis=-1) & ~np.isnan(point[:, 0])
-    x, y = np.moveaxis(to_target(point[told], place), -1, 0)
-    reach = max(cover_mm, np.abs(point[told, :2]).max(initial=0.0) + np.abs(place).max() + 4 * BLUR_MM)
+    told = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
+    x, y = np.moveaxis(to_target(point[told], place[told] if place.ndim == 3 else place), -1, 0)
+    reach = max(cover_mm, np.abs(point[told, :2]).max(initial=0.0) + np.nanmax(np.abs(place)) + 4 * BLUR_MM)
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
 
     def gathered(weights: np.ndarray) -> np.ndarray:
@@ -61,14 +63,14 @@ def fuse(point: np.ndarray, place: np.ndarray, evidence: np.ndarray, cover_mm: f
 
     total = gathered(np.ones_like(x))
     touched = total > LEAST
-    mean = np.divide(gathered(evidence[told]), total, out=np.full(total.shape, np.nan), where=touched)
+    mean = np.divide(gathered(value[told]), total, out=np.full(total.shape, np.nan), where=touched)
     middle = (edges[1:] + edges[:-1]) / 2
     return Fused(middle, middle, mean)
 
 
 def filled_shape(fused: Fused) -> np.ndarray:
     """(K, K) bool: the largest region that was felt to lie over the object, and all that it surrounds."""
-    regions = label(np.nan_to_num(fused.evidence) > 0, connectivity=1)
+    regions = label(np.nan_to_num(fused.value) > 0, connectivity=1)
     if regions.max() == 0:
         return np.zeros(regions.shape, bool)
     filled = [ndimage.binary_fill_holes(regions == number) for number in _largest(regions)]
@@ -81,19 +83,35 @@ def _largest(regions: np.ndarray) -> np.ndarray:
     return 1 + np.argsort(sizes)[::-1][:5]
 
 
+def interpolated(fused: Fused) -> np.ndarray:
+    """(K, K): what was felt, and between it linear over the cells that were not; NaN outside of all that was felt."""
+    felt = ~np.isnan(fused.value)
+    if np.count_nonzero(felt) < 3:
+        return np.full(felt.shape, np.nan)
+    x, y = np.meshgrid(fused.x, fused.y)
+    between = LinearNDInterpolator(np.stack([x[felt], y[felt]], -1), fused.value[felt])
+    return np.where(felt, fused.value, between(x, y))
+
+
 class Likeness(NamedTuple):
     iou: float  # area shared over area of either
     mean_mm: float  # between the outlines, both ways
     hausdorff_mm: float  # the largest distance of a point of one from the other
+    iou_felt: float  # over the cells that were touched alone
 
 
 def likeness(fused: Fused, shape: np.ndarray, true: np.ndarray, line: Outline) -> Likeness:
     """Of a shape (K, K) with the true one (K, K), whose outline is `line`. Infinite distances where the shape is empty."""
-    either = np.count_nonzero(shape | true)
-    iou = np.count_nonzero(shape & true) / either if either else 0.0
+    felt = ~np.isnan(fused.value)
+    iou, iou_felt = _iou(shape, true), _iou(shape & felt, true & felt)
     curves = find_contours(np.pad(shape, 1).astype(float), 0.5)
     if not curves:
-        return Likeness(iou, float("inf"), float("inf"))
+        return Likeness(iou, float("inf"), float("inf"), iou_felt)
     outline = fused.x[0] + CELL_MM * (np.concatenate(curves)[:, ::-1] - 1)
     there, back = cKDTree(line.points).query(outline)[0], cKDTree(outline).query(line.points)[0]
-    return Likeness(float(iou), float((there.mean() + back.mean()) / 2), float(max(there.max(), back.max())))
+    return Likeness(iou, float((there.mean() + back.mean()) / 2), float(max(there.max(), back.max())), iou_felt)
+
+
+def _iou(shape: np.ndarray, true: np.ndarray) -> float:
+    either = np.count_nonzero(shape | true)
+    return float(np.count_nonzero(shape & true) / either) if either else 0.0

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.applications.geometry_scores import growths
+from jaxunshear.applications.geometry_ways import Way, motions_of
 from jaxunshear.applications.perception import Unshear, in_batches
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.experiment import Experiment
@@ -15,7 +15,7 @@ SHOWN = 8
 
 
 def heights_of_recordings(
-    path: Path, experiment: Experiment, lattice: Lattice, mm: float, networks: Mapping[str, Unshear]
+    path: Path, experiment: Experiment, lattice: Lattice, way: Way, networks: Mapping[str, Unshear]
 ) -> tuple[list[str], dict[str, np.ndarray]]:
     """Names of the first images at `path`, and heights (N, P) mm by kind; NaN rows where pins are not those of the model's sensor."""
     frames = []
@@ -26,4 +26,4 @@ def heights_of_recordings(
     names, images = zip(*frames, strict=True)
     stack = np.stack(images)
     seen = {"as recorded": stack} | {name: in_batches(unshear, stack) for name, unshear in networks.items()}
-    return list(names), {kind: mm * growths(lattice, each) for kind, each in seen.items()}
+    return list(names), {kind: way(motions_of(lattice, each)) for kind, each in seen.items()}

@@ -13,15 +13,17 @@ def indentation(sensor: Sensor, skins: Skins) -> np.ndarray:
 
     Of a pin beyond the contact nodes, where nothing ever touches, that of the nearest node.
     """
+    return skins.force_n.reshape(len(skins.force_n), -1) @ per_force(sensor).T
+
+
+def per_force(sensor: Sensor) -> np.ndarray:
+    """(P, 3N) mm/N: the same per unit of force on each contact node."""
     whole = dome(sensor)
     outward = whole.nodes - np.array([0, 0, sensor.dome_radius_mm])
     outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
-    loaded = np.flatnonzero(np.any(skins.force_n != 0, axis=(0, 2)))
-    columns = (3 * loaded[:, None] + np.arange(3)).ravel()
-    moved = skins.force_n[:, loaded].reshape(len(skins.force_n), -1) @ whole.w[columns]
-    inward = -np.sum(moved.reshape(len(moved), -1, 3) * outward, axis=-1)
+    inward = -np.einsum("ni,nim->nm", outward, whole.w.reshape(*outward.shape, -1))
     corners, shares = _above_pins(sensor, outward)
-    return np.sum(inward[:, corners] * shares, axis=-1)
+    return np.einsum("pk,pkm->pm", shares, inward[corners])
 
 
 def _above_pins(sensor: Sensor, outward: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,12 +7,13 @@ from typing import Any
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
 from jaxunshear.report import page
+from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.page import number
 from jaxunshear.report.pictures import address_of
 from jaxunshear.report.walk_figure import WORDS
 from jaxunshear.storage import read_json
 
-KINDS = {"tap": "tap", "sheared": "sheared, as felt"} | {
+KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
     name: WORDS[name] for name in WORDS if "unsheared" in WORDS[name]
 }
 
@@ -36,6 +37,7 @@ def _geometry(results: dict[str, Any], folder: Path) -> str:
     rows = [
         [
             KINDS.get(row["kind"], escape(row["kind"])),
+            escape(row["way"]),
             _spanned(row, "correlation"),
             _spanned(row, "rmse_mm"),
             f"{row['unmatched']} of {row['contacts']}",
@@ -44,10 +46,11 @@ def _geometry(results: dict[str, Any], folder: Path) -> str:
         for row in results["rows"]
         if row["stimulus"] == "all"
     ]
-    head = ["image", "correlation", "error, mm rms", "pins not sure", "ms an image"]
+    head = ["image", "by", "correlation", "error, mm rms", "pins not sure", "ms an image"]
     lead = (
-        "How far the skin is pressed in, from the Voronoi cells of the pins, against the simulator's own indentation; contacts that "
-        "no network has seen, each with a 95 % interval. Images whose pins cannot be told for sure are left out and counted."
+        "How far the skin is pressed in, from the pins, against the simulator's own indentation: by the areas of their Voronoi cells, "
+        "by how these change, and by the inverse of the dome's compliance or one learnt from taps. Contacts that no network has seen, "
+        "each with a 95 % interval. Images whose pins cannot be told for sure are left out and counted."
     )
     return page.section(
         "Contact geometry", lead, page.table(head, rows), _picture(folder / "geometry.png"), _command(results)
@@ -84,11 +87,13 @@ def _objects(results: dict[str, Any], folder: Path) -> str:
 
     lead = (
         "The shape that each walk's images enclose, against the true one: area shared over area of either, mean of the walks; below, "
-        "the outlines' mean and largest distance in mm."
+        "the outlines' mean and largest distance in mm. By height maps of the pins' cells (voronoi) or of where the skin stands, and by "
+        "learnt evidence."
     )
     names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
-    pictures = (_picture(folder / f"{name}-object.png") for name in names)
-    return page.section("Whole objects", lead, _by_way(results["rows"], cell), *pictures, _command(results))
+    pictures = (_picture(folder / f"{name}-{file}.png") for name in names for file, _ in PICTURES.values())
+    lines = [row | {"stimulus": f"{row['stimulus']}, {row['object']}"} for row in results["rows"]]
+    return page.section("Whole objects", lead, _by_way(lines, cell), *pictures, _command(results))
 
 
 def _stream(results: dict[str, Any], folder: Path) -> str:

@@ -7,26 +7,36 @@ from matplotlib.figure import Figure
 
 from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry import surface
-from jaxunshear.applications.geometry_scores import Geometry, correlation
+from jaxunshear.applications.geometry_scores import UNTOUCHED, Geometry, correlation
+from jaxunshear.applications.geometry_ways import AREAS, INVERSE
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN
 
 CELLS, WIDTH = 48, 2.7
+TRUTH = "true indentation"
+DRAWN = (AREAS, INVERSE)
 VIEW = {"elev": 42, "azim": -60}
 
 
 def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> bytes:
-    """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth."""
-    kinds = {"true indentation": contacts.indentation_mm, **geometry.height_mm}
-    sheared = correlation(np.nan_to_num(geometry.height_mm["sheared"]), contacts.indentation_mm)
-    whole = np.all([~np.isnan(height[:, 0]) for height in kinds.values()], axis=0)
-    rows = {}
+    """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth; a line for each way of DRAWN."""
+    height = {at: each for at, each in geometry.height_mm.items() if at[0] != UNTOUCHED}
+    sheared = correlation(np.nan_to_num(height["sheared", INVERSE]), contacts.indentation_mm)
+    whole = np.all([~np.isnan(each[:, 0]) for each in height.values()], axis=0)
+    kinds = list(dict.fromkeys(kind for kind, _ in height))
+    lines = []
     for index, name in enumerate(names):
         here = np.flatnonzero((contacts.stimulus == index) & whole)
         if len(here):
-            rows[name] = int(here[np.argsort(sheared[here])[len(here) // 2]])
-    lines = [(name, {kind: height[row] for kind, height in kinds.items()}) for name, row in rows.items()]
-    return _surfaces(lattice, lines, truth="true indentation")
+            row = int(here[np.argsort(sheared[here])[len(here) // 2]])
+            lines += [
+                (
+                    f"{name}, {way}",
+                    {TRUTH: contacts.indentation_mm[row], **{kind: height[kind, way][row] for kind in kinds}},
+                )
+                for way in DRAWN
+            ]
+    return _surfaces(lattice, lines, TRUTH)
 
 
 def of_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:

@@ -1,19 +1,25 @@
-"""Whole objects as they were felt: evidence along the walk, and the shape that it encloses against the true one."""
+"""Whole objects as they were felt: evidence or heights along the walk, and the shape made of it against the true one."""
 
 import io
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from jaxunshear.applications.makers import EVIDENCE, SKIN, VORONOI
 from jaxunshear.applications.objects import Solid
-from jaxunshear.applications.occupancy import CERTAIN
 from jaxunshear.report.walk_figure import WORDS
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed
 
+PICTURES = {  # by maker: the end of a file's name, and what is shown
+    EVIDENCE: ("object", "felt to be over the object (red) or beside it (blue)"),
+    SKIN: ("skin", "how high the skin stands, red above the level of the object's edge"),
+    VORONOI: ("voronoi", "how the pins' cells have grown, red above the level of the object's edge"),
+}
 
-def object_figure(stimulus: str, solids: dict[str, Solid]) -> bytes:
-    """A PNG: of each way of perceiving, ABREAST side by side, above the fused evidence, below both shapes (grey both, orange missed,
-    blue too much)."""
+
+def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
+    """A PNG: of each way of perceiving, ABREAST side by side, above what was fused, below both shapes (grey both, orange missed,
+    blue too much). Colours are even about the level that parts an object from what lies beside it."""
     columns, rows = min(ABREAST, len(solids)), -(-len(solids) // ABREAST)
     figure = Figure(figsize=(PANEL_IN * columns, 2 * PANEL_IN * rows + 0.5), layout="constrained", dpi=DPI)
     panels = figure.subplots(2 * rows, columns, squeeze=False).reshape(rows, 2, columns).swapaxes(1, 2).reshape(-1, 2)
@@ -21,7 +27,11 @@ def object_figure(stimulus: str, solids: dict[str, Solid]) -> bytes:
         axes.set_axis_off()
     for (above, below), (way, solid) in zip(panels, solids.items(), strict=False):
         extent = (solid.fused.x[0], solid.fused.x[-1], solid.fused.y[0], solid.fused.y[-1])
-        above.imshow(solid.fused.evidence, origin="lower", extent=extent, cmap="RdBu_r", vmin=-CERTAIN, vmax=CERTAIN)
+        felt_there = ~np.isnan(solid.fused.value)
+        span = np.percentile(np.abs(solid.fused.value[felt_there] - solid.level), 98) if felt_there.any() else 1.0
+        span = max(float(span), 1e-9)
+        low, high = solid.level - span, solid.level + span
+        above.imshow(solid.fused.value, origin="lower", extent=extent, cmap="RdBu_r", vmin=low, vmax=high)
         above.contour(solid.fused.x, solid.fused.y, solid.true, levels=[0.5], colors="0.3", linewidths=0.6)
         above.set_title(WORDS.get(way, way), fontsize=HEAD)
         picture = np.ones((*solid.shape.shape, 3))
@@ -30,13 +40,13 @@ def object_figure(stimulus: str, solids: dict[str, Solid]) -> bytes:
         picture[solid.shape & ~solid.true] = (0.25, 0.59, 1.0)
         below.imshow(picture, origin="lower", extent=extent)
         below.set_title(f"IoU {solid.likeness.iou:.2f}, outline {solid.likeness.mean_mm:.2f} mm off", fontsize=HEAD)
-        felt = np.argwhere(~np.isnan(solid.fused.evidence))
+        felt = np.argwhere(felt_there)
         for axes in (above, below):
             axes.tick_params(labelsize=LABEL)
             if len(felt):
                 low, high = solid.fused.x[felt.min(axis=0)], solid.fused.x[felt.max(axis=0)]
                 axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]))
-    text = f"{stimulus}: felt to be over the object (red) or beside it (blue), and the shape enclosed (simulated), mm"
+    text = f"{stimulus}: {shown}, and the shape made of it (simulated), mm"
     figure.suptitle(headed(text, columns), fontsize=HEAD + 1)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.applications.geometry import cell_areas, relative_growth, smoothed, surface
+from jaxunshear.applications.geometry import cell_areas, read_at, relative_growth, smoothed, surface
 from jaxunshear.applications.geometry_scores import correlation
 from jaxunshear.image.lattice import make_lattice, shells
 from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, pin_lattice
@@ -69,3 +69,22 @@ def test_correlation_knows_its_extremes():
     a = np.array([[1.0, 2, 3], [1, 2, 3], [5, 5, 5]])
     b = np.array([[2.0, 4, 6], [3, 2, 1], [1, 2, 3]])
     np.testing.assert_allclose(correlation(a, b), [1, -1, 0])
+
+
+def test_a_shift_of_all_pins_shows_where_they_are(lattice):
+    """The heights keep their values, but a camera sees them elsewhere: read at the places of before they are those of a neighbour."""
+    x = (lattice.place - lattice.middle)[:, 0]
+    shift = np.array([0.5 * lattice.spacing, 0.0])
+    heights = x / lattice.spacing
+    inner = lattice.shell < lattice.shell.max() - 1
+    still, moved = (read_at(lattice.place + by, heights, lattice.place) for by in (0 * shift, shift))
+    np.testing.assert_allclose(still, heights, atol=1e-6)
+    np.testing.assert_allclose(moved[inner], heights[inner] - 0.5, atol=1e-3)
+
+
+def test_beyond_the_rim_the_nearest_height_counts(lattice):
+    both = np.stack([lattice.place[:, 0], lattice.shell.astype(float)], -1)
+    far = lattice.middle + np.array([[1e3, 0.0]])
+    found = read_at(lattice.place, both, far)
+    nearest = np.argmin(np.linalg.norm(lattice.place - far, axis=-1))
+    np.testing.assert_array_equal(found[0], both[nearest])

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from jaxunshear.applications.contour import outline
-from jaxunshear.applications.reconstruct import filled_shape, fuse, likeness, skin_places, to_target
+from jaxunshear.applications.reconstruct import (
+    Fused,
+    filled_shape,
+    fuse,
+    interpolated,
+    likeness,
+    skin_places,
+    to_target,
+)
 from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.scene.stimuli import STIMULI, signed_distance
 
@@ -65,7 +73,7 @@ def test_steps_without_pins_are_left_out():
     wrong[::3] = 100
     some = np.arange(len(evidence)) % 3 != 0
     np.testing.assert_array_equal(
-        fuse(point, PLACE, broken).evidence, fuse(np.where(some[:, None], point, np.nan), PLACE, wrong).evidence
+        fuse(point, PLACE, broken).value, fuse(np.where(some[:, None], point, np.nan), PLACE, wrong).value
     )
 
 
@@ -73,3 +81,36 @@ def test_a_turned_sensor_feels_the_same_place():
     place = np.array([[3.0, 0.0]])
     xy = to_target(np.array([[10.0, 5.0, 90.0], [10.0, 5.0, 0.0]]), place)
     np.testing.assert_allclose(xy[:, 0], [[10, 8], [13, 5]], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["disk", "clover"])
+def test_heights_are_interpolated_to_the_whole_object(name):
+    line, point, _ = walked(name)
+    xy = to_target(point, PLACE)
+    height = np.where(inside(name, xy), 3.0, 1.0)
+    fused = fuse(point, PLACE, height)
+    whole = interpolated(fused)
+    got = likeness(fused, np.nan_to_num(whole, nan=-np.inf) > 2, truth(name, fused), line)
+    assert got.iou > 0.94 and got.iou_felt > 0.9
+    felt = ~np.isnan(fused.value)
+    np.testing.assert_array_equal(whole[felt], fused.value[felt])
+    assert np.count_nonzero(~np.isnan(whole)) > np.count_nonzero(felt)
+
+
+def test_between_cells_heights_are_linear():
+    x = np.arange(6.0)
+    plane = 1 + 2 * x[None] - x[:, None]
+    holes = plane.copy()
+    holes[1:5, 2:4] = np.nan
+    np.testing.assert_allclose(interpolated(Fused(x, x, holes)), plane, atol=1e-9)
+
+
+def test_of_nothing_felt_there_is_no_map():
+    x = np.arange(6.0)
+    assert np.isnan(interpolated(Fused(x, x, np.full((6, 6), np.nan)))).all()
+
+
+def test_skin_goes_where_its_pins_went():
+    point = np.array([[10.0, 5.0, 90.0], [0.0, 0.0, 0.0]])
+    place = np.array([[[3.0, 0.0]], [[4.0, 1.0]]])
+    np.testing.assert_allclose(to_target(point, place)[:, 0], [[10, 8], [4, 1]], atol=1e-12)

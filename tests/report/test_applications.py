@@ -9,6 +9,7 @@ from jaxunshear.report.report import write_report
 from jaxunshear.storage import write_bytes, write_json
 
 GEOMETRY = {
+    "way": "inverse",
     "name": "all/tap",
     "stimulus": "all",
     "kind": "tap",
@@ -30,7 +31,14 @@ WALK = {
     "largest_mm": 1.23,
     "perceive_ms": 6.5,
 }
-OBJECT = {"stimulus": "disk", "way": "disentangled", "iou": 0.9715, "mean_mm": 0.42, "hausdorff_mm": 1.2}
+OBJECT = {
+    "stimulus": "disk",
+    "object": "voronoi",
+    "way": "disentangled",
+    "iou": 0.9715,
+    "mean_mm": 0.42,
+    "hausdorff_mm": 1.2,
+}
 STREAM = {"used": 998, "skipped": 2, "dropped": 0, "latency_ms": {"p50": 7.25, "p95": 8.0, "p99": 9.0}}
 
 
@@ -52,7 +60,18 @@ def test_what_was_run_is_shown_and_nothing_else(run, picture):
     put(run / "stream", "stream", STREAM)
     write_bytes(run / "servo" / "disk.png", picture)
     page = write_report(run).read_text()
-    for text in ("0.738", "[0.699, 0.775]", "1 of 90", "4 of 5", "0.21 / 0.50 / 1.23", "0.972", "998", "7.2"):
+    for text in (
+        "0.738",
+        "[0.699, 0.775]",
+        "1 of 90",
+        "4 of 5",
+        "0.21 / 0.50 / 1.23",
+        "0.972",
+        "998",
+        "7.2",
+        "disk, voronoi",
+        "inverse",
+    ):
         assert text in page, text
     assert "0.111" not in page
     assert sum(section.count("<img") for section in applications.sections(run)) == 1

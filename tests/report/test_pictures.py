@@ -15,7 +15,7 @@ from jaxunshear.applications.reconstruct import Fused, Likeness
 from jaxunshear.applications.servo import CLOSED
 from jaxunshear.report import page
 from jaxunshear.report.geometry_figure import of_recordings
-from jaxunshear.report.object_figure import object_figure
+from jaxunshear.report.object_figure import PICTURES, object_figure
 from jaxunshear.report.walk_figure import WORDS, walk_figure
 from jaxunshear.scene.stimuli import STIMULI
 
@@ -52,9 +52,11 @@ def check(figure):
 def test_objects_fit(drawn, count):
     x = np.linspace(-20, 20, 30)
     shape = np.hypot(*np.meshgrid(x, x)) < 15
-    solid = Solid(Fused(x, x, np.where(shape, 1.0, -1.0)), shape, shape.T, Likeness(0.93, 0.21, 1.0), 0)
-    object_figure("teardrop", dict.fromkeys(list(WORDS)[:count], solid))
-    check(*drawn)
+    solid = Solid(Fused(x, x, np.where(shape, 1.0, -1.0)), shape, shape.T, Likeness(0.93, 0.21, 1.0, 0.9), 0, 0.0, None)
+    for _, text in PICTURES.values():
+        object_figure("teardrop", dict.fromkeys(list(WORDS)[:count], solid), text)
+    for figure in drawn:
+        check(figure)
 
 
 @pytest.mark.parametrize("count", [1, 3, 7])

@@ -1,0 +1,83 @@
+"""Ways from a walk's pins to the object: what each pin tells, where it is put, and what shape is made of all of it.
+
+voronoi   the paper's: the growth of the pins' cells, where the pins are, as a height map; no classifier
+skin      another height map: where the skin's outer face stands, by the inverse of `inverse.py` and the dome's own shape
+evidence  a logistic regression tells which pins lie over the object; a band that closes is filled
+
+All take the pins near the sensor's axis. A height map is cut at one level, fixed in advance from taps at known poses.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.applications.fresh import FreshContacts
+from jaxunshear.applications.geometry import relative_growth, smoothed
+from jaxunshear.applications.geometry_ways import known_motions
+from jaxunshear.applications.inverse import indentation_of, learnt
+from jaxunshear.applications.occupancy import NEAR_MM, evidence, learn
+from jaxunshear.applications.reconstruct import Fused, filled_shape, interpolated, skin_places
+from jaxunshear.image.lattice import Lattice
+from jaxunshear.scene.sensor import Sensor, pin_tips
+
+VORONOI, SKIN, EVIDENCE = "voronoi", "skin", "evidence"
+
+
+class Maker(NamedTuple):
+    value: Callable[[np.ndarray], np.ndarray]  # motions (T, P, 2) px -> (T, Q); NaN rows stay
+    place: Callable[[np.ndarray], np.ndarray]  # -> (T, Q, 2) mm from the axis
+    shape: Callable[[Fused], np.ndarray]  # -> (K, K) bool
+    level: float  # of the value, over which the object lies
+    in_mm: bool  # whether the value is a height in mm above the sensor's apex
+
+
+def makers_of(sensor: Sensor, lattice: Lattice, known: FreshContacts, distance: np.ndarray) -> dict[str, Maker]:
+    """By name; from taps at the depth of the walk whose pins lie (N, P) mm outside the object."""
+    motion, rest = known_motions(lattice, known), skin_places(sensor)
+    told = ~np.isnan(motion[:, 0, 0])
+    motion, distance = motion[told], distance[told]
+    near = np.linalg.norm(rest, axis=-1) < NEAR_MM
+    inverse = learnt(lattice, motion, known.indentation_mm[told])
+    tips = pin_tips(sensor)[:, :2]
+    px_per_mm = np.sum((lattice.place - lattice.middle) * tips) / np.sum(tips**2)
+    towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)
+    undeformed = sensor.dome_radius_mm * (1 - towards_axis)
+
+    def growth(motion: np.ndarray) -> np.ndarray:
+        found = np.full(motion.shape[:2], np.nan)
+        sure = ~np.isnan(motion[:, 0, 0])
+        if sure.any():
+            found[sure] = relative_growth(lattice, motion[sure])
+        return found
+
+    def stands(motion: np.ndarray) -> np.ndarray:
+        return undeformed + towards_axis * indentation_of(inverse, motion)[:, near]
+
+    def moved(motion: np.ndarray) -> np.ndarray:
+        return rest[near] + motion[:, near] / px_per_mm
+
+    def height_map(value: Callable[[np.ndarray], np.ndarray], in_mm: bool) -> Maker:
+        level = parting_level(value(motion), distance[:, near] < 0)
+        return Maker(value, moved, lambda fused: np.nan_to_num(interpolated(fused), nan=-np.inf) > level, level, in_mm)
+
+    occupancy = learn(lattice, rest, smoothed(lattice, growth(motion)), distance)
+    return {
+        VORONOI: height_map(lambda motion: growth(motion)[:, near], in_mm=False),
+        SKIN: height_map(stands, in_mm=True),
+        EVIDENCE: Maker(
+            lambda motion: evidence(occupancy, smoothed(lattice, growth(motion))),
+            lambda motion: np.broadcast_to(rest[near], (len(motion), *rest[near].shape)),
+            filled_shape,
+            0.0,
+            in_mm=False,
+        ),
+    }
+
+
+def parting_level(values: np.ndarray, over: np.ndarray) -> float:
+    """The level that as large a share of the skin beside the object exceeds as of the skin `over` it falls short of."""
+    levels = np.quantile(values, np.linspace(0, 1, 1001))
+    short = np.searchsorted(np.sort(values[over]), levels) / np.sum(over)
+    beyond = 1 - np.searchsorted(np.sort(values[~over]), levels) / np.sum(~over)
+    return float(levels[np.argmin(np.abs(short - beyond))])
