@@ -47,7 +47,8 @@ def _geometry(results: dict[str, Any], folder: Path) -> str:
     head = ["image", "correlation", "error, mm rms", "pins not sure", "ms an image"]
     lead = (
         "How far the skin is pressed in, from the Voronoi cells of the pins, against the simulator's own indentation; contacts that "
-        "no network has seen, each with a 95 % interval. Images whose pins cannot be told for sure are left out and counted."
+        "no network has seen, each with a 95 % interval over contacts, of one training. Images whose pins cannot be told for sure are left "
+        "out and counted."
     )
     return page.section(
         "Contact geometry", lead, page.table(head, rows), _picture(folder / "geometry.png"), _command(results)
