@@ -21,7 +21,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics
-from jaxunshear.evaluation.spread import intervals, numbered_poses
+from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
 from jaxunshear.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
@@ -180,7 +180,7 @@ def table(rows: list[dict[str, Any]]) -> str:
             f"{row['name']:{width}}  {row['target']:11}  {row['mse']:.4f}  {row['ssim']:.3f} [{low:.3f}, {high:.3f}]"
             f"  {row['ms_ssim']:8.3f}  {other:17}  {paper}"
         )
-    return "\n".join(lines)
+    return "\n".join([*lines, f"brackets: 95 % intervals over {OVER}"])
 
 
 def picture(shown: dict[str, np.ndarray]) -> bytes:

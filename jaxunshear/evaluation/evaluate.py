@@ -26,10 +26,12 @@ from jaxunshear.evaluation.measurements import BARS, rounded
 from jaxunshear.evaluation.networks import load
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
+from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, of_batches, read_pins, readers_of
 from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.spread import numbered_poses
-from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_depth, tables, typical
+from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_depth, tables, typical, with_readers
 from jaxunshear.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
+from jaxunshear.image.framing import undeformed
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.storage import read_json_if_sound, write_bytes, write_json
@@ -96,17 +98,24 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     taps = None if over else training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
     run = load(run_dir, experiment.networks, taps, experiment.train.precision, examples.pins if over else None)
     inputs = PINS if over else IMAGES
-    gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets, inputs=inputs)
+    readers = readers_of(experiment, data_dir, run_dir)
+    reads = of_batches({name: reader for name, reader in readers.items() if over or name == PIXELS})
+    gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets, inputs=inputs, readers=reads)
+    if PIN_PLACES in readers and not over:
+        true = {name: value[gathered.kept] for name, value in true_values(targets, gathered.labels).items()}
+        lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
+        gathered = gathered._replace(read=read_pins(readers[PIN_PLACES], lattice, gathered.images, true))
     further = {}
     for name, settings in further_tests(experiment).items():
         reader = open_set("tactip_paired", settings, data_dir, experiment.sensor)
         count = sum(reader.length(split) for split in SPLITS)
         batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
-        further[name] = gather(run, batches, count, 0, targets, f"evaluate {name}", inputs)
+        further[name] = gather(run, batches, count, 0, targets, f"evaluate {name}", inputs, readers=reads)
     results = results_of(experiment, gathered, further)
     results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
     stored = read_metadata(paired, experiment.sensor, data_dir)["counts"]
     results["counts"] |= {name: stored[name] for name in ("contacts", "retried", "dropped")}
+    results["counts"]["reader_taps"] = {name: reader.taps for name, reader in readers.items()}
     return results, gathered, further, paired.stimuli
 
 
@@ -115,8 +124,10 @@ def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     stored = stored_of(experiment, data_dir)
     targets = stored.targets(experiment.targets)
     test = recorded.what_to_test(experiment, stored, targets, run_dir, data_dir)
-    slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets)
+    readers = readers_of(experiment, data_dir, run_dir) if stored.count("taps", "train") else {}
+    slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets, of_batches(readers))
     results = recorded.results_of(experiment, stored, targets, slides, taps, test)
+    results["counts"]["reader_taps"] = {name: reader.taps for name, reader in readers.items()}
     if slides is None:
         return results, taps, {}, ()
     further = {} if taps is None else {"taps": taps}
@@ -156,6 +167,8 @@ def results_of(
             "difference": "disentangled less this network, contact by contact",
             "swap": f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image with its target",
             "pin_error": f"matched centroids of {len(gathered.kept)} images against the tap's true pins",
+            "readers": "mean absolute error of kernel ridges that learnt from PoseNet's training taps: pixels: their images; pins: "
+            "their true pins, to read those found, and known by name, in the images that pin_error is of",
         },
         **_tables(paired, gathered),
         "pin_error": pin_errors(
@@ -198,8 +211,10 @@ def _tables(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
     """All that is told of the scores of one test."""
     labels, ranges = gathered.labels, settings.ranges
     drawn = (labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED)
+    poses = numbered_poses(labels["stimulus"], labels["pose_id"])
+    read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
     return {
-        **tables(gathered.scores, settings.stimuli, *drawn),
+        **with_readers(tables(gathered.scores, settings.stimuli, *drawn), read, BOOTSTRAP_SEED),
         "pose_by_depth": pose_by_depth(
             gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, *drawn
         ),

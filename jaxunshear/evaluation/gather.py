@@ -1,6 +1,7 @@
 """One pass over the test contacts: scores of all, images of a few. Memory stays that of one batch and of those few."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ class Gathered(NamedTuple):
     kept: np.ndarray  # (K,) indices of contacts
     images: dict[str, np.ndarray]  # (K, S, S) uint8 by kind, without the baselines
     pins: dict[str, np.ndarray]  # (K, P, 2) px by PINS
+    read: Mapping[str, np.ndarray] = MappingProxyType(
+        {}
+    )  # (K,) errors of a reader of found pins, see `readers.read_pins`
 
 
 def gather(
@@ -35,9 +39,11 @@ def gather(
     title: str = "evaluate",
     inputs: tuple[str, str] = IMAGES,
     named: Sequence[str] = LABELS,
+    readers: Mapping[str, Callable[[Outputs], Mapping]] = MappingProxyType({}),
 ) -> Gathered:
     """Feeds (tap, sheared) of every batch to `run` and collects what it scores, poses by `targets`; keeps `keep` contacts, evenly spaced.
-    `inputs`: the fields that are tap and sheared; `named`: those that are kept as labels.
+    `inputs`: the fields that are tap and sheared; `named`: those that are kept as labels;
+    `readers`: by name, poses by kind of what `run` puts out, scored beside its own.
 
     A last, shorter batch is filled up by repeating its first contact, so `run` compiles once; the surplus is dropped.
     """
@@ -54,7 +60,11 @@ def gather(
             outputs, similar = run(*(_filled(batch[name], full) for name in inputs))
             poses = {k: {q: np.asarray(v)[:size] for q, v in pose.items()} for k, pose in outputs.poses.items()}
             scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
-            scores[-1] |= pose_scores(poses, true_values(targets, batch))
+            true = true_values(targets, batch)
+            scores[-1] |= pose_scores(poses, true)
+            for name, read in readers.items():
+                told = {k: {q: v[:size] for q, v in pose.items()} for k, pose in read(outputs).items()}
+                scores[-1] |= pose_scores(told, true, f"read/{name}")
             labels.append({name: np.asarray(batch[name]) for name in named})
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(

@@ -22,9 +22,11 @@ def measurements(results: dict[str, Any]) -> dict[str, Any]:
     rows = []
     for table in (*TABLES, "pin_error"):
         rows += _rows(results, table, results["metric"], "")
+    rows += _of_readers(results, results["metric"], "")
     for test, further in results["tests"].items():
         for table in TABLES:
             rows += _rows(further, table, results["metric"], f"{test}.")
+        rows += _of_readers(further, results["metric"], f"{test}.")
     for network, times in results["ms_per_image"].items():
         rows.append(_row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"))
     rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results["time_s"].items()]
@@ -38,6 +40,15 @@ def _rows(results: dict[str, Any], table: str, metrics: dict[str, Any], prefix: 
         for kind, columns in results[table].items()
         for column, value in columns.items()
         if not isinstance(value, str)
+    ]
+
+
+def _of_readers(results: dict[str, Any], metrics: dict[str, Any], prefix: str) -> list[dict[str, Any]]:
+    """`readers.<reader>.<kind>.<column>`; none of runs evaluated by an earlier version."""
+    return [
+        row
+        for reader, kinds in results.get("readers", {}).items()
+        for row in _rows({reader: kinds}, reader, {reader: metrics["readers"]}, f"{prefix}readers.")
     ]
 
 

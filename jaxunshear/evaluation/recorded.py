@@ -5,8 +5,9 @@ slides, as they are and unsheared, on recorded slides. Likeness is that of an un
 """
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,9 +19,10 @@ from jaxunshear.evaluation.gather import IMAGES, PINS, Gathered, gather
 from jaxunshear.evaluation.networks import load
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
+from jaxunshear.evaluation.readers import Reads
 from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
 from jaxunshear.evaluation.spread import redrawn_means
-from jaxunshear.evaluation.summary import pose_by_depth, tables
+from jaxunshear.evaluation.summary import pose_by_depth, tables, with_readers
 from jaxunshear.experiment import POSENETS, Experiment, over_pins, recorded_of
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.targets import Targets, names_of, to_json, true_values
@@ -54,9 +56,16 @@ def what_to_test(
 
 
 def gathered_of(
-    experiment: Experiment, run_dir: Path, stored: RecordedSet, test: Test, targets: Targets
+    experiment: Experiment,
+    run_dir: Path,
+    stored: RecordedSet,
+    test: Test,
+    targets: Targets,
+    readers: Mapping[str, Reads] = MappingProxyType({}),
 ) -> tuple[Gathered | None, Gathered | None]:
-    """Scores of the slides and of the taps. Raises UserError where a network is missing, or no slide and no tap is labelled."""
+    """Scores of the slides and of the taps, by the networks and by `readers`.
+
+    Raises UserError where a network is missing, or no slide and no tap is labelled."""
     pins = pins_of(stored.frame) if over_pins(experiment) else None
     run = load(run_dir, experiment.networks, None, experiment.train.precision, pins)
     inputs = ("canonical_pins", "sheared_pins") if pins else IMAGES
@@ -66,14 +75,15 @@ def gathered_of(
             batches = test.slides.split("test", BATCH, (*inputs, *PINS, *LABELS))
         else:
             batches = _alone(test.slides.split("test", BATCH, (IMAGES[1], PINS[1], *LABELS)))
-        slides = gather(run, batches, count, KEPT, targets, inputs=inputs, named=LABELS)
+        slides = gather(run, batches, count, KEPT, targets, inputs=inputs, named=LABELS, readers=readers)
         slides = slides._replace(scores=_of_slides(slides.scores, test.paired))
     if test.taps is not None and (count := test.taps.length("test")):
         field = inputs[0].replace("canonical_", "").replace("canonical", "image")
         batches = _as_pairs(test.taps.split("test", BATCH, ("image", "pins", *(n for n in LABELS if n != "move"))))
         named = tuple(name for name in LABELS if name != "move")
-        taps = gather(run, batches, count, 0, targets, f"evaluate taps ({field})", inputs, named)
-        taps = taps._replace(scores={n: s for n, s in taps.scores.items() if n.startswith("pose/tap/")})
+        taps = gather(run, batches, count, 0, targets, f"evaluate taps ({field})", inputs, named, readers)
+        of_taps = ("pose/tap/", *(f"read/{name}/tap/" for name in readers))
+        taps = taps._replace(scores={n: s for n, s in taps.scores.items() if n.startswith(of_taps)})
     if slides is None and taps is None:
         raise UserError("nothing can be scored: no test slide or tap has a label")
     return slides, taps
@@ -113,6 +123,7 @@ def results_of(
             "pin_error": "of pins by identity, with the partner's"
             if pins
             else "matched centroids with the partner's pins",
+            "readers": "as pose_mae, of a kernel ridge on the taps that PoseNet learnt from",
         },
         **found,
         "pin_error": _pin_error(slides, test, pins),
@@ -148,7 +159,8 @@ def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) ->
         depth = slides.labels["pose"][:, 2]
         drawn = (slides.labels["stimulus"], slides.labels["number"], SEED)
         found["pose_by_depth"] = pose_by_depth(scores, depth, float(depth.min()), float(depth.max()), *drawn)
-    return _with_unsheared(found)
+    read = [(each.scores, each.labels["number"]) for each in (taps, slides) if each is not None]
+    return _with_unsheared(with_readers(found, read, SEED))
 
 
 def _with_unsheared(found: dict[str, Any]) -> dict[str, Any]:
@@ -165,7 +177,9 @@ def _of_slides(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndar
     kept = {}
     for name, score in scores.items():
         table, kind, *rest = name.split("/")
-        if not paired and table != "pose":
+        if table == "read":
+            table, kind, *rest = f"{table}/{kind}", *rest
+        elif not paired and table != "pose":
             continue
         if kind == "tap":
             if paired:

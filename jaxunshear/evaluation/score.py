@@ -59,12 +59,14 @@ def image_scores(images: dict[str, Array], cells: dict[str, Array]) -> dict[str,
     return scores
 
 
-def pose_scores(poses: Mapping[str, Mapping[str, np.ndarray]], true: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Absolute pose errors, each (B,), named `pose/<kind>/<quantity>`."""
+def pose_scores(
+    poses: Mapping[str, Mapping[str, np.ndarray]], true: Mapping[str, np.ndarray], table: str = "pose"
+) -> dict[str, np.ndarray]:
+    """Absolute pose errors, each (B,), named `<table>/<kind>/<quantity>`."""
     scores = {}
     for kind, predicted in poses.items():
         for quantity, error in pose_errors(predicted, true).items():
-            scores[f"pose/{kind}/{quantity}"] = error
+            scores[f"{table}/{kind}/{quantity}"] = error
     return scores
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 LEVEL = 0.95
 RESAMPLES = 1000
+OVER = "test poses of one training"  # what the intervals of one run are over
 
 
 def numbered_poses(stimulus: np.ndarray, pose_id: np.ndarray) -> np.ndarray:

@@ -2,13 +2,13 @@
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
-from jaxunshear.evaluation.spread import LEVEL, RESAMPLES, interval, numbered_poses, redrawn_means
+from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, numbered_poses, redrawn_means
 
 DEPTHS = 3  # equal parts of the range of indentation depths
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
@@ -59,6 +59,7 @@ def tables(
         },
         "spread": {
             "what": f"{LEVEL:.0%} bootstrap interval of the mean over test poses, each with all its slides",
+            "over": OVER,
             "resamples": RESAMPLES,
             "seed": seed,
             "ms_ssim": {
@@ -100,6 +101,30 @@ def pose_by_depth(
             again = redrawn_means({name: score[inside] for name, score in felt.items()}, poses[inside], seed)
             found[name] = _poses_of(felt, inside, again)
     return found
+
+
+def with_readers(
+    found: dict[str, Any], read: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int
+) -> dict[str, Any]:
+    """`tables` with what other readers than PoseNet err by: `readers`, by reader, kind and quantity; their intervals under `spread`; and
+    of how many images they are, `reader_images`.
+
+    `read`: scores (N,) by `read/<reader>/<kind>/<quantity>`, NaN of images that were not read, beside others; and their poses (N,).
+    """
+    means: dict[str, Any] = {}
+    spans: dict[str, Any] = {}
+    counts: dict[str, Any] = {}
+    for scores, poses in read:
+        for place in (place for place in scores if place.startswith("read/")):
+            _, reader, kind, quantity = place.split("/")
+            told = np.isfinite(scores[place])
+            values = {quantity: scores[place][told]}
+            span = intervals(values, poses[told], seed)[quantity] if told.any() else None
+            means.setdefault(reader, {}).setdefault(kind, {})[quantity] = _mean(values[quantity])
+            spans.setdefault(reader, {}).setdefault(kind, {})[quantity] = span
+            counted = {"read": int(told.sum()), "left_out": int((~told).sum())}
+            counts.setdefault(reader, {})[kind] = counted
+    return found | {"readers": means, "reader_images": counts, "spread": found["spread"] | {"readers": spans}}
 
 
 def _poses_of(

@@ -50,7 +50,7 @@ def _geometry(results: dict[str, Any], folder: Path) -> str:
     lead = (
         "How far the skin is pressed in, from the pins, against the simulator's own indentation: by the areas of their Voronoi cells, "
         "by how these change, and by the inverse of the dome's compliance or one learnt from taps. Contacts that no network has seen, "
-        "each with a 95 % interval. Images whose pins cannot be told for sure are left out and counted."
+        "each with a 95 % interval over contacts, of one training. Images whose pins cannot be told for sure are left out and counted."
     )
     return page.section(
         "Contact geometry", lead, page.table(head, rows), _picture(folder / "geometry.png"), _command(results)

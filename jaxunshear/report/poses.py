@@ -22,7 +22,7 @@ def poses(results: dict[str, Any]) -> str:
     rows = [
         [
             words.kind_of(results, kind),
-            *(spanned(ours[kind].get(q), spread[kind].get(q), _digits(results, q)) for q in names),
+            *(spanned(ours[kind].get(q), spread[kind].get(q), words.digits(results, q)) for q in names),
             *(number(paper.get(kind, {}).get(q)) for q in known),
         ]
         for kind in ours
@@ -32,7 +32,7 @@ def poses(results: dict[str, Any]) -> str:
     rows.append(
         [
             f"<i>one answer to every {'image' if words.simulated(results) else 'contact'}</i>",
-            *(number(chance.get(q), _digits(results, q)) for q in names),
+            *(number(chance.get(q), words.digits(results, q)) for q in names),
             *("" for _ in known),
         ]
     )
@@ -54,7 +54,7 @@ def _lead(results: dict[str, Any], names: list[str]) -> str:
             lead += (
                 " x and yaw are ambiguous along a smooth edge; the distance to the edge and its local angle are not."
             )
-        return lead
+        return f"{lead} {_brackets(results)}"
     ours = results["pose_mae"]
     lead = (
         "Mean absolute errors on held-out contacts, in the labels' own frame, of a PoseNet that has only learned from "
@@ -65,12 +65,12 @@ def _lead(results: dict[str, Any], names: list[str]) -> str:
         lead += (
             "taps; one row is of a PoseNet that learned from labelled slides." if "sheared_learnt" in ours else "taps."
         )
-    return f"{lead} Brackets: {results['spread']['what']}."
+    return f"{lead} {_brackets(results)}"
 
 
-def _digits(results: dict[str, Any], name: str) -> int:
-    """A real sensor's pins tell some lengths to a few hundredths of a mm."""
-    return 2 if words.simulated(results) or words.unit(name) != "mm" else 3
+def _brackets(results: dict[str, Any]) -> str:
+    told = words.spread(results)
+    return told[0].upper() + told[1:]
 
 
 def _recovery(results: dict[str, Any]) -> str:
@@ -114,7 +114,7 @@ def _by_part(results: dict[str, Any], table: str, by: str) -> str:
     """Each part of `table`, for the network that `poses` names; folded away. Recovery, or where nothing is known of
     taps errors. Nothing of runs evaluated by an earlier version."""
     names, kind = words.targets(results), shown_kind(results["pose_mae"])
-    digits = [_digits(results, q) for q in names]
+    digits = [words.digits(results, q) for q in names]
     recovered, rows = False, []
     for part, found in results.get(table, {}).items():
         if not found:
@@ -163,7 +163,7 @@ def _against(results: dict[str, Any], kind: str) -> str:
     for name in words.targets(results):
         low, high = spread[name]
         verdict = "within chance" if low <= 0 <= high else "better" if high < 0 else "worse"
-        form = f"+.{_digits(results, name)}f"
+        form = f"+.{words.digits(results, name)}f"
         figure = f"{found[name]:{form}}{_span(spread[name], form)} {words.unit(name)}"
         told.append(f"{words.word(name)} <b>{verdict}</b> ({figure})")
     other = (

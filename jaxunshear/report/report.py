@@ -9,7 +9,7 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import TRAINABLE
-from jaxunshear.report import applications, headlines, making, montage, page, poses, recordings, scores, words
+from jaxunshear.report import applications, headlines, making, montage, page, poses, readers, recordings, scores, words
 from jaxunshear.report.history import read_history
 from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write_text
 
@@ -36,6 +36,7 @@ def write_report(run_dir: Path) -> Path:
             montage.section(shown, results) if shown else "",
             scores.similarity(results),
             poses.poses(results),
+            readers.readers(results),
             scores.further(results),
             scores.pins(results),
             *([] if words.simulated(results) else [recordings.recordings(results), recordings.pairing(results)]),

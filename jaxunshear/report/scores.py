@@ -32,7 +32,7 @@ def similarity(results: dict[str, Any]) -> str:
     ]
     name, size = results["metric"]["ms_ssim"], results["metric"]["image_px"]
     drawn = " of drawn pins" if words.over_pins(results) else ""
-    lead = f"{name}{drawn} at {size} px, 1 is equal. Brackets: {results['spread']['what']}."
+    lead = f"{name}{drawn} at {size} px, 1 is equal; {words.spread(results)}"
     if known and name != "ms_ssim":
         lead += " The paper's has five scales at 256 px: near, but not the same quantity."
     real = range(1 + len(groups), len(head))
@@ -84,7 +84,7 @@ def further(results: dict[str, Any]) -> str:
             if jitter
             else "taps as deep as the slide"
         )
-        lead = f"{test['contacts']} slides over {what}, {depth}: likeness of the images, then errors of pose."
+        lead = f"{test['contacts']} slides over {what}, {depth}: likeness of the images, then errors of pose; {words.spread(test)}"
         parts.append(
             page.section(f"Test of its own: {escape(name)}", lead, page.table(head, rows, (), [len(rows) - 1]))
         )

@@ -98,3 +98,15 @@ def unit(name: str) -> str:
 def heading(name: str) -> str:
     """Of a column, as HTML."""
     return f"{word(name)}<br>{unit(name)}"
+
+
+def digits(results: dict[str, Any], name: str) -> int:
+    """Of an error: a real sensor's pins tell some lengths to a few hundredths of a mm."""
+    return 2 if simulated(results) or unit(name) != "mm" else 3
+
+
+def spread(results: dict[str, Any]) -> str:
+    """What brackets mean, plain text: intervals of one run know nothing of other trainings. Its end is a full stop."""
+    what = f"brackets: {results['spread']['what']}."
+    over = results["spread"].get("over")
+    return f"{what} Intervals are over {over} and say nothing of other trainings." if over else what

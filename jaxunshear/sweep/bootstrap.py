@@ -6,12 +6,28 @@ between cells are those of pairs.
 """
 
 import functools
+from typing import Any
 
 import numpy as np
 
 from jaxunshear.evaluation import spread
 
 SEED = 0
+OVER = "training seeds and test poses"  # what the intervals of several seeds are over
+
+
+def told(seeds: int) -> dict[str, Any]:
+    """Of sweep.json: what its intervals are."""
+    slides = "each drawn pose with all its slides"
+    drawn = (
+        f"seeds and test poses, {slides} and with every drawn seed" if seeds > 1 else f"the seed's test poses, {slides}"
+    )
+    return {
+        "what": f"{spread.LEVEL:.0%} bootstrap interval of the mean over {drawn}; the same draws in all cells",
+        "over": OVER if seeds > 1 else spread.OVER,
+        "resamples": spread.RESAMPLES,
+        "seed": SEED,
+    }
 
 
 def interval(values: np.ndarray, poses: np.ndarray) -> list[float]:

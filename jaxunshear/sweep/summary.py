@@ -9,7 +9,7 @@ from jaxunshear.config import show, to_json
 from jaxunshear.evaluation import spread
 from jaxunshear.experiment import recorded_of
 from jaxunshear.report.frontier_figure import efficient
-from jaxunshear.sweep.bootstrap import SEED, interval, resampled
+from jaxunshear.sweep.bootstrap import interval, resampled, told
 from jaxunshear.sweep.rows import Cell, axis_values, name_of
 from jaxunshear.sweep.settings import Sweep, base_of, names_of
 
@@ -60,12 +60,7 @@ def summarise(
         ],
         "seeds": sweep.seeds,
         "networks": list(dict.fromkeys(network for cell in cells for network in cell.experiment.networks)),
-        "spread": {
-            "what": f"{spread.LEVEL:.0%} bootstrap interval of the mean over seeds and test poses, each drawn pose with all its slides "
-            "and with every drawn seed; the same draws in all cells",
-            "resamples": spread.RESAMPLES,
-            "seed": SEED,
-        },
+        "spread": told(len(sweep.seeds)),
         "reference": reference,
         "cells": [_cell(cell, sweep, measured, done, reference) for cell in cells],
         "base": to_json(base_of(sweep)),

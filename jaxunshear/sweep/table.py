@@ -23,6 +23,7 @@ def table(summary: dict[str, Any]) -> str:
         )
     widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
     text = ["  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+    text.append(f"brackets: 95 % intervals over {summary['spread']['over']}")
     if summary["reference"]:
         text.append("* what sweep.json has the differences from")
     for cell in cells:

@@ -11,7 +11,7 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import reproducible
-from jaxunshear.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.experiment import ALL_NETWORKS, UNSHEARING, Experiment
 from jaxunshear.training import examples
 from jaxunshear.training.origin import origin_of
 
@@ -29,6 +29,13 @@ class Reader:
 
     def length(self, split):
         return {"train": 18, "validation": 6, "test": self.count}[split]
+
+    def take(self, split, rows, fields):
+        """Of the taps of the pose set."""
+        assert split == "train"  # whoever learns from them sees no other
+        whole = next(self.split(split, self.length(split), ("canonical", "canonical_pins", "pose", "edge")))
+        whole |= {"image": whole["canonical"], "pins": whole["canonical_pins"]}
+        return {field: whole[field][rows] for field in fields}
 
     def split(self, name, batch, fields):
         generator = np.random.default_rng(0)
@@ -84,6 +91,12 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
     assert set(results["ms_per_image"]) == set(experiment.networks)
     assert all(0 < times["median"] <= times["p95"] for times in results["ms_per_image"].values())
     assert results["counts"]["dropped"] == 1
+    assert results["counts"]["reader_taps"] == {"pixels": 18, "pins": 18}
+    assert set(results["readers"]["pixels"]) == {"tap", "sheared", "entangled", "disentangled"}
+    assert results["readers"]["pixels"]["disentangled"]["edge_mm"] > 0
+    assert results["reader_images"]["pixels"]["tap"] == {"read": COUNT, "left_out": 0}
+    assert results["reader_images"]["pins"]["tap"] == {"read": 0, "left_out": COUNT}  # random dots are no pins
+    assert results["readers"]["pins"]["tap"]["edge_mm"] is None
     assert results["ms_ssim"]["disentangled"]["teardrop"] is None
     for name in (
         "ms_ssim",
@@ -113,6 +126,7 @@ def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experim
     assert test["contacts"] == 18 + 6 + COUNT
     assert test["ms_ssim"]["unet"]["leaf"] > 0
     assert test["pose_mae"]["sheared_learnt"]["edge_mm"] > 0
+    assert list(test["readers"]) == ["pixels"] and set(test["readers"]["pixels"]) == {"tap", "sheared", *UNSHEARING}
     assert (run_dir / "scores-unseen.npz").exists()
 
 

@@ -34,6 +34,11 @@ def test_means_by_stimulus_and_overall():
     assert found["spread"]["ms_ssim"]["disentangled"]["teardrop"] is None
 
 
+def test_intervals_of_one_run_say_that_they_are_of_one_training():
+    found = tables(made_up(), NAMES, STIMULUS, POSE_ID, seed=0)
+    assert found["spread"]["over"] == "test poses of one training"
+
+
 def test_ratio_and_recovery():
     found = tables(made_up(), NAMES, STIMULUS, POSE_ID, seed=0)
     assert found["pose_mae"]["sheared"]["edge_mm"] == 5

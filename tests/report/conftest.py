@@ -43,6 +43,7 @@ def made_up_gathered():
     scores = {f"ms_ssim/{kind}": np.minimum(spread(mean, 0.04), 1) for kind, mean in LIKENESS.items()}
     for kind in POSE:
         scores |= {f"pose/{kind}/{name}": spread(POSE[kind] * SCALE[name], 0.1 * SCALE[name]) for name in SCALE}
+        scores |= {f"read/pixels/{kind}/{name}": 2 * scores[f"pose/{kind}/{name}"] for name in SCALE}
     for cell in CELLS:
         scores |= {f"swap/{cell}/{metric}": spread(0.2, 0.05) for metric in ("mse", "ssim", "ms_ssim")}
     kept = np.arange(0, COUNT, 4)
@@ -53,6 +54,9 @@ def made_up_gathered():
         "entangled": dots((1.2, 0), soft=True, lost=0.3)[0],
         "disentangled": dots((0.4, 0), soft=True)[0],
     }
+    read = {f"read/pins/{kind}/{name}": 3 * scores[f"pose/{kind}/{name}"][kept] for kind in POSE for name in SCALE}
+    for name in SCALE:
+        read[f"read/pins/sheared/{name}"][1] = np.nan
     labels = {
         "stimulus": stimulus,
         "pose_id": pose_id,
@@ -68,6 +72,7 @@ def made_up_gathered():
         kept,
         {kind: np.stack([image] * len(kept)) for kind, image in pictures.items()},
         {"canonical_pins": np.stack([tap[1]] * len(kept)), "sheared_pins": np.stack([slide[1]] * len(kept))},
+        read,
     )
 
 
@@ -85,6 +90,7 @@ def make_run(folder):
         "command": "jaxunshear run experiments/demo.py",
     }
     results["counts"] |= {"train": 2160, "validation": 720, "test": 720, "contacts": 5400, "retried": 3, "dropped": 1}
+    results["counts"]["reader_taps"] = {"pixels": 3000, "pins": 2999}
     (folder / "results.json").write_text(json.dumps(results))
     (folder / "montage.npz").write_bytes(montage(experiment.paired.stimuli, gathered))
     later = {"entangled": 96.4, "posenet": 54.0, "evaluate": 31.7, "report": 2.1}

@@ -59,6 +59,30 @@ def test_the_figures_of_the_results_are_on_it(made_up_run, read):
     assert "sum of its stages" in text and "killed outright is lost" in text
 
 
+def test_what_readers_of_another_make_err_by_is_told(made_up_run, read_page):
+    folder, results = made_up_run
+    told = read_page(write_report(folder)).split("Read by readers of another make")[1]
+    for reader, kinds in results["readers"].items():
+        for errors in kinds.values():
+            assert all(f"{value:.2f}" in told for value in errors.values()), reader
+    assert "kernel ridge on pixels: 3000 taps; kernel ridge on pins: 2999 taps" in told
+    assert "8 1 left out" in told
+    del results["readers"]  # of an earlier version
+    (folder / "results.json").write_text(json.dumps(results))
+    assert "another make" not in read_page(write_report(folder))
+
+
+def test_intervals_say_that_they_are_of_one_training(made_up_run, read_page):
+    folder, results = made_up_run
+    said = "Intervals are over test poses of one training and say nothing of other trainings."
+    text = read_page(write_report(folder))
+    for title in ("How alike the images are", "What a pose network reads", "Read by readers of another make"):
+        assert said in text.split(title)[1][:700], title
+    del results["spread"]["over"]  # of an earlier version
+    (folder / "results.json").write_text(json.dumps(results))
+    assert said not in read_page(write_report(folder))
+
+
 def test_the_montage_is_a_picture_of_every_shape_too(made_up_run):
     folder, _ = made_up_run
     write_report(folder)

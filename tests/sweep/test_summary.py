@@ -257,6 +257,17 @@ def test_the_table_tells_which_settings_were_not_ranked_and_ranks_the_others():
     assert lines[-1] == "not ranked, tested on other contacts: more slides"
 
 
+def test_intervals_say_what_they_are_over(summary):
+    """One seed knows nothing of other trainings."""
+    assert summary["spread"]["over"] == "training seeds and test poses" and "seeds" in summary["spread"]["what"]
+    assert "brackets: 95 % intervals over training seeds and test poses" in table(summary).splitlines()
+    sweep = replace(SWEEP, grid=(), rows=((),), labels=("base",), seeds=(0,))
+    cells = cells_of(sweep)
+    one = summarise(sweep, cells, {(cells[0].label, 0): done(random(0))}, None)
+    assert one["spread"]["over"] == "test poses of one training" and "seeds" not in one["spread"]["what"]
+    assert "brackets: 95 % intervals over test poses of one training" in table(one).splitlines()
+
+
 def replace_reference(summary: dict) -> dict:
     return summary | {"reference": None}
 

@@ -1,0 +1,121 @@
+"""Readers of poses that are no neural networks: kernel ridge on pixels, and on pins.
+
+A network that is taught by a PoseNet, and judged by one of its make, might please the make. These have nothing in common with it but
+the taps that they learn from, those of PoseNet's training split.
+
+>>> reader = learnt(PIXELS, examples.reader, examples.targets)
+>>> read(reader, pixels(images))["edge_mm"]
+
+In simulation the one on pins learns from the taps' true pins, and reads those that are found in images.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.dataset.reading import Reader
+from jaxunshear.evaluation.ridge import FEWEST, Ridge, answers, fitted
+from jaxunshear.evaluation.score import Outputs, pose_scores
+from jaxunshear.experiment import UNSHEARING, Experiment, over_pins, recorded_of
+from jaxunshear.image.growing import filled
+from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.tracking import tracks_of
+from jaxunshear.model.posenet import pose_from_outputs, pose_targets
+from jaxunshear.targets import Targets, fields_of
+from jaxunshear.training.examples import open_examples
+
+PIXELS, PIN_PLACES = "pixels", "pins"
+MOST_TAPS = 3000  # are learnt from, evenly chosen
+SIDE = 32  # px to which images are averaged
+READ = ("tap", "sheared", *UNSHEARING)  # kinds of contacts
+FIELD = {PIXELS: "image", PIN_PLACES: "pins"}  # of a tap
+
+
+class PoseReader(NamedTuple):
+    ridge: Ridge
+    targets: Targets
+    taps: int  # that it learnt from
+
+
+Poses = dict[str, np.ndarray]  # (B,) mm or deg by target
+Reads = Callable[[Outputs], dict[str, Poses]]  # of a batch, by kind
+
+
+def pixels(images: np.ndarray) -> np.ndarray:
+    """(B, F) of images (B, S, S, 1): means over squares, SIDE along each side or as many as there are pixels."""
+    images = np.asarray(images, np.float64)[..., 0] / (255 if images.dtype == np.uint8 else 1)
+    cell = max(1, images.shape[1] // SIDE)
+    side = images.shape[1] // cell
+    whole = images[:, : side * cell, : side * cell].reshape(len(images), side, cell, side, cell)
+    return whole.mean(axis=(2, 4)).reshape(len(images), -1)
+
+
+def places(pins: np.ndarray) -> np.ndarray:
+    """(B, F) of pins (B, P, 2) px, NaN where one is not seen."""
+    return np.asarray(pins, np.float64).reshape(len(pins), -1)
+
+
+FEATURES = {PIXELS: pixels, PIN_PLACES: places}
+
+
+def learnt(name: str, taps: Reader, targets: Targets) -> PoseReader | None:
+    """PIXELS or PIN_PLACES from training taps alone; None where there are too few."""
+    count = taps.length("train")
+    rows = np.linspace(0, count - 1, min(MOST_TAPS, count)).round().astype(int)
+    if len(rows) < FEWEST or not targets:
+        return None
+    batch = taps.take("train", rows, (FIELD[name], *fields_of(targets)))
+    features = FEATURES[name](batch[FIELD[name]])
+    seen = np.isfinite(features)
+    mean = np.where(seen, features, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
+    outputs = np.asarray(pose_targets({field: batch[field] for field in fields_of(targets)}, targets))
+    return PoseReader(fitted(np.where(seen, features, mean), outputs), targets, len(rows))
+
+
+def read(reader: PoseReader, features: np.ndarray) -> Poses:
+    """Poses by features (B, F); what is not seen counts as it is on average."""
+    found = answers(reader.ridge, np.where(np.isfinite(features), features, reader.ridge.middle))
+    return {name: np.asarray(value) for name, value in pose_from_outputs(jnp.asarray(found), reader.targets).items()}
+
+
+def readers_of(experiment: Experiment, data_dir: Path, run_dir: Path) -> dict[str, PoseReader]:
+    """By name, from the taps that the run's PoseNet learnt from: none where it has no PoseNet, or too few taps. Networks over pins have
+    no images but drawn ones; what networks over recorded images draw has no pins known by name."""
+    if "posenet" not in experiment.networks:
+        return {}
+    examples = open_examples(experiment, "posenet", data_dir, run_dir)
+    images = not over_pins(experiment)
+    names = [PIXELS] * images + [PIN_PLACES] * (not images or recorded_of(experiment) is None)
+    found = {name: learnt(name, examples.reader, examples.targets) for name in names}
+    return {name: reader for name, reader in found.items() if reader}
+
+
+def of_batches(readers: Mapping[str, PoseReader]) -> dict[str, Reads]:
+    """The same readers as functions of what the networks make of a batch: of its images or of its pins."""
+    return {name: partial(_read_batch, name, reader) for name, reader in readers.items()}
+
+
+def _read_batch(name: str, reader: PoseReader, outputs: Outputs) -> dict[str, Poses]:
+    seen = outputs.images if name == PIXELS else outputs.pins
+    return {kind: read(reader, FEATURES[name](np.asarray(seen[kind]))) for kind in READ if kind in seen}
+
+
+def read_pins(
+    reader: PoseReader, lattice: Lattice, images: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Errors (N,) by `read/pins/<kind>/<quantity>` of the poses that pins found in images (N, S, S) uint8 tell; NaN of images whose pins
+    are not identified for sure."""
+    errors: dict[str, np.ndarray] = {}
+    for kind in (kind for kind in READ if kind in images):
+        tracks = tracks_of(lattice, [np.where(image >= 128, 255, 0).astype(np.uint8) for image in images[kind]])
+        sure = np.array([track.sure for track in tracks])
+        found = np.full((len(tracks), lattice.place.size), np.nan)
+        if sure.any():
+            found[sure] = places(np.stack([lattice.place + filled(lattice, t.motion) for t in tracks if t.sure]))
+        scores = pose_scores({kind: read(reader, found)}, true, f"read/{PIN_PLACES}")
+        errors |= {name: np.where(sure, score, np.nan) for name, score in scores.items()}
+    return errors

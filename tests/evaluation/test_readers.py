@@ -1,0 +1,148 @@
+"""Readers of another make: what they learn, from which taps, and what they leave out."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.settings import Ranges
+from jaxunshear.evaluation import readers
+from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, learnt, of_batches, pixels, places, read, read_pins
+from jaxunshear.evaluation.ridge import FEWEST, answers, fitted
+from jaxunshear.evaluation.score import Outputs
+from jaxunshear.evaluation.summary import with_readers
+from jaxunshear.image.lattice import make_lattice
+from jaxunshear.targets import of_ranges
+
+SIZE = 128
+TARGETS = of_ranges(("x_mm", "edge_mm", "edge_deg:circle"), Ranges())
+X, Y = np.meshgrid(np.arange(24, 108, 8.0), np.arange(24, 108, 8.0))
+REST = np.stack([X, Y], axis=-1).reshape(-1, 2)
+
+
+def poses(count, seed):
+    generator = np.random.default_rng(seed)
+    pose, edge = generator.uniform(-4, 4, (2, count, 4)).astype(np.float32)
+    return pose, np.stack([edge[:, 0], generator.uniform(-40, 40, count)], axis=1).astype(np.float32)
+
+
+def pins_of(pose, edge):
+    """(N, P, 2) px: linear in what the targets' outputs are."""
+    angle = np.radians(edge[:, 1].astype(np.float64))
+    across = pose[:, :1] + np.sin(angle)[:, None] * (REST[:, 1] - 64) / 40
+    along = edge[:, :1] + np.cos(angle)[:, None] * (REST[:, 0] - 64) / 40
+    return REST + np.stack([across, along], axis=-1)
+
+
+def drawn(pins):
+    """(N, S, S) uint8 dots."""
+    rows, columns = np.mgrid[:SIZE, :SIZE]
+    images = [
+        np.hypot(columns[..., None] - each[:, 0], rows[..., None] - each[:, 1]).min(axis=-1) < 2.2 for each in pins
+    ]
+    return np.where(images, 255, 0).astype(np.uint8)
+
+
+class Taps:
+    """Stands in for a reader of the pose set; any split but that for training is forbidden."""
+
+    def __init__(self, count):
+        pose, edge = poses(count, 0)
+        self.rows = {"pose": pose, "edge": edge, "pins": pins_of(pose, edge).astype(np.float32)}
+
+    def length(self, split):
+        assert split == "train"
+        return len(self.rows["pose"])
+
+    def take(self, split, rows, fields):
+        assert split == "train"
+        return {name: self.rows[name][rows] for name in fields}
+
+
+@pytest.fixture(scope="module")
+def reader():
+    return learnt(PIN_PLACES, Taps(200), TARGETS)
+
+
+def test_a_linear_pose_is_recovered_exactly(reader):
+    pose, edge = poses(50, 1)
+    found = read(reader, places(pins_of(pose, edge)))
+    np.testing.assert_allclose(found["x_mm"], pose[:, 0], atol=1e-3)
+    np.testing.assert_allclose(found["edge_mm"], edge[:, 0], atol=1e-3)
+    np.testing.assert_allclose(found["edge_deg"], edge[:, 1], atol=0.05)
+    assert reader.ridge.width is None and reader.taps == 200
+
+
+def test_what_is_not_linear_is_learnt_by_a_gaussian():
+    x = np.random.default_rng(0).uniform(-1, 1, (400, 2))
+    ridge = fitted(x, np.sin(4 * x))
+    assert ridge.width is not None
+    assert np.abs(answers(ridge, 0.9 * x) - np.sin(3.6 * x)).max() < 0.02
+
+
+def test_equal_examples_give_their_mean():
+    ridge = fitted(np.ones((20, 3)), np.arange(20.0)[:, None])
+    np.testing.assert_allclose(answers(ridge, np.ones((2, 3))), 9.5, rtol=1e-5)
+
+
+def test_the_same_taps_give_the_same_bits(reader):
+    again = learnt(PIN_PLACES, Taps(200), TARGETS)
+    np.testing.assert_array_equal(again.ridge.weights, reader.ridge.weights)
+
+
+def test_of_many_taps_some_are_learnt_from_and_of_too_few_nothing(monkeypatch):
+    assert learnt(PIN_PLACES, Taps(FEWEST - 1), TARGETS) is None
+    assert learnt(PIN_PLACES, Taps(20), ()) is None
+    monkeypatch.setattr(readers, "MOST_TAPS", 30)
+    assert learnt(PIN_PLACES, Taps(200), TARGETS).taps == 30
+
+
+def test_pins_that_are_not_seen_count_as_they_are_on_average(reader):
+    taps = Taps(200)
+    taps.rows["pins"][::3, 5] = np.nan
+    some = learnt(PIN_PLACES, taps, TARGETS)
+    pose, edge = poses(50, 1)
+    pins = pins_of(pose, edge)
+    pins[:, 7] = np.nan
+    found = read(some, places(pins))
+    assert np.abs(found["x_mm"] - pose[:, 0]).max() < 0.5
+
+
+def test_pixels_are_means_over_squares():
+    images = np.zeros((2, 70, 70, 1), np.uint8)
+    images[1, 0, 0] = 255
+    found = pixels(images)
+    assert found.shape == (2, 35 * 35)
+    assert found[1, 0] == 0.25 and found.sum() == 0.25
+    np.testing.assert_array_equal(pixels((images / 255).astype(np.float32)), found)
+
+
+def test_pixels_tell_a_pose():
+    taps = Taps(150)
+    taps.rows["image"] = drawn(taps.rows["pins"])[..., None]
+    reader = learnt(PIXELS, taps, TARGETS)
+    pose, edge = poses(20, 1)
+    images = drawn(pins_of(pose, edge))[..., None] / 255
+    reads = of_batches({PIXELS: reader})[PIXELS]
+    found = reads(Outputs({"tap": images, "disentangled": images, "mean_tap": images}, {}, {}, {}))
+    assert set(found) == {"tap", "disentangled"}  # of baselines nothing is asked
+    assert np.abs(found["tap"]["x_mm"] - pose[:, 0]).mean() < 0.4 * np.abs(pose[:, 0]).mean()
+
+
+def test_found_pins_tell_a_pose_and_images_without_are_left_out_and_counted(reader):
+    pose, edge = poses(6, 1)
+    images = {"tap": drawn(pins_of(pose, edge)), "sheared": drawn(pins_of(pose, edge))}
+    images["sheared"][2] = 0
+    true = {"x_mm": pose[:, 0], "edge_mm": edge[:, 0], "edge_deg": edge[:, 1]}
+    scores = read_pins(reader, make_lattice(REST), images, true)
+    assert scores["read/pins/tap/x_mm"].max() < 0.3
+    assert np.isnan(scores["read/pins/sheared/edge_mm"]).tolist() == [False, False, True, False, False, False]
+    found = with_readers({"spread": {}}, [(scores, np.arange(6))], 0)
+    assert found["reader_images"]["pins"] == {
+        "tap": {"read": 6, "left_out": 0},
+        "sheared": {"read": 5, "left_out": 1},
+    }
+    error = np.nanmean(scores["read/pins/sheared/edge_mm"])
+    assert found["readers"]["pins"]["sheared"]["edge_mm"] == pytest.approx(error)
+    low, high = found["spread"]["readers"]["pins"]["sheared"]["edge_mm"]
+    assert low <= error <= high
+    nothing = {name: np.full(6, np.nan) for name in scores}
+    assert with_readers({"spread": {}}, [(nothing, np.arange(6))], 0)["readers"]["pins"]["tap"]["x_mm"] is None
