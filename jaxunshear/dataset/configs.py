@@ -46,6 +46,16 @@ PAIRED = {
         camera=replace(FLUSH_CAMERA, frame_px=256),
         preprocess=Preprocess(size=256),
     ),
+    "paper_tenth": PairedData(
+        config="paper_tenth",
+        poses=200,
+        taps=5,
+        slides=15,
+        tap_depth_jitter_mm=1.0,
+        camera=replace(FITTED_CAMERA, frame_px=256),
+        friction=FITTED_FRICTION,
+        preprocess=Preprocess(size=256),
+    ),
 }
 POSE = {
     "tiny": PoseData(config="tiny", poses=10),
@@ -59,13 +69,20 @@ POSE = {
     "paper": PoseData(
         config="paper", poses=10_000, camera=replace(FLUSH_CAMERA, frame_px=256), preprocess=Preprocess(size=256)
     ),
+    "paper_tenth": PoseData(
+        config="paper_tenth",
+        poses=1000,
+        camera=replace(FITTED_CAMERA, frame_px=256),
+        friction=FITTED_FRICTION,
+        preprocess=Preprocess(size=256),
+    ),
 }
 CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: PAIRED, POSE_SET: POSE}
 
 
 def sensor_of(config: str) -> Sensor:
     """The sensor of a stored configuration."""
-    others = {"tiny": TACTIP_331, "calibrated": TACTIP_331_FITTED}
+    others = {"tiny": TACTIP_331, "calibrated": TACTIP_331_FITTED, "paper_tenth": TACTIP_331_FITTED}
     return others.get(config, TACTIP_331_FLUSH)
 
 

@@ -1,0 +1,45 @@
+"""Claim: of the readings of appendix B's "L1/L2 regularization (10e-4)", some train the networks and some hold them at their start.
+
+    jaxunshear sweep experiments/appendix_b.py --seeds 0,1,2
+
+Expected
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from jaxunshear.config import load_experiment
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.sweep.settings import Sweep
+
+PAPER = load_experiment(Path(__file__).with_name("paper.py"))
+WEIGHTS = tuple(f"{group}.{field}" for group in ("train", "train_posenet") for field in ("l1", "l2"))
+KERNELS = ("train.kernels", "train_posenet.kernels")
+OFTEN: dict[str, int] = {"validate_every": 30, "validation_images": 64}
+
+sweep = Sweep(
+    name="appendix_b",
+    claim="What appendix B's regularization can mean, and what of it trains.",
+    base=replace(
+        PAPER,
+        networks=("disentangled", "posenet"),
+        other_jitters_mm=(),
+        sensor=sensor_of("calibrated"),
+        paired=PAIRED["calibrated"],
+        pose=POSE["calibrated"],
+        unshear=replace(PAPER.unshear, size=128),
+        posenet=replace(PAPER.posenet, size=128),
+        train=replace(PAPER.train, epochs=2, batch=8, **OFTEN),  # 540 steps
+        train_posenet=replace(PAPER.train_posenet, epochs=4, batch=32, **OFTEN),  # 540 steps
+    ),
+    grid=(
+        (WEIGHTS, ((1e-3,) * 4, (1e-4,) * 4)),
+        (KERNELS, (("sum", "sum"), ("mean", "mean"))),
+    ),
+    rows=(
+        ((WEIGHTS, (0.0,) * 4),),
+        (("train.patch_weight", 10.0),),
+    ),
+    labels=("neither l1 nor l2", "lambda 10"),
+    seeds=(0, 1, 2),
+)
