@@ -10,7 +10,7 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from jaxunshear.style import DPI, STYLE
+from jaxunshear.style import DPI, LABEL, STYLE
 
 RESULTS = Path(__file__).parent / "results"
 NETWORK, RANK = "disentangled", "supervised"
@@ -43,7 +43,7 @@ def picture(rows: list[dict[str, Any]], path: Path) -> None:
     """Sizes and losses over steps, a colour a label, a line a seed."""
     labels = list(dict.fromkeys(row["label"] for row in rows))
     with rc_context(STYLE):
-        figure = Figure(figsize=(10, 3.8), layout="constrained")
+        figure = Figure(figsize=(10, 4.2), layout="constrained")
         sizes, losses = figure.subplots(1, 2)
         for row in rows:
             place = labels.index(row["label"])
@@ -54,7 +54,7 @@ def picture(rows: list[dict[str, Any]], path: Path) -> None:
         sizes.set(xlabel="steps", yscale="log", title="inner kernels, root mean square (0.02 at the start)")
         losses.set(xlabel="steps", yscale="log", title="validation loss: mean squared difference to the tap")
         if len(labels) > 1:
-            sizes.legend(fontsize=8)
+            figure.legend(loc="outside lower center", ncols=3, fontsize=LABEL)
         figure.savefig(path, dpi=DPI, metadata={"Software": ""})
 
 

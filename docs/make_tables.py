@@ -94,7 +94,7 @@ def refit() -> str:
 def readings() -> str:
     """Inner kernels, validation loss and likeness by how appendix B is read, means over seeds."""
     lines = [
-        "| \"10e-4\" is | inner kernels: step 75 | 450 | 1,350 | validation loss: step 450 | 1,350 | MS-SSIM@4 |",
+        '| "10e-4" is | inner kernels: step 75 | 450 | 1,350 | validation loss: step 450 | 1,350 | MS-SSIM@4 |',
         "|---|---|---|---|---|---|---|",
     ]
     rows = json.loads((RESULTS / "appendix_b_curves.json").read_text())["rows"]
