@@ -55,6 +55,19 @@ def real_skin() -> str:
     return "\n".join([*lines, _line("recovery: the share of the slide's damage undone", undone)])
 
 
+def demo() -> str:
+    """Likeness and errors of the demo over training seeds."""
+    (cell,) = _cells("demo")
+    kinds = ("tap", "sheared", "entangled", "disentangled")
+    lines = [f"| `make demo`, simulated | {' | '.join(kinds)} |", "|---|" + "---|" * len(kinds)]
+    metrics = cell["metrics"]
+    likeness = ["1", *(_cell(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
+    lines.append(_line("MS-SSIM to the tap, 128 px (`ms_ssim@4`)", likeness))
+    for name, key, digits in (("edge distance error, mm", "edge_mm", 2), ("edge angle error, deg", "edge_deg", 1)):
+        lines.append(_line(name, [_cell(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]))
+    return "\n".join(lines)
+
+
 def few_labels() -> str:
     """Errors over the share of slides with labels, by what is learnt from, unsheared and learnt directly."""
     lines = [f"| slides with a label | {' | '.join(LEARNT)} |", "|---|" + "---|" * len(LEARNT)]
@@ -172,7 +185,7 @@ def _cell(metric: dict[str, Any], digits: int) -> str:
 
 
 TABLES = {
-    "README.md": (real_skin,),
+    "README.md": (real_skin, demo),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
     "docs/applications.md": (geometry, objects),
