@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
@@ -30,6 +31,13 @@ REFITTED = {
     "all": "all values together",
 }
 SOURCES = {"simulated": "simulated slides", "rendered": "recorded slides"}
+READINGS = {
+    "l1:l2=0.0001:0.0001, kernels=sum": "1e-4, of a kernel's sum",
+    "l1:l2=0.0001:0.0001, kernels=mean": "1e-4, of a kernel's mean",
+    "l1:l2=0.001:0.001, kernels=sum": "1e-3, of a kernel's sum",
+    "l1:l2=0.001:0.001, kernels=mean": "**1e-3, of a kernel's mean**",
+    "lambda 10": "1e-3, of a kernel's mean; and lambda 10",
+}
 PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
 
 
@@ -45,6 +53,19 @@ def real_skin() -> str:
     ]
     undone = [_cell(one[f"pose_recovery/disentangled/{q}"], 2) for one in inputs for q, _ in COLUMNS]
     return "\n".join([*lines, _line("recovery: the share of the slide's damage undone", undone)])
+
+
+def demo() -> str:
+    """Likeness and errors of the demo over training seeds."""
+    (cell,) = _cells("demo")
+    kinds = ("tap", "sheared", "entangled", "disentangled")
+    lines = [f"| `make demo`, simulated | {' | '.join(kinds)} |", "|---|" + "---|" * len(kinds)]
+    metrics = cell["metrics"]
+    likeness = ["1", *(_cell(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
+    lines.append(_line("MS-SSIM to the tap, 128 px (`ms_ssim@4`)", likeness))
+    for name, key, digits in (("edge distance error, mm", "edge_mm", 2), ("edge angle error, deg", "edge_deg", 1)):
+        lines.append(_line(name, [_cell(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]))
+    return "\n".join(lines)
 
 
 def few_labels() -> str:
@@ -132,6 +153,24 @@ def objects() -> str:
     return "\n".join(lines)
 
 
+def readings() -> str:
+    """Inner kernels, validation loss and likeness by how appendix B is read, means over seeds."""
+    lines = [
+        '| "10e-4" is | inner kernels: step 75 | 450 | 1,350 | validation loss: step 450 | 1,350 | MS-SSIM@4 |',
+        "|---|---|---|---|---|---|---|",
+    ]
+    rows = json.loads((RESULTS / "appendix_b_curves.json").read_text())["rows"]
+    for cell in _cells("appendix_b"):
+        trained = [row for row in rows if row["label"] == cell["label"] and row["seed"] in cell["seeds"]]
+        assert len(trained) == len(cell["seeds"])
+        steps = [trained[0]["step"].index(step) for step in (75, 450, 1350)]
+        sizes = [fmean(row["inner"][at] for row in trained) for at in steps]
+        losses = [fmean(row["validation"]["supervised"][at] for row in trained) for at in steps[1:]]
+        told = [f"{value:.4f}" for value in sizes] + [f"{value:.3f}" for value in losses]
+        lines.append(_line(READINGS[cell["label"]], [*told, _cell(cell["metrics"]["ms_ssim/disentangled"], 3)]))
+    return "\n".join(lines)
+
+
 def _cells(name: str) -> list[dict[str, Any]]:
     return json.loads((RESULTS / f"{name}.json").read_text())["cells"]
 
@@ -146,10 +185,11 @@ def _cell(metric: dict[str, Any], digits: int) -> str:
 
 
 TABLES = {
-    "README.md": (real_skin,),
+    "README.md": (real_skin, demo),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
     "docs/applications.md": (geometry, objects),
+    "docs/model.md": (readings,),
 }
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@
 Expected on two cores (docs/results/calibrated.json): as long as the demo (the stored run, with other work beside, 20
 minutes), MS-SSIM from about 0.50 to 0.953, and a third of what the slide adds to pose errors gone again, half with the
 entangled network: the fitted skin slips at half the pull and its pins are levers, so that slides mislead a PoseNet less
-than the demo's do, and minutes of training win back less. The page holds it against the demo's bars and says where it misses.
+than the demo's do, and minutes of training undo less. The page compares it with the demo's bars and says where it misses.
 """
 
 from dataclasses import replace

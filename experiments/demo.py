@@ -7,7 +7,7 @@ at least 0.90 (0.45 at most for the sheared image itself), and a PoseNet trained
 angle, at most 0.6 times as much on the unsheared images as on the sheared ones.
 
 Its pins end flush with the skin and its friction is 0.7. Pins as levers, which real ones are (calibrated.py and standard.py have
-them), show how the skin turns at an edge, and so much of the pose is read from a sheared image that minutes of training win back a
+them), show how the skin turns at an edge, and so much of the pose is read from a sheared image that minutes of training undo a
 third of what is lost, not half and more.
 """
 

@@ -45,6 +45,7 @@ MIRROR_IMAGES = (
 SURFACE = "surface"  # the same wherever and however it is turned
 SCHEDULES = ("cosine", "steps")
 OPTIMISERS = ("adam", "muon")
+KERNELS = ("sum", "mean")
 POSE_TARGETS = ("tap", "label")
 PRECISIONS = ("float32", "bfloat16")
 INPUTS = ("images", "pins")
@@ -445,7 +446,6 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
         yield getattr(pins, field) >= 1, f"pins.{field}", "must be at least 1"
     yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"
     yield pins.noise_px >= 0, "pins.noise_px", "must not be below zero"
-    yield 0 <= pins.hidden_pins < 1, "pins.hidden_pins", "use 0 up to, but not, 1"
     yield 0 <= pins.turned <= 1, "pins.turned", "use a share from 0 to 1"
     yield (
         not pins.turned or (over_pins(experiment) and recorded_of(experiment) is not None),
@@ -520,6 +520,7 @@ def _training(training: Training, group: str, examples: int) -> Iterator[Rule]:
         yield 0 <= getattr(training, field) < 1, f"{group}.{field}", "use 0 up to, but not, 1"
     for field in ("l1", "l2"):
         yield getattr(training, field) >= 0, f"{group}.{field}", "must not be below zero"
+    yield training.kernels in KERNELS, f"{group}.kernels", f"is unknown: use one of {', '.join(KERNELS)}"
     yield 0 <= training.shift <= 0.25, f"{group}.shift", "use a fraction of the image, 0 to 0.25"
     yield training.validate_every >= 1, f"{group}.validate_every", "must be at least 1"
     yield training.validation_images >= 1, f"{group}.validation_images", "must be at least 1"

@@ -40,6 +40,7 @@ BAD_FIELDS = [
     ("--train.beta1 1", "--train.beta1"),
     ("--train.averaging 1.5", "--train.averaging"),
     ("--train.l1 -1", "--train.l1"),
+    ("--train.kernels norm", "--train.kernels norm: is unknown: use one of sum, mean"),
     ("--train.crop_px 129", "1 to the image's 128 px"),
     ("--train.shift 0.7", "--train.shift"),
     ("--train.validate_every 0", "--train.validate_every"),

@@ -1,5 +1,6 @@
 """The experiments and sweeps of the repository are valid, and `paper.py` is appendix B to the letter."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -74,7 +75,7 @@ def test_paper_is_appendix_b():
     ):
         assert (training.learning_rate, training.beta1, training.beta2) == (1e-4, 0.5, 0.999)
         assert (training.batch, training.epochs, training.schedule, training.drops) == (batch, epochs, "steps", drops)
-        assert (training.l1, training.l2, training.averaging) == (1e-3, 1e-3, 0.0)
+        assert (training.l1, training.l2, training.kernels, training.averaging) == (1e-3, 1e-3, "mean", 0.0)
         assert 0.01 <= training.shift <= 0.02
     assert (paper.train.patch_weight, paper.train.crops, paper.train.crop_px) == (0.1, 100, 20)
     assert (paper.paired.poses, paper.paired.taps, paper.paired.slides, paper.paired.tap_depth_jitter_mm) == (
@@ -87,6 +88,17 @@ def test_paper_is_appendix_b():
     assert paper.paired.preprocess.size == paper.pose.preprocess.size == paper.unshear.size == paper.posenet.size == 256
     assert len(paper.unshear.widths) == 5
     assert (paper.unshear.size // 2**5, paper.unshear.pose_channels, paper.unshear.shear_channels) == (8, 64, 64)
+
+
+def test_a_tenth_of_the_paper_is_the_paper_but_for_the_amount():
+    paper, tenth = (load_experiment(FOLDER / f"{name}.py") for name in ("paper", "paper_tenth"))
+    assert (tenth.unshear, tenth.posenet, tenth.train_posenet) == (paper.unshear, paper.posenet, paper.train_posenet)
+    amounts = {name: getattr(paper.train, name) for name in ("epochs", "validate_every", "validation_images")}
+    assert replace(tenth.train, **amounts) == paper.train
+    for of_tenth, of_paper in ((tenth.paired.taps, paper.paired.taps), (tenth.paired.slides, paper.paired.slides)):
+        assert of_paper == 10 * of_tenth
+    assert 10 * tenth.pose.poses == paper.pose.poses and tenth.paired.poses == paper.paired.poses
+    assert tenth.paired.tap_depth_jitter_mm == paper.paired.tap_depth_jitter_mm
 
 
 def test_the_small_version_of_paper_that_its_docstring_gives_is_valid():

@@ -91,6 +91,8 @@ def walk(net: Net, training: Training, make: Callable[[int], Batch], folder: Pat
 def found_of(net: Net, arrays: dict[str, Any], variables: Any, steps: int, last: dict[str, float]) -> Found:
     loss = last["pose" if isinstance(net, PoseNet) else "supervised"]
     note = "" if last["gradient"] else "the gradient is 0: all is saturated, and nothing more is learnt"
+    if last["regularisation"] > loss:
+        note = f"l1 and l2 weigh {last['regularisation'] / loss:.2g} times the loss: kernels shrink first"
     wrong = _parts(net, variables)
     return Found(arrays, wrong=wrong, note=note, steps=steps, loss=loss, gradient=last["gradient"])
 

@@ -36,6 +36,10 @@ SHALLOW = UnshearNet(size=32, widths=(4, 6), pose_channels=8, shear_channels=8) 
 UNET = UNet(size=32, widths=(4, 6))
 POSENET = PoseNet(size=64, widths=(4, 4, 6, 6, 8), hidden=16)
 TRAINING = Training(epochs=STEPS, batch=4, crops=20, crop_px=8, validate_every=SAVED_EVERY)
+PAPER_NET = UnshearNet(size=256, widths=(32, 64, 64, 64, 64), pose_channels=64, shear_channels=64)
+PAPER_POSENET = PoseNet(size=256)
+PAPER = Training(learning_rate=1e-4, l1=1e-3, l2=1e-3, kernels="mean", averaging=0.0)
+DECAYS = (1e-3, 1e3)
 RATES = (1e-8, 1e-4, 1e-1, 1.0, 10.0)
 PATCH_WEIGHTS = (0.0, 1e-2, 1.0, 1e2, 1e4)
 BROKEN_FROM = 6  # steps before what breaks a training: more than to its first checkpoint, fewer than to its second
@@ -47,6 +51,9 @@ Change = Callable[[int, Batch], Batch]  # of the float batch that follows so man
 def training_cases() -> Iterator[NetworkCase]:
     """All of them; names are unique and begin with "network"."""
     yield from _settings()
+    yield from _starts()
+    for net in (SHALLOW, POSENET):
+        yield from _decays(net)
     for net in (NET, POSENET):
         yield from _rates(net)
         yield from _images(net)
@@ -98,6 +105,21 @@ def _settings() -> Iterator[NetworkCase]:
     yield steps_case("of the usual 128 px and widths", UnshearNet(), replace(TRAINING, batch=2), steps=SAVED_EVERY)
     for rounded in (SHALLOW, POSENET):
         yield steps_case("in bfloat16", rounded, replace(TRAINING, precision="bfloat16"))
+
+
+def _decays(net: Net) -> Iterator[NetworkCase]:
+    """Weights on kernels: the paper's, and such as leave nothing else to learn."""
+    for weight in DECAYS:
+        yield steps_case(f"l1 {weight:g}", net, replace(TRAINING, l1=weight))
+        yield steps_case(f"l2 {weight:g}", net, replace(TRAINING, l2=weight))
+
+
+def _starts() -> Iterator[NetworkCase]:
+    """The first steps of experiments/paper.py, in smaller batches, by what its weights on kernels can mean."""
+    nets: tuple[Net, ...] = (PAPER_NET, PAPER_POSENET)
+    for net, kernels in itertools.product(nets, ("sum", "mean")):
+        name, training = f"the paper's start, l1 and l2 per {kernels}", replace(PAPER, batch=2, kernels=kernels)
+        yield steps_case(name, net, training, steps=SAVED_EVERY)
 
 
 def _rates(net: Net) -> Iterator[NetworkCase]:

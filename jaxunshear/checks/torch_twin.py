@@ -185,7 +185,8 @@ def losses(twin: Twin, training: Training, canonical: Tensor, sheared: Tensor) -
     if training.l1 or training.l2:
         for name, kernel in twin.named_parameters():
             if name.endswith("weight") and kernel.ndim == 4:
-                total = total + training.l1 * kernel.abs().sum() + training.l2 * (kernel**2).sum()
+                weights = 1 if training.kernels == "sum" else kernel.numel()
+                total = total + (training.l1 * kernel.abs().sum() + training.l2 * (kernel**2).sum()) / weights
     return total
 
 

@@ -48,6 +48,16 @@ PAIRED = {
         camera=replace(FITTED_CAMERA, frame_px=256),
         preprocess=Preprocess(size=256),
     ),
+    "paper_tenth": PairedData(
+        config="paper_tenth",
+        poses=200,
+        taps=5,
+        slides=15,
+        tap_depth_jitter_mm=1.0,
+        camera=replace(FITTED_CAMERA, frame_px=256),
+        friction=FITTED_FRICTION,
+        preprocess=Preprocess(size=256),
+    ),
 }
 POSE = {
     "tiny": PoseData(config="tiny", poses=10),
@@ -67,6 +77,13 @@ POSE = {
         poses=10_000,
         friction=FITTED_FRICTION,
         camera=replace(FITTED_CAMERA, frame_px=256),
+        preprocess=Preprocess(size=256),
+    ),
+    "paper_tenth": PoseData(
+        config="paper_tenth",
+        poses=1000,
+        camera=replace(FITTED_CAMERA, frame_px=256),
+        friction=FITTED_FRICTION,
         preprocess=Preprocess(size=256),
     ),
 }

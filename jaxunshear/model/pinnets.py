@@ -5,9 +5,8 @@
 >>> outputs = predict(pose_net, pose_variables, canonical)                # -> (B, K), as PoseNet's
 >>> pins = render(renderer, its_variables, outputs)                       # (B, K) in [0, 1] -> the pins of a tap there
 
-Ours, not the paper's, whose networks read images. A pin that is not seen is NaN, and counts as one that has not moved; with
-`hidden_pins` some are hidden at random in training. `rest` and `spread` scale what goes in and what comes out; they are constants
-that the variables carry.
+Ours, not the paper's, whose networks read images. A pin that is not seen is NaN, and counts as one that has not moved.
+`rest` and `spread` scale what goes in and what comes out; they are constants that the variables carry.
 """
 
 from typing import Any
@@ -141,13 +140,8 @@ def distance(pins: Array, target: Array, variables: Variables) -> Array:
 
 
 def spoilt(net: PinNet, pins: Array, key: Array) -> Array:
-    """Pins with noise, of which a share, `net.hidden_pins` at most, is hidden at random: NaN."""
-    noise_key, share_key, pin_key = jax.random.split(key, 3)
-    pins = pins + net.noise_px * jax.random.normal(noise_key, pins.shape)
-    if not net.hidden_pins:
-        return pins
-    share = net.hidden_pins * jax.random.uniform(share_key, (len(pins), 1, 1))
-    return jnp.where(jax.random.uniform(pin_key, (*pins.shape[:2], 1)) < share, jnp.nan, pins)
+    """Pins with the noise of a training example."""
+    return pins + net.noise_px * jax.random.normal(key, pins.shape)
 
 
 def _module(net: PinNet, motions: int, outputs: int) -> nn.Module:

@@ -54,7 +54,6 @@ class PinNet:
     hidden: int = 256
     layers: int = 3
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
-    hidden_pins: float = 0.0  # share of the pins, at most, that a training example does not show
     turned: float = 0.0  # share of posenet_sheared's examples that are turned about the sensor's axis
     pose_code: int = 16  # numbers in z_p
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS

@@ -28,6 +28,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.targets import to_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
+from jaxunshear.training.losses import kernel_sizes
 from jaxunshear.training.settings import Training
 from jaxunshear.training.start import Start, begun
 from jaxunshear.training.step import fresh, make_step, optimiser_of
@@ -105,7 +106,7 @@ def train(
     batch = jax.device_put(next(stream))
     began = time.perf_counter()
     step = jax.jit(make_step(task, training, optimiser, key_steps), donate_argnums=0).lower(state, batch).compile()
-    validate = jax.jit(task.validate)
+    validate, measure = jax.jit(task.validate), jax.jit(kernel_sizes)
     compile_seconds += time.perf_counter() - began
 
     with Progress(f"train {folder.name}", steps * batch_size, done=reached * batch_size) as progress:
@@ -134,7 +135,8 @@ def train(
                 "images": done * batch_size,
                 "train_seconds": seconds,
             }
-            history.append(counts | {"train": last, "validation": scores})
+            sizes = {name: float(size) for name, size in measure(state.params).items()}
+            history.append(counts | {"train": last, "validation": scores, "kernels": sizes})
             times = {"train_seconds": seconds, "compile_seconds": compile_seconds}
             checkpoint.save(folder, done, state, {"history": history, "best_step": best_step} | times)
             _write_log(folder, history)

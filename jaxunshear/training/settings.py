@@ -17,8 +17,9 @@ class Training:
     drops: tuple[tuple[float, float], ...] = ()  # (epoch, factor on the first learning rate)
     beta1: float = 0.5  # of Adam, which with "muon" trains the first and last layers, biases and normalisation
     beta2: float = 0.999
-    l1: float = 0.0  # on convolution and dense kernels, summed; the paper's "10e-4" is 1e-3
+    l1: float = 0.0  # of |w| and w^2 of convolution and dense kernels, as `kernels` says, added up over all of them
     l2: float = 0.0
+    kernels: str = "sum"  # over a kernel's weights, as Keras does; or their "mean", which no kernel's size changes
     patch_weight: float = 0.1  # lambda: L2 to L1-patch loss is 10:1
     crops: int = 100
     crop_px: int = 20

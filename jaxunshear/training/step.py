@@ -63,7 +63,7 @@ def make_step(task: Task, training: Training, optimiser: optax.GradientTransform
     def loss(params, batch_stats, batch, step_key):
         terms, batch_stats = task.terms({"params": params, "batch_stats": batch_stats}, batch, step_key)
         metrics = {name: jnp.mean(values) for name, values in terms.items()}
-        kernels = losses.regularisation(params, training.l1, training.l2)
+        kernels = losses.regularisation(params, training.l1, training.l2, training.kernels)
         total = kernels + sum(task.weights[name] * value for name, value in metrics.items())
         return total, (metrics | {"regularisation": kernels}, batch_stats)
 

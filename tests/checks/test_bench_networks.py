@@ -12,6 +12,7 @@ from jaxunshear.checks import bench_networks
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.training.losses import regularisation
 from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import unshear_task
 
@@ -113,12 +114,15 @@ def test_the_twin_computes_the_same(net):
     def loss(params):
         full = {"params": params, "batch_stats": variables["batch_stats"]}
         terms, _ = task.terms(full, {"canonical": canonical, "sheared": sheared}, jax.random.key(0))
-        from jaxunshear.training.losses import regularisation
-
         return sum(task.weights[k] * jnp.mean(v) for k, v in terms.items()) + regularisation(params, 1e-4, 1e-3)
 
     value, slopes = jax.value_and_grad(loss)(variables["params"])
     twin.train()
+    with torch.no_grad():
+        means = torch_twin.losses(twin, dataclasses.replace(training, kernels="mean"), *theirs)
+    params = variables["params"]
+    heavier = regularisation(params, 1e-4, 1e-3) - regularisation(params, 1e-4, 1e-3, "mean")
+    assert float(means) == pytest.approx(float(value - heavier), rel=1e-4)
     found = torch_twin.losses(twin, training, *theirs)
     found.backward()
     assert float(found.detach()) == pytest.approx(float(value), rel=1e-5)

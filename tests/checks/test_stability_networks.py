@@ -11,6 +11,7 @@ from jaxunshear.checks import network_steps, network_trainings, network_values, 
 from jaxunshear.checks import stability_networks as judge
 from jaxunshear.checks.network_images import KINDS, as_floats, pairs, poses, spoilt, with_nan
 from jaxunshear.checks.network_trainings import SHALLOW, steps_case
+from jaxunshear.config import load_experiment
 from jaxunshear.errors import UserError
 from jaxunshear.metrics import images as metrics
 from jaxunshear.training import checkpoint, losses
@@ -128,6 +129,21 @@ def test_a_kept_checkpoint_must_be_usable(spoil):
 
     row = judge.examine(made_up(run, expects=(judge.STOPPED,)))
     assert row.outcome == "left a checkpoint that cannot be used" and not row.holds
+
+
+def test_the_papers_start_is_that_of_its_experiment():
+    paper = load_experiment(Path(__file__).parents[2] / "experiments" / "paper.py")
+    assert (paper.unshear, paper.posenet) == (network_trainings.PAPER_NET, network_trainings.PAPER_POSENET)
+    ours = network_trainings.PAPER
+    for field in ("optimiser", "learning_rate", "beta1", "beta2", "l1", "l2", "kernels", "averaging"):
+        assert getattr(ours, field) == getattr(paper.train, field) == getattr(paper.train_posenet, field)
+    for field in ("patch_weight", "crops", "crop_px", "reconstruction_weight"):
+        assert getattr(ours, field) == getattr(paper.train, field)
+
+
+def test_kernels_that_outweigh_the_loss_are_told():
+    heavy = judge.examine(steps_case("l1 1", SHALLOW, replace(network_trainings.TRAINING, l1=1.0)))
+    assert heavy.holds and heavy.said.startswith("l1 and l2 weigh") and "kernels shrink first" in heavy.said
 
 
 def test_steps_pass_with_their_figures():

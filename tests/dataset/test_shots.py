@@ -156,6 +156,7 @@ def test_changed_settings_have_a_name_of_their_own():
         "best",
         "paper_short",
         "paper",
+        "paper_tenth",
     ]
     changed = dataclasses.replace(PairedData(), poses=7)
     names = {config_name(changed), config_name(changed, TACTIP_127), config_name(PairedData(), TACTIP_127)}

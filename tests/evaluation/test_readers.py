@@ -68,7 +68,7 @@ def test_a_linear_pose_is_recovered_exactly(reader):
     np.testing.assert_allclose(found["x_mm"], pose[:, 0], atol=1e-3)
     np.testing.assert_allclose(found["edge_mm"], edge[:, 0], atol=1e-3)
     np.testing.assert_allclose(found["edge_deg"], edge[:, 1], atol=0.05)
-    assert reader.ridge.width is None and reader.taps == 200
+    assert reader.taps == 200
 
 
 def test_what_is_not_linear_is_learnt_by_a_gaussian():

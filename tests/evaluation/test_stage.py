@@ -12,6 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import reproducible
 from jaxunshear.experiment import ALL_NETWORKS, UNSHEARING, Experiment
+from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.training import examples
 from jaxunshear.training.origin import origin_of
 
@@ -33,8 +34,9 @@ class Reader:
     def take(self, split, rows, fields):
         """Of the taps of the pose set."""
         assert split == "train"  # whoever learns from them sees no other
-        whole = next(self.split(split, self.length(split), ("canonical", "canonical_pins", "pose", "edge")))
-        whole |= {"image": whole["canonical"], "pins": whole["canonical_pins"]}
+        whole = next(self.split(split, self.length(split), ("canonical", "pose", "edge")))
+        pins = np.random.default_rng(1).normal(SIZE / 2, 5, (self.length(split), TACTIP_331.pins, 2))
+        whole |= {"image": whole["canonical"], "pins": pins}
         return {field: whole[field][rows] for field in fields}
 
     def split(self, name, batch, fields):

@@ -97,10 +97,8 @@ def test_a_fresh_renderer_draws_nearly_the_untouched_pins():
     assert drawn.shape == (2, *REST.shape) and 0 < np.abs(drawn - REST).max() < 1.0
 
 
-def test_spoiling_hides_at_most_its_share_and_adds_its_noise():
-    net = PinUnshear(**SMALL, noise_px=0.5, hidden_pins=0.4)
+def test_spoiling_adds_its_noise():
+    net = PinUnshear(**SMALL, noise_px=0.5)
     pins = jnp.asarray(np.tile(REST, (400, 1, 1)))
     spoilt = pinnets.spoilt(net, pins, jax.random.key(3))
-    gone = np.isnan(np.asarray(spoilt)[..., 0])
-    assert 0.15 < gone.mean() < 0.25
-    assert np.nanstd(spoilt - pins) == pytest.approx(0.5, rel=0.05)
+    assert np.std(spoilt - pins) == pytest.approx(0.5, rel=0.05)

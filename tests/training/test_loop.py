@@ -18,7 +18,7 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.model import unshearnet
 from jaxunshear.model.settings import UnshearNet
-from jaxunshear.training import checkpoint, loop
+from jaxunshear.training import checkpoint, loop, losses
 from jaxunshear.training.settings import Training
 from jaxunshear.training.step import learning_rate
 from jaxunshear.training.tasks import posenet_task, unshear_task
@@ -96,6 +96,8 @@ def test_summary_log_and_settings(straight):
     assert log[0]["train_seconds"] < log[-1]["train_seconds"] == summary.train_seconds
     assert set(log[0]["train"]) == {"supervised", "patch", "reconstruction", "regularisation", "gradient"}
     assert set(log[0]["validation"]) == {"supervised", "reconstruction"}
+    kernels = losses.kernels_of(checkpoint.load_best(folder)["params"])
+    assert set(log[0]["kernels"]) == set(kernels) and all(size > 0 for size in log[0]["kernels"].values())
     best = min(log, key=lambda line: line["validation"]["supervised"])
     assert (summary.best_step, summary.best_loss) == (best["step"], best["validation"]["supervised"])
     assert checkpoint.read_net(folder) == small.NET

@@ -1,0 +1,43 @@
+"""Claim: of what appendix B's "L1/L2 regularization (10e-4)" can mean, the mean over each kernel trains best; with its sum the
+kernels shrink first. "10:1" is a weight of 0.1 on the patch loss, not of 10.
+
+    jaxunshear sweep experiments/appendix_b.py --seeds 0,1,2
+
+Expected on one core with much beside, as measured: 7 to 11 minutes of training for each of fifteen rows, after the pairs of
+experiments/calibrated.py are made (docs/results/appendix_b.json). It is experiments/paper.py at
+128 px with batches of 8 for 1,350 steps. That is early: no row beats the mean tap's MS-SSIM yet, so the rows say how well a
+reading begins to learn. `docs/make_curves.py` draws the rows' kernels and losses.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from jaxunshear.config import load_experiment
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.sweep.settings import Sweep
+
+PAPER = load_experiment(Path(__file__).with_name("paper.py"))
+WEIGHTS = ("train.l1", "train.l2")
+
+sweep = Sweep(
+    name="appendix_b",
+    claim="Of what appendix B's regularization can mean, the mean over each kernel trains best.",
+    base=replace(
+        PAPER,
+        networks=("disentangled",),
+        other_jitters_mm=(),
+        sensor=sensor_of("calibrated"),
+        paired=PAIRED["calibrated"],
+        pose=POSE["calibrated"],
+        unshear=replace(PAPER.unshear, size=128),
+        posenet=replace(PAPER.posenet, size=128),
+        train=replace(PAPER.train, epochs=5, batch=8, validate_every=75, validation_images=64),  # 1,350 steps
+    ),
+    grid=(
+        (WEIGHTS, ((1e-4, 1e-4), (1e-3, 1e-3))),
+        ("train.kernels", ("sum", "mean")),
+    ),
+    rows=((("train.patch_weight", 10.0),),),
+    labels=("lambda 10",),
+    seeds=(0, 1, 2),
+)
