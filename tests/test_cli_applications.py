@@ -168,7 +168,7 @@ def test_geometry_scores_and_draws(command, tmp_path, model):
         for k in ("tap", "sheared", "disentangled", "untouched")
         for w in WAYS
     }
-    assert rows["all/tap/growth"]["contacts"] == 9 and rows["all/disentangled/inverse"]["unmatched"] == 9
+    assert rows["all/tap/growth"]["contacts"] == 15 and rows["all/disentangled/inverse"]["unmatched"] == 15
     assert rows["all/tap/growth"]["correlation"] > 0.3 and "correlation" not in rows["all/disentangled/inverse"]
     assert rows["all/tap/inverse"]["correlation"] > 0.9 and rows["all/tap/compliance"]["correlation"] > 0.9
     assert rows["all/untouched/inverse"]["largest_mm"] == 0 and rows["all/untouched/areas"]["largest_mm"] > 0
