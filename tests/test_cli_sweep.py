@@ -23,6 +23,7 @@ def calls(monkeypatch):
         return {
             "cells": [CELL | {"failures": failures}],
             "seeds": [0],
+            "spread": {"over": "test poses of one training"},
             "networks": [],
             "reference": None,
             "efficient": {},
