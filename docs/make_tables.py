@@ -124,16 +124,24 @@ def refit() -> str:
 
 
 KINDS = ("tap", "sheared", "entangled", "disentangled")
+TRAINED = ("disk", "clover", "teardrop")  # shapes that the networks have seen
 MADE = ("voronoi", "skin", "evidence")
 
 
 def geometry() -> str:
     """Correlation with the true indentation and error in mm by way; of images of no contact the largest height in mm."""
     rows = {row["name"]: row for row in json.loads((RESULTS / "geometry.json").read_text())["rows"]}
-    lines = [f"| correlation / rms error, mm | {' | '.join(KINDS)} |", "|---|" + "---|" * len(KINDS)]
+    lines = [
+        f"| correlation / rms error, mm | {' | '.join((*KINDS, 'untouched'))} |",
+        "|---|" + "---|" * (len(KINDS) + 1),
+    ]
     for way in ("areas", "change", "growth", "compliance", "inverse"):
         found = [rows[f"all/{kind}/{way}"] for kind in KINDS]
-        lines.append(_line(f"`{way}`", [f"{row['correlation']:.3f} / {row['rmse_mm']:.2f}" for row in found]))
+        cells = [f"{row['correlation']:.3f} / {row['rmse_mm']:.2f}" for row in found]
+        still = rows[f"all/untouched/{way}"]
+        nothing = still["largest_mm"] == 0
+        cells.append("0 / 0" if nothing else f"{still['correlation']:.3f} / {still['largest_mm']:.2f}")
+        lines.append(_line(f"`{way}`", cells))
     return "\n".join(lines)
 
 
@@ -149,7 +157,7 @@ def objects() -> str:
                 row = rows[f"{shape}/{made}/{way}"]
                 top = row["height_rms_mm"]
                 cells.append(f"{row['iou']:.2f} / {row['iou_felt']:.2f}" + ("" if top is None else f" / {top:.2f}"))
-        lines.append(_line(shape, cells))
+        lines.append(_line(shape if shape in TRAINED else f"{shape} (unseen)", cells))
     return "\n".join(lines)
 
 

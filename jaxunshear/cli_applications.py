@@ -55,7 +55,7 @@ def add_parsers(commands: Any) -> None:
         metavar="N",
         type=int,
         default=300,
-        help="fresh ones to be scored on, at least 3 of each shape (300)",
+        help="fresh ones to be scored on, at least 5 of each shape (300)",
     )
 
     parser = command("servo", "follow the outlines of objects by touch, in the simulator", "for the results (servo)")

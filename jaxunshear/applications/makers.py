@@ -4,13 +4,15 @@ voronoi   the paper's: the growth of the pins' cells, where the pins are, as a h
 skin      another height map: where the skin's outer face stands, by the inverse of `inverse.py` and the dome's own shape
 evidence  a logistic regression tells which pins lie over the object; a band that closes is filled
 
-All take the pins near the sensor's axis. A height map is cut at one level, fixed in advance from taps at known poses.
+All take the pins near the sensor's axis. A height map is cut at one level, fixed in advance from taps: `voronoi` by Otsu's rule, which
+knows heights alone, `skin` by `parting_level`, which knows the taps' poses.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from skimage.filters import threshold_otsu
 
 from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry import relative_growth, smoothed
@@ -57,14 +59,16 @@ def makers_of(sensor: Sensor, lattice: Lattice, known: FreshContacts, distance: 
     def moved(motion: np.ndarray) -> np.ndarray:
         return rest[near] + motion[:, near] / px_per_mm
 
-    def height_map(value: Callable[[np.ndarray], np.ndarray], in_mm: bool) -> Maker:
-        level = parting_level(value(motion), distance[:, near] < 0)
+    def near_growth(motion: np.ndarray) -> np.ndarray:
+        return growth(motion)[:, near]
+
+    def height_map(value: Callable[[np.ndarray], np.ndarray], level: float, in_mm: bool) -> Maker:
         return Maker(value, moved, lambda fused: np.nan_to_num(interpolated(fused), nan=-np.inf) > level, level, in_mm)
 
     occupancy = learn(lattice, rest, smoothed(lattice, growth(motion)), distance)
     return {
-        VORONOI: height_map(lambda motion: growth(motion)[:, near], in_mm=False),
-        SKIN: height_map(stands, in_mm=True),
+        VORONOI: height_map(near_growth, float(threshold_otsu(near_growth(motion))), in_mm=False),
+        SKIN: height_map(stands, parting_level(stands(motion), distance[:, near] < 0), in_mm=True),
         EVIDENCE: Maker(
             lambda motion: evidence(occupancy, smoothed(lattice, growth(motion))),
             lambda motion: np.broadcast_to(rest[near], (len(motion), *rest[near].shape)),

@@ -53,8 +53,9 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
     Rows with a NaN (an image whose pins were not identified) are left out.
     """
     told = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
-    x, y = np.moveaxis(to_target(point[told], place[told] if place.ndim == 3 else place), -1, 0)
-    reach = max(cover_mm, np.abs(point[told, :2]).max(initial=0.0) + np.nanmax(np.abs(place)) + 4 * BLUR_MM)
+    put = place[told] if place.ndim == 3 else place
+    x, y = np.moveaxis(to_target(point[told], put), -1, 0)
+    reach = max(cover_mm, np.abs(point[told, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM)
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
 
     def gathered(weights: np.ndarray) -> np.ndarray:
