@@ -25,18 +25,22 @@ NOT_STORED = (
 )  # of `Recorded`: where it lies, and what is made of it
 Settings = PairedData | PoseData | Recorded
 
+FITTED: dict[str, Any] = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share
+FITTED_256: dict[str, Any] = FITTED | {
+    "camera": replace(FITTED_CAMERA, frame_px=256),
+    "preprocess": Preprocess(size=256),
+}
+
 PAIRED = {
     "tiny": PairedData(config="tiny", poses=10),
     "demo": PairedData(camera=FLUSH_CAMERA),
-    "calibrated": PairedData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    "standard": PairedData(config="standard", poses=1200, camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    "best": PairedData(config="best", poses=9000, camera=FITTED_CAMERA, friction=FITTED_FRICTION),
+    "calibrated": PairedData(config="calibrated", **FITTED),
+    "standard": PairedData(config="standard", poses=1200, **FITTED),
+    "best": PairedData(config="best", poses=9000, **FITTED),
     "paper_short": PairedData(
         config="paper_short",
         poses=1200,
-        friction=FITTED_FRICTION,
-        camera=replace(FITTED_CAMERA, frame_px=256),
-        preprocess=Preprocess(size=256),
+        **FITTED_256,
     ),
     "paper": PairedData(
         config="paper",
@@ -44,9 +48,7 @@ PAIRED = {
         taps=50,
         slides=150,
         tap_depth_jitter_mm=1.0,
-        friction=FITTED_FRICTION,
-        camera=replace(FITTED_CAMERA, frame_px=256),
-        preprocess=Preprocess(size=256),
+        **FITTED_256,
     ),
     "paper_tenth": PairedData(
         config="paper_tenth",
@@ -54,37 +56,29 @@ PAIRED = {
         taps=5,
         slides=15,
         tap_depth_jitter_mm=1.0,
-        camera=replace(FITTED_CAMERA, frame_px=256),
-        friction=FITTED_FRICTION,
-        preprocess=Preprocess(size=256),
+        **FITTED_256,
     ),
 }
 POSE = {
     "tiny": PoseData(config="tiny", poses=10),
     "demo": PoseData(camera=FLUSH_CAMERA),
-    "calibrated": PoseData(config="calibrated", camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    "standard": PoseData(config="standard", poses=3000, camera=FITTED_CAMERA, friction=FITTED_FRICTION),
-    "best": PoseData(config="best", poses=18000, camera=FITTED_CAMERA, friction=FITTED_FRICTION),
+    "calibrated": PoseData(config="calibrated", **FITTED),
+    "standard": PoseData(config="standard", poses=3000, **FITTED),
+    "best": PoseData(config="best", poses=18000, **FITTED),
     "paper_short": PoseData(
         config="paper_short",
         poses=3000,
-        friction=FITTED_FRICTION,
-        camera=replace(FITTED_CAMERA, frame_px=256),
-        preprocess=Preprocess(size=256),
+        **FITTED_256,
     ),
     "paper": PoseData(
         config="paper",
         poses=10_000,
-        friction=FITTED_FRICTION,
-        camera=replace(FITTED_CAMERA, frame_px=256),
-        preprocess=Preprocess(size=256),
+        **FITTED_256,
     ),
     "paper_tenth": PoseData(
         config="paper_tenth",
         poses=1000,
-        camera=replace(FITTED_CAMERA, frame_px=256),
-        friction=FITTED_FRICTION,
-        preprocess=Preprocess(size=256),
+        **FITTED_256,
     ),
 }
 CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: PAIRED, POSE_SET: POSE}

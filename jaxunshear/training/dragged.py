@@ -7,9 +7,11 @@ What the simulator cannot know is drawn widely about what was fitted: friction, 
 shifted before its camera on another day than that of the taps.
 """
 
+import functools
 import hashlib
 import io
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +45,8 @@ def drag_of(stored: RecordedSet, sensor: Sensor, data_dir: Path) -> Drag:
     """Simulates a slide to each labelled tap of training and validation, beside the data sets, or finds them there; a killed run goes
     on where it stopped. Raises UserError."""
     place = Path(data_dir).absolute() / "simulated_slides" / f"{config_name(stored.settings, sensor)}-{_digest()}"
-    motions = {split: _motions(stored, split, place / split) for split in ("train", "validation")}
+    view = functools.cache(lambda: view_of(_taps(stored, "train"), stored.lattice(), stored.size, SHIPPED))
+    motions = {split: _motions(stored, split, place / split, view) for split in ("train", "validation")}
 
     def drag(split: str) -> Batch:
         rest = np.array(stored.frame["place_px"])
@@ -63,7 +66,9 @@ def _taps(stored: RecordedSet, split: str) -> Taps:
     return Taps(np.where(rows["sure"][:, None, None] == 1, rows["pins"], np.nan), rows["pose"])
 
 
-def _motions(stored: RecordedSet, split: str, folder: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _motions(
+    stored: RecordedSet, split: str, folder: Path, view: Callable[[], View]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows of the split's taps (M,), how far their pins are dragged (M, P, 2) px, and the slides (M, 6)."""
     taps = _taps(stored, split)
     rows = np.flatnonzero(np.isfinite(taps.pins).any((1, 2)))
@@ -71,11 +76,10 @@ def _motions(stored: RecordedSet, split: str, folder: Path) -> tuple[np.ndarray,
     paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     if missing:
-        view = view_of(_taps(stored, "train"), stored.lattice(), stored.size, SHIPPED)
         done = len(rows) - sum(len(parts[i]) for i in missing)
         with Progress(f"simulate slides ({split})", len(rows), unit="contacts", done=done) as progress:
             for i in missing:
-                _write(paths[i], view, taps.pose, parts[i])
+                _write(paths[i], view(), taps.pose, parts[i])
                 progress.advance(len(parts[i]))
     chunks = [load_chunk(path) for path in paths]
     joined = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in ("row", "motion", "move", "fine")}
