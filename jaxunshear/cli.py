@@ -163,13 +163,8 @@ def _parser() -> _Parser:
     ):
         command = commands.add_parser(name, help=text, description=text)
         command.add_argument("path", metavar="PATH", type=Path, help="an image, or a folder of recordings")
-        command.add_argument(
-            "--model",
-            metavar="DIR",
-            type=Path,
-            default=cli_applications.DEFAULT,
-            help=f"a finished run (runs/demo), or released weights by name ({cli_applications.DEFAULT})",
-        )
+        cli_applications.add_model(command, cli_applications.SKIN)
+        cli_applications.add_like(command)
         command.add_argument(
             "--force", action="store_true", help="answer images that are not of the model's sensor, too"
         )
@@ -262,10 +257,12 @@ def _check_places(arguments: argparse.Namespace) -> None:
 
 def _stages(arguments: argparse.Namespace, fields: list[str], command: str) -> None:
     from jaxunshear.experiment import trained
+    from jaxunshear.infer import model_folder
 
     if arguments.command == "fit":
         experiment = _fitted(arguments, fields)
-    elif arguments.command == "evaluate" and arguments.file.is_dir():
+    elif arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
+        arguments.file = folder
         experiment = _finished(arguments, fields)
         if arguments.recordings:
             _score(experiment, arguments, command)
@@ -343,11 +340,16 @@ def _finished(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
 
 
 def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str) -> None:
+    from jaxunshear.applications.transfer import score_transfer
     from jaxunshear.evaluation.measurements import measurements
     from jaxunshear.evaluation.unseen import score_recordings, table
+    from jaxunshear.experiment import recorded_of
     from jaxunshear.storage import write_json
 
-    results = score_recordings(experiment, arguments.file, arguments.recordings, arguments.data, command)
+    if recorded_of(experiment):
+        results = score_recordings(experiment, arguments.file, arguments.recordings, arguments.data, command)
+    else:
+        results = score_transfer(experiment, arguments.file, arguments.recordings, command)
     print(table(results))
     if arguments.json:
         write_json(arguments.json, measurements(results))
@@ -383,9 +385,11 @@ def _infer(arguments: argparse.Namespace) -> None:
     from jaxunshear import infer
 
     if arguments.command == "unshear":
-        measured = infer.unshear_recordings(arguments.path, arguments.model, arguments.out, force=arguments.force)
+        measured = infer.unshear_recordings(
+            arguments.path, arguments.model, arguments.out, force=arguments.force, like=arguments.like
+        )
     else:
-        measured = infer.pose_of_recordings(arguments.path, arguments.model, force=arguments.force)
+        measured = infer.pose_of_recordings(arguments.path, arguments.model, force=arguments.force, like=arguments.like)
     if arguments.json:
         from jaxunshear.storage import write_json
 

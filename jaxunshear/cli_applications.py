@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 KNOWN = 300  # simulated taps that scales are fitted to
 COMMANDS = ("pins", "geometry", "servo", "reconstruct", "stream")
-DEFAULT = Path("standard")  # of the released weights
+DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones
 
 
 def add_parsers(commands: Any) -> None:
@@ -49,7 +49,7 @@ def add_parsers(commands: Any) -> None:
 
     parser = command("geometry", "contact geometry of taps, sheared and unsheared images", "for the results (geometry)")
     parser.add_argument("path", metavar="IMAGES", type=Path, nargs="?", help="also of these recordings")
-    _add_model(parser)
+    add_model(parser)
     parser.add_argument(
         "--contacts",
         metavar="N",
@@ -59,7 +59,7 @@ def add_parsers(commands: Any) -> None:
     )
 
     parser = command("servo", "follow the outlines of objects by touch, in the simulator", "for the results (servo)")
-    _add_model(parser)
+    add_model(parser)
     _add_stimulus(parser)
     parser.add_argument("--starts", metavar="N", type=int, default=5, help="for each way of perceiving (5)")
     parser.add_argument(
@@ -69,13 +69,14 @@ def add_parsers(commands: Any) -> None:
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the starts (0)")
 
     parser = command("reconstruct", "whole objects from the walks that `servo` left", "where they are, and results go")
-    _add_model(parser)
+    add_model(parser)
     _add_stimulus(parser)
 
     text = "perception for a robot: frames in; unsheared image, pose and confidence out, a JSON line each"
     parser = commands.add_parser("stream", help=text, description=text)
     parser.add_argument("source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N")
-    _add_model(parser)
+    add_model(parser, SKIN)
+    add_like(parser)
     parser.add_argument("--fps", metavar="N", type=float, help="play a folder or video at this rate, as a camera would")
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="(float32)")
     parser.add_argument(
@@ -93,14 +94,19 @@ def add_parsers(commands: Any) -> None:
     )
 
 
-def _add_model(parser: argparse.ArgumentParser) -> None:
+def add_model(parser: argparse.ArgumentParser, default: Path = DEFAULT) -> None:
     parser.add_argument(
         "--model",
         metavar="DIR",
         type=Path,
-        default=DEFAULT,
-        help=f"a finished run (runs/demo), or released weights by name ({DEFAULT})",
+        default=default,
+        help=f"a finished run (runs/demo), or released weights by name ({default})",
     )
+
+
+def add_like(parser: argparse.ArgumentParser) -> None:
+    text = "contacts of the same sensor and camera, whose mean tells where pins stand (default: the frames themselves)"
+    parser.add_argument("--like", metavar="DIR", type=Path, help=text)
 
 
 def _add_stimulus(parser: argparse.ArgumentParser) -> None:
@@ -340,6 +346,7 @@ def _check_walks(file: Path, walks: "Walks", made: str) -> None:
 def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     import contextlib
 
+    from jaxunshear.applications.perceiver import frame_for
     from jaxunshear.applications.sources import frames_of, truth_of
     from jaxunshear.applications.stream import robot_of, stream
     from jaxunshear.infer import learnt_note
@@ -353,7 +360,10 @@ def _stream(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[st
     check_apart(arguments.lines, "--lines")
     check_apart(arguments.images, "--images")
     folder, experiment = model
-    robot = robot_of(folder, experiment, arguments.precision, arguments.way)
+    source = Path(arguments.source)
+    like = arguments.like or (source if source.is_dir() else None)
+    frame = frame_for(like, experiment) if like else None
+    robot = robot_of(folder, experiment, arguments.precision, arguments.way, frame)
     frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
     truth = truth_of(arguments.source, experiment)
     with contextlib.ExitStack() as stack:

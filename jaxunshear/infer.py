@@ -14,7 +14,7 @@ import numpy as np
 from jaxunshear.config import from_json
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import Experiment, over_pins
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.progress import Progress
@@ -54,17 +54,22 @@ def learnt_note(experiment: Experiment) -> str:
     )
 
 
-def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print, force: bool = False) -> dict[str, Any]:
+def unshear_recordings(
+    path: Path, model: Path, out: Path, log: Log = print, force: bool = False, like: Path | None = None
+) -> dict[str, Any]:
     """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`.
 
-    Returns what was measured, as rows; the time per image is that of a batch of BATCH, blanks that fill it up included, over BATCH.
+    `like` is a folder of contacts of the same sensor and camera, for a `path` that holds too few to know where pins stand. Returns what
+    was measured, as rows; the time per image is that of a batch of BATCH, blanks that fill it up included, over BATCH.
     Raises `UserError` where the model or every image cannot be read, where `out` lies among the recordings, or where the images are not
     of the model's sensor, unless `force`d.
     """
     model = model_folder(model)
     experiment = _settings_for(path, model)
     check_beside(path, out, "--out")
-    network = _perceiver(model, experiment, recorded_too=isinstance(experiment.paired, Recorded))
+    network = _perceiver(
+        model, experiment, over_pins(experiment) or isinstance(experiment.paired, Recorded), like or path
+    )
     recordings = _read(path, network.preprocess)
     understood = _Understood(recordings, network, force)
     targets = _targets(recordings.names)
@@ -101,7 +106,12 @@ def unshear_recordings(path: Path, model: Path, out: Path, log: Log = print, for
 
 
 def pose_of_recordings(
-    path: Path, model: Path, log: Log = print, note: Log | None = None, force: bool = False
+    path: Path,
+    model: Path,
+    log: Log = print,
+    note: Log | None = None,
+    force: bool = False,
+    like: Path | None = None,
 ) -> dict[str, Any]:
     """Logs, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
 
@@ -110,7 +120,7 @@ def pose_of_recordings(
     """
     model = model_folder(model)
     experiment = _settings_for(path, model)
-    network = _perceiver(model, experiment, recorded_too=True)
+    network = _perceiver(model, experiment, True, like or path)
     if not network.names:
         raise UserError(
             f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
@@ -242,10 +252,10 @@ class _Errors:
             log(f"mean error against the labels, {way}: {', '.join(parts)}")
 
 
-def _perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> "Perceiver":
-    from jaxunshear.applications.perceiver import perceiver
+def _perceiver(model: Path, experiment: Experiment, recorded_too: bool, like: Path) -> "Perceiver":
+    from jaxunshear.applications.perceiver import frame_for, perceiver
 
-    return perceiver(model, experiment, recorded_too)
+    return perceiver(model, experiment, recorded_too, frame_for(like, experiment))
 
 
 def _settings_for(path: Path, model: Path) -> Experiment:

@@ -42,6 +42,7 @@ MIRROR_IMAGES = (
     "edge",
     "surface",
 )  # of themselves, left and right of the target's normal
+TURNED = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
 SURFACE = "surface"  # the same wherever and however it is turned
 SCHEDULES = ("cosine", "steps")
 OPTIMISERS = ("adam", "muon")
@@ -447,15 +448,17 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
     yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"
     yield pins.noise_px >= 0, "pins.noise_px", "must not be below zero"
     yield 0 <= pins.turned <= 1, "pins.turned", "use a share from 0 to 1"
+    yield not pins.turned or over_pins(experiment), "pins.turned", "is for networks over pins: leave it at 0"
     yield (
-        not pins.turned or (over_pins(experiment) and recorded_of(experiment) is not None),
-        "pins.turned",
-        "is for networks over recorded pins: leave it at 0",
-    )
-    yield (
-        not pins.turned or "posenet_sheared" in trained(experiment),
+        not pins.turned or recorded_of(experiment) is None or "posenet_sheared" in trained(experiment),
         "pins.turned",
         "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
+    )
+    named = {text.partition(":")[0] for text in experiment.targets}
+    yield (
+        not pins.turned or recorded_of(experiment) is not None or (bool(named) and named <= TURNED),
+        "pins.turned",
+        f"turns touches about the sensor's axis, which leaves them these targets alone: {', '.join(sorted(TURNED))}",
     )
 
 

@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import orthogonal_procrustes
 
-from jaxunshear.dataset.preparing import to_found, to_image
+from jaxunshear.dataset.preparing import LIKE, Frame, frame_of_recordings, to_found, to_image
 from jaxunshear.dataset.recorded_reading import frame_from
+from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment, over_pins, simulated_of
@@ -36,7 +39,11 @@ from jaxunshear.training.checkpoint import check_finished, holds_model, load_bes
 from jaxunshear.training.examples import FRAME
 
 AS_RECORDED, UNSHEARED, LEARNT = "as_recorded", "unsheared", "learnt"  # learnt: by a PoseNet that learnt from slides
+EDGE = "edge_deg"  # the target that turns with the image
 NETWORKS = ("disentangled", "posenet", "posenet_sheared")
+
+
+Move = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
 
 
 class Answers(NamedTuple):
@@ -55,8 +62,9 @@ class Perceiver(NamedTuple):
     expected: Expected  # what its sensor looks like in prepared images
 
 
-def perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> Perceiver:
-    """The networks in the folder of a run. Poses of images as they are are read only where `recorded_too`. Raises UserError."""
+def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Frame | None = None) -> Perceiver:
+    """The networks in the folder of a run. Poses of images as they are are read only where `recorded_too`. `frame` says where pins stand
+    in the images that are to be read; networks over simulated pins need it. Raises UserError."""
     keep_freed_memory()
     wanted = [name for name in NETWORKS if holds_model(model / name)]
     if not isinstance(experiment.paired, Recorded):
@@ -74,7 +82,13 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> Percei
     names = names_of(targets[reads[0]]) if reads else ()
     run = ready(partial(_look, nets, targets, recorded_too), variables)
     if over_pins(experiment):
-        return _of_pins(model, experiment, run, names)
+        if isinstance(experiment.paired, Recorded):
+            frame, rest = frame_from(read_json(model / FRAME)), None
+        else:
+            rest = np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
+        if frame is None:
+            raise UserError(f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE}")
+        return _of_pins(experiment, run, names, frame, rest, expected_by(model, experiment))
     view = None
     if isinstance(experiment.paired, Recorded):
         view = frame_from(read_json(model / FRAME)).view
@@ -84,6 +98,14 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool) -> Percei
         return Answers(None if after is None else after[..., 0], _in_order(poses, names), np.ones(len(images), bool))
 
     return Perceiver(experiment.paired.preprocess, view, names, answer, expected_by(model, experiment))
+
+
+def frame_for(path: Path, experiment: Experiment) -> Frame | None:
+    """Where pins stand in recordings at `path`, for networks over simulated pins; None for others, which know. Raises UserError."""
+    if isinstance(experiment.paired, Recorded) or not over_pins(experiment):
+        return None
+    preprocess = experiment.paired.preprocess
+    return frame_of_recordings(read_recordings(path, preprocess), preprocess, experiment.sensor)
 
 
 def expected_by(model: Path, experiment: Experiment) -> Expected:
@@ -121,19 +143,49 @@ def _in_order(poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]) -
     return {way: {name: pose[name] for name in names} for way, pose in poses.items()}
 
 
-def _of_pins(model: Path, experiment: Experiment, run: Any, names: tuple[str, ...]) -> Perceiver:
-    """Pins are found and followed first; what comes out is drawn as dots."""
-    frame = frame_from(read_json(model / FRAME))
+def _of_pins(
+    experiment: Experiment,
+    run: Any,
+    names: tuple[str, ...],
+    frame: Frame,
+    rest: np.ndarray | None,
+    expected: Expected,
+) -> Perceiver:
+    """Pins are found and followed first; what comes out is drawn as dots. `rest` (P, 2) px are the places of pins that the networks know,
+    where these are not the frame's."""
     lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+    there, back, degrees = _between(frame.place, frame.place if rest is None else rest)
 
     def answer(images: np.ndarray) -> Answers:
         tracks = [follow_pins(lattice, look(image)) for image in images]
         sure = np.array([track.sure for track in tracks])
         motion = np.array([track.motion for track in tracks])
         pins = to_image(frame, lattice.place + np.where(sure[:, None, None], motion, np.nan))
-        after, poses = jax.device_get(run(pins.astype(np.float32)))
-        drawn = None if after is None else np.asarray(dots(after, frame.radius_px, frame.size))[..., 0]
+        after, poses = jax.device_get(run(there(pins).astype(np.float32)))
+        drawn = (
+            None if after is None else np.asarray(dots(jnp.asarray(back(after)), frame.radius_px, frame.size))[..., 0]
+        )
+        for pose in poses.values():
+            if EDGE in pose:
+                pose[EDGE] = 180 - (180 - pose[EDGE] - degrees) % 360
         return Answers(drawn, _in_order(poses, names), sure)
 
     preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
-    return Perceiver(preprocess, frame.view, names, answer, expected_by(model, experiment))
+    return Perceiver(preprocess, frame.view, names, answer, expected)
+
+
+def _between(here: np.ndarray, known: np.ndarray) -> tuple[Move, Move, float]:
+    """From pins (B, P, 2) px that stand at `here` (P, 2) to those that stand at `known`, back again, and by how many degrees the former
+    are turned against the latter: pins' motions are turned and scaled as the two lattices are."""
+    centred, target = here - here.mean(axis=0), known - known.mean(axis=0)
+    turn, scale = orthogonal_procrustes(centred, target)
+    scale = scale / np.square(centred).sum()
+    degrees = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
+
+    def there(pins: np.ndarray) -> np.ndarray:
+        return known + scale * (pins - here) @ turn
+
+    def back(pins: np.ndarray) -> np.ndarray:
+        return here + (pins - known) @ turn.T / scale
+
+    return there, back, degrees

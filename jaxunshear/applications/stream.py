@@ -19,10 +19,11 @@ from jax import Array
 from jaxunshear.applications.perceiver import UNSHEARED, expected_by, perceiver
 from jaxunshear.applications.perception import Look, read_look
 from jaxunshear.applications.sources import Frame
+from jaxunshear.dataset.preparing import Frame as PinFrame
 from jaxunshear.dataset.recordings import PROBES
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import Experiment, over_pins
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
 from jaxunshear.image.settings import Preprocess
@@ -46,13 +47,19 @@ class Robot(NamedTuple):
     expected: Expected | None = None  # what its sensor looks like: confidence falls to nothing for what looks otherwise
 
 
-def robot_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Robot:
+def robot_of(
+    model: Path,
+    experiment: Experiment,
+    precision: str = "float32",
+    way: str = "disentangled",
+    frame: PinFrame | None = None,
+) -> Robot:
     """A model made ready for a stream, compiled already. `way` is one of perception's that unshear; of a model that learnt from recordings
-    it is its own. Raises UserError."""
-    if not isinstance(experiment.paired, Recorded):
+    or reads pins it is its own. `frame` as `perceiver` takes it. Raises UserError."""
+    if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
         step = step_of(model, experiment, precision, way)
         return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment))
-    perceive = perceiver(model, experiment, recorded_too=False)
+    perceive = perceiver(model, experiment, recorded_too=False, frame=frame)
     size = perceive.preprocess.size
 
     def step_on(image: np.ndarray) -> tuple[np.ndarray | None, dict[str, float], float]:

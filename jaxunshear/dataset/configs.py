@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.dataset.settings import PairedData, PoseData, Recorded
+from jaxunshear.dataset.settings import PairedData, PoseData, Ranges, Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
@@ -30,6 +30,10 @@ FITTED_256: dict[str, Any] = FITTED | {
     "camera": replace(FITTED_CAMERA, frame_px=256),
     "preprocess": Preprocess(size=256),
 }
+SKIN: dict[str, Any] = FITTED | {  # touches as recordings of an edge have them
+    "stimuli": ("edge", "disk", "clover", "teardrop"),
+    "ranges": Ranges(lateral_mm=6.0, yaw_deg=180.0, depth_min_mm=0.7, depth_max_mm=4.2, move_mm=5.0),
+}
 
 PAIRED = {
     "tiny": PairedData(config="tiny", poses=10),
@@ -37,6 +41,7 @@ PAIRED = {
     "calibrated": PairedData(config="calibrated", **FITTED),
     "standard": PairedData(config="standard", poses=1200, **FITTED),
     "best": PairedData(config="best", poses=9000, **FITTED),
+    "skin": PairedData(config="skin", poses=750, **SKIN),
     "paper_short": PairedData(
         config="paper_short",
         poses=1200,
@@ -65,6 +70,7 @@ POSE = {
     "calibrated": PoseData(config="calibrated", **FITTED),
     "standard": PoseData(config="standard", poses=3000, **FITTED),
     "best": PoseData(config="best", poses=18000, **FITTED),
+    "skin": PoseData(config="skin", poses=1000, **SKIN),
     "paper_short": PoseData(
         config="paper_short",
         poses=3000,

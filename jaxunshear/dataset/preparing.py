@@ -6,7 +6,9 @@ training frames alone. A killed run goes on where it stopped, to the same bits.
 
 import io
 import os
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -16,7 +18,7 @@ import numpy as np
 
 from jaxunshear.dataset.chunks import load_chunk, pack, unpack
 from jaxunshear.dataset.recorded import LARGEST_PX, Contacts, common_view, probes_of
-from jaxunshear.dataset.recordings import read_image
+from jaxunshear.dataset.recordings import Recordings, read_image
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
@@ -27,6 +29,8 @@ from jaxunshear.storage import write_bytes
 
 CHUNK = 250  # frames in a file
 NOTHING = np.zeros((0, 1), np.uint8)
+LEAST_FRAMES = 20  # contacts whose mean tells where pins stand
+LIKE = "name a folder of contacts of the same sensor and camera by --like"
 LATTICE_FRAMES = 60  # training frames that the untouched pins are found from
 
 
@@ -44,27 +48,49 @@ class Frame(NamedTuple):
 
 def frame_of(contacts: Contacts, settings: Recorded, sensor: Sensor) -> Frame:
     """From training frames, taps if there are any. Raises UserError where they do not show pins of this sensor."""
-    from jaxunshear.image.fitting import fit_lattice, layout_of
-    from jaxunshear.image.pins import look
-    from jaxunshear.image.preprocess import prepare_frame
-
     view = common_view(contacts, settings.preprocess)
     size = min(LARGEST_PX, *read_image(contacts.files[probes_of(contacts)[0]]).shape[:2])
     train = np.flatnonzero(contacts.split == SPLITS.index("train"))
     taps = train[~contacts.slid[train]]
-    rows = taps if len(taps) else train
-    rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(LATTICE_FRAMES, len(rows))).round().astype(int))]
+    files = [contacts.files[row] for row in (taps if len(taps) else train)]
+    return frame_of_files(files, view, size, settings.preprocess, sensor)
+
+
+def frame_of_recordings(recordings: Recordings, preprocess: Preprocess, sensor: Sensor) -> Frame:
+    """Of a folder whose contacts nothing is known of. Raises UserError where it holds too few images, or not of this sensor."""
+    files = recordings.files
+    if len(files) < LEAST_FRAMES:
+        raise UserError(
+            f"{recordings.path} holds {len(files)} images; the mean over {LEAST_FRAMES} contacts or more tells where pins stand: {LIKE}"
+        )
+    view = recordings.common_view()
+    if view.box is None:
+        raise UserError(f"{recordings.path}: its images have no crop in common: name one folder of one camera")
+    for file in files:
+        with suppress(UserError):
+            size = min(LARGEST_PX, *read_image(file).shape[:2])
+            return frame_of_files(list(files), view, size, preprocess, sensor)
+    raise UserError(f"none of {len(files)} images in {recordings.path} can be read")
+
+
+def frame_of_files(files: Sequence[Path], view: Any, size: int, preprocess: Preprocess, sensor: Sensor) -> Frame:
+    """From up to LATTICE_FRAMES of the files, evenly spaced, seen at `size` px."""
+    from jaxunshear.image.fitting import fit_lattice, layout_of
+    from jaxunshear.image.pins import look
+    from jaxunshear.image.preprocess import prepare_frame
+
+    rows = np.unique(np.linspace(0, len(files) - 1, min(LATTICE_FRAMES, len(files))).round().astype(int))
     found = []
     for row in rows:
         try:
-            found.append(look(prepare_frame(_at(settings.preprocess, size), read_image(contacts.files[row]), view)))
+            found.append(look(prepare_frame(_at(preprocess, size), read_image(files[row]), view)))
         except UserError:
             continue  # told when all frames are read
     lattice = fit_lattice([each.pins for each in found], layout_of(sensor))
-    scale = settings.preprocess.size / size
+    scale = preprocess.size / size
     place = (lattice.place + 0.5) * scale - 0.5
     radius = scale * float(np.median([each.radius for each in found]))
-    return Frame(view, place, lattice.shell, scale * lattice.spacing, radius, settings.preprocess.size, size)
+    return Frame(view, place, lattice.shell, scale * lattice.spacing, radius, preprocess.size, size)
 
 
 def prepare(

@@ -37,7 +37,7 @@ def _rows(results: dict[str, Any], table: str, metrics: dict[str, Any], prefix: 
     metric = metrics.get(table, table)
     return [
         _row(f"{prefix}{table}.{kind}.{column}", value, _unit(table, column), metric)
-        for kind, columns in results[table].items()
+        for kind, columns in results.get(table, {}).items()
         for column, value in columns.items()
         if not isinstance(value, str)
     ]

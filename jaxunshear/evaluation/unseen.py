@@ -34,9 +34,7 @@ def score_recordings(
     """Results in the form of results.json. Raises UserError where the run is about simulated touches, or nothing can be read or scored."""
     settings = recorded_of(experiment)
     if settings is None:
-        raise UserError(
-            f"{run_dir} learnt from simulated touches: `jaxunshear unshear` and `pose` take recordings there"
-        )
+        raise UserError(f"{run_dir} learnt from simulated touches: applications/transfer.py scores these")
     started = time.perf_counter()
     for network in experiment.networks:
         check_finished(run_dir / network)

@@ -54,7 +54,9 @@ class PinNet:
     hidden: int = 256
     layers: int = 3
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
-    turned: float = 0.0  # share of posenet_sheared's examples that are turned about the sensor's axis
+    # share of the examples that are turned about the sensor's axis: of recorded ones posenet_sheared's; of simulated ones all networks',
+    # and these are dragged further or less, and seen by another camera, too
+    turned: float = 0.0
     pose_code: int = 16  # numbers in z_p
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
 
@@ -66,7 +68,7 @@ def without_pin_codes(net: PinNet) -> PinNet:
 
 
 def without_turns(net: PinNet) -> PinNet:
-    """`net` with what only posenet_sheared uses at its default."""
+    """`net` with nothing turned: what only training reads."""
     return replace(net, turned=PinNet.turned)
 
 

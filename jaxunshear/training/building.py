@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxunshear.errors import UserError
@@ -26,6 +27,7 @@ from jaxunshear.model.unshearnet import as_large_entangled
 from jaxunshear.targets import fields_of
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
+from jaxunshear.training.drawing import drawing_of
 from jaxunshear.training.examples import Examples, spread_of
 from jaxunshear.training.origin import check_origin
 from jaxunshear.training.settings import labelled
@@ -38,28 +40,47 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
     weighed = ("weight",) if recorded_of(experiment) and network not in POSENETS and network != RENDERER else ()
     if network == RENDERER or over_pins(experiment):
-        field = {"posenet": "pins", TEACHER: "pins", RENDERER: "pins"}.get(network, "sheared_pins")
-        known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
-        net = asdict(without_turns(experiment.pins))
-        plain = asdict(without_pin_codes(without_turns(experiment.pins)))
-        sure = ("sure",) if recorded_of(experiment) else ()  # simulated pins are all known
-        if network == RENDERER:
-            return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
-        if network in POSENETS:
-            turned = experiment.pins.turned if network == "posenet_sheared" else 0.0
-            turns = _turns(examples) if turned else None
-            reader = PinPoseNet(**plain | {"turned": turned})
-            return pin_tasks.pin_posenet_task(reader, training, *known, turns), (field, *sure, *labels)
-        codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
-        teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
-        named = ("canonical_pins", "sheared_pins", *sure, *weighed, *(labels if labelled(training) else ()))
-        return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
+        task, fields = _over_pins(experiment, network, examples, folder, weighed)
+        share = 0.0 if recorded_of(experiment) else experiment.pins.turned
+        return _drawn(task, examples, share) if share else task, fields
     if network in POSENETS:
         seen = "sheared" if network == "posenet_sheared" else "image"
         return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
     teacher = _teacher(experiment, folder, posenet.predict) if training.pose_weight else None
     task = tasks.unshear_task(unshear_net(experiment.unshear, network), training, teacher, targets)
     return task, ("canonical", "sheared", *weighed, *(labels if labelled(training) else ()))
+
+
+def _over_pins(
+    experiment: Experiment, network: str, examples: Examples, folder: Path, weighed: tuple[str, ...]
+) -> tuple[Task, tuple[str, ...]]:
+    training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
+    field = {"posenet": "pins", TEACHER: "pins", RENDERER: "pins"}.get(network, "sheared_pins")
+    known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
+    net = asdict(without_turns(experiment.pins))
+    plain = asdict(without_pin_codes(without_turns(experiment.pins)))
+    sure = ("sure",) if recorded_of(experiment) else ()  # simulated pins are all known
+    if network == RENDERER:
+        return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
+    if network in POSENETS:
+        turned = experiment.pins.turned if network == "posenet_sheared" and recorded_of(experiment) else 0.0
+        turns = _turns(examples) if turned else None
+        reader = PinPoseNet(**plain | {"turned": turned})
+        return pin_tasks.pin_posenet_task(reader, training, *known, turns), (field, *sure, *labels)
+    codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
+    teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
+    named = ("canonical_pins", "sheared_pins", *sure, *weighed, *(labels if labelled(training) else ()))
+    return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
+
+
+def _drawn(task: Task, examples: Examples, share: float) -> Task:
+    """The same task on simulated pins that are drawn as another sensor would show them."""
+    draw = drawing_of(examples.pins.rest, share)
+
+    def terms(variables, batch, key):
+        return task.terms(variables, draw(batch, jax.random.fold_in(key, 2)), key)
+
+    return dataclasses.replace(task, terms=terms)
 
 
 def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:

@@ -27,15 +27,11 @@ from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.sensor import Sensor
 from jaxunshear.storage import write_bytes
+from jaxunshear.training.drawing import FOLLOW, SHIFTED, TURNED_DEG
 
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
 TWIST_DEG = 5.0  # about all three axes
 FRICTION = (0.25, 0.55)  # fits to recordings gave .34 to .50
-FOLLOW = (0.5, 2.5)  # times the simulated motion: recorded pins went 1.5 times as far
-TURNED_DEG, SHIFTED = (
-    4.0,
-    0.065,
-)  # standard deviations between the days of taps and of slides; the latter in the pins' spacing
 DRAWN = 4  # slides to each tap, of one simulated motion
 CHUNK = 250  # contacts in a file
 VERSION = 1  # raise it whenever the same taps give other slides

@@ -18,7 +18,6 @@ from jaxunshear.dataset.recorded_reading import Drag, Read, RecordedSet, Render,
 from jaxunshear.dataset.settings import RENDERED, PairedData, PoseData
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import RENDERER, TEACHER, Experiment, learnt_from, over_pins, recorded_of
-from jaxunshear.image.framing import undeformed
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.targets import RECORDED, Targets, of_ranges
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
@@ -32,7 +31,7 @@ FRAME = "frame.json"  # in a run's folder: what the frames of its sensor have in
 class Pins(NamedTuple):
     """What networks over pins must know of a sensor's images."""
 
-    rest: np.ndarray  # (P, 2) px, untouched
+    rest: np.ndarray  # (P, 2) px: the mean place over training taps
     radius_px: float
     size: int  # of the images, px
 
@@ -100,6 +99,11 @@ def spread_of(reader: Reader, field: str, rest: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(np.square(pins - rest))))
 
 
+def _mean_place(reader: Reader, field: str) -> np.ndarray:
+    """(P, 2) px: where pins stand in the mean of training taps, as of recordings, whose untouched pins nobody recorded."""
+    return reader.take("train", np.arange(reader.length("train")), (field,))[field].mean(axis=0, dtype=np.float64)
+
+
 def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples:
     settings = learnt_from(experiment, network)
     assert isinstance(settings, PairedData | PoseData)
@@ -107,7 +111,7 @@ def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples
     size, camera = settings.preprocess.size, settings.camera
     rest = np.zeros((0, 2), np.float32)
     if over_pins(experiment):
-        rest = undeformed(experiment.sensor, camera, settings.preprocess).place.astype(np.float32)
+        rest = _mean_place(reader, "canonical_pins" if isinstance(settings, PairedData) else "pins")
     radius = experiment.sensor.pin_radius_mm * size / camera.mm_across
     targets = of_ranges(experiment.targets, settings.ranges)
     return Examples(reader, targets, Pins(rest, radius, size), reader.length("train"))

@@ -1,0 +1,27 @@
+"""Claim: networks that learnt in simulation alone take most of a slide's turn out of recorded pins.
+
+    jaxunshear run experiments/skin.py
+    jaxunshear evaluate runs/skin --recordings DIR
+
+Over pins: of an edge and of three shapes, touched by the fitted sensor, drawn as other sensors, cameras and days would show them
+(`--pins.turned`). The weights `skin`, which `unshear`, `pose` and `stream` take where none are named, come from it.
+
+Expected on two cores: 8 minutes to simulate, 5 to train; docs/results/skin.json for its score on recordings of a real edge.
+"""
+
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.experiment import PINS, Experiment
+from jaxunshear.model.settings import PinNet, UnshearNet
+
+experiment = Experiment(
+    name="skin",
+    claim="Networks that learnt in simulation alone take most of a slide's turn out of recorded pins.",
+    networks=("disentangled", "posenet"),
+    targets=("edge_mm", "edge_deg:circle", "depth_mm"),
+    sensor=sensor_of("skin"),
+    paired=PAIRED["skin"],
+    pose=POSE["skin"],
+    unshear=UnshearNet(input="pins"),
+    pins=PinNet(noise_px=0.3, turned=1.0),
+    train_pins=PINS,
+)

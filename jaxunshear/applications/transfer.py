@@ -1,0 +1,180 @@
+"""Networks that learnt in simulation, scored on recordings of an edge: from simulation to skin.
+
+>>> results = score_transfer(experiment, Path("weights"), Path("recordings"), command)
+>>> results["pose_mae"]["unsheared"]["Rz_deg"]
+
+What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, tell how
+it goes with the labels: a sign and an offset each. The other half is scored, and every slide; nothing is fitted to slides.
+"""
+
+import time
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, perceiver
+from jaxunshear.dataset.digests import digest_of
+from jaxunshear.dataset.preparing import LEAST_FRAMES, frame_of
+from jaxunshear.dataset.recorded import Contacts, common_view, everything
+from jaxunshear.dataset.recordings import read_image
+from jaxunshear.dataset.settings import Recorded
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.measurements import rounded
+from jaxunshear.experiment import Experiment, over_pins, simulated_of
+from jaxunshear.image.preprocess import prepare_frame
+from jaxunshear.image.understood import ENOUGH, plausibility
+from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.pose import pose_errors
+from jaxunshear.progress import Progress
+from jaxunshear.targets import RECORDED, STILL
+
+BATCH = 32
+SEED = 0  # of the taps that tell how readings and labels go together
+READS = {"x_mm": "edge_mm", "y_mm": "edge_mm", "z_mm": "depth_mm", "Rz_deg": "edge_deg"}  # what goes with a label
+
+
+class Aligned(NamedTuple):
+    """label = sign * reading + offset."""
+
+    reads: str
+    sign: int
+    offset: float
+
+    def __call__(self, poses: dict[str, np.ndarray]) -> np.ndarray:
+        return self.sign * poses[self.reads] + self.offset
+
+
+def score_transfer(experiment: Experiment, model: Path, recordings: Path, command: str) -> dict[str, Any]:
+    """Results in the names of results.json. Raises UserError where the recordings hold no labelled taps and slides of one edge."""
+    started = time.perf_counter()
+    paired, _ = simulated_of(experiment, "this")
+    settings = Recorded(str(recordings), str(recordings), digest_of((str(recordings),)), preprocess=paired.preprocess)
+    contacts = everything(settings)
+    contacts = contacts.take(np.flatnonzero(np.isfinite(contacts.pose).all(axis=1)))
+    taps, slides = (contacts.take(np.flatnonzero(contacts.slid == slid)) for slid in (False, True))
+    for kind, found in (("taps", taps), ("slides", slides)):
+        if len(found.files) < LEAST_FRAMES:
+            raise UserError(
+                f"{recordings} holds {len(found.files)} labelled {kind}: at least {LEAST_FRAMES} are needed to score by"
+            )
+    told = np.random.default_rng(SEED).random(len(taps.files)) < 0.5
+    of_taps, of_slides = (_read(experiment, model, settings, *kind) for kind in ((taps, "taps"), (slides, "slides")))
+    known = _of(of_taps[AS_RECORDED], told)
+    if UNSHEARED not in of_slides:
+        raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
+    aligned = {name: aligned_with(name, known, taps.pose[told]) for name in scored(known, taps.pose[told])}
+    ways = {
+        "tap": (_of(of_taps[AS_RECORDED], ~told), taps.pose[~told]),
+        "sheared": (of_slides[AS_RECORDED], slides.pose),
+        "unsheared": (of_slides[UNSHEARED], slides.pose),
+    }
+    mae = {way: _errors(aligned, poses, labels) for way, (poses, labels) in ways.items()}
+    unread = [int(np.isnan(next(iter(of[AS_RECORDED].values()))).sum()) for of in (of_taps, of_slides)]
+    results = {
+        "experiment": experiment.name,
+        "trained_in": model.name,
+        "metric": {
+            "pose_mae": "mean absolute error of a PoseNet that learnt from simulated taps, sign and offset of each reading by half of the "
+            "recorded taps",
+            "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
+        },
+        "targets": [{"name": name} for name in aligned],
+        "aligned": {name: each._asdict() for name, each in aligned.items()},
+        "pose_mae": mae,
+        "pose_recovery": {"unsheared": _recovery(mae)},
+        "counts": {
+            "told_taps": int(told.sum()),
+            "test_taps": int((~told).sum()),
+            "test_poses": len(slides.files),
+            "unread_taps": unread[0],
+            "test_unsure": unread[1],
+        },
+        "tests": {},
+        "ms_per_image": {},
+        "time_s": {"evaluate": time.perf_counter() - started},
+        "machine": machine(),
+        "versions": versions(),
+        "command": command,
+    }
+    return rounded(results)
+
+
+def scored(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
+    """The labels (N, 6) that vary and that something was read for. Raises UserError where both x and y vary: an edge leaves one open."""
+    columns = {name: labels[:, column] for name, (_, column) in RECORDED.items()}
+    names = tuple(n for n, reads in READS.items() if reads in readings and np.ptp(columns[n]) > STILL)
+    if not names or {"x_mm", "y_mm"} <= set(names):
+        raise UserError("these labels are not of a straight edge, across which x or y varies: only such can be scored")
+    return names
+
+
+def aligned_with(name: str, readings: dict[str, np.ndarray], labels: np.ndarray) -> Aligned:
+    """By the taps (N,) that could be read: the sign with the least scatter, and the median offset, of an angle the mean direction."""
+    reads, column = READS[name], RECORDED[name][1]
+    read, label = readings[reads], labels[:, column]
+    fine = np.isfinite(read)
+    if not fine.any():
+        raise UserError("no tap could be read: these are not images of the model's sensor")
+    found = []
+    for sign in (1, -1):
+        rest = label[fine] - sign * read[fine]
+        if name.endswith("_deg"):
+            mean = np.mean(np.exp(1j * np.radians(rest)))
+            found.append((1 - abs(mean), Aligned(reads, sign, float(np.degrees(np.angle(mean))))))
+        else:
+            found.append((float(np.std(rest)), Aligned(reads, sign, float(np.median(rest)))))
+    return min(found, key=lambda each: each[0])[1]
+
+
+def _read(
+    experiment: Experiment, model: Path, settings: Recorded, contacts: Contacts, kind: str
+) -> dict[str, dict[str, np.ndarray]]:
+    """Poses by way and quantity, (N,) each, NaN where a contact could not be read."""
+    contacts = contacts._replace(
+        split=np.zeros(len(contacts.files), int)
+    )  # all alike: whoever looks for training frames finds them
+    frame = frame_of(contacts, settings, experiment.sensor) if over_pins(experiment) else None
+    network = perceiver(model, experiment, True, frame)
+    view = network.view or common_view(contacts, network.preprocess)
+    found: dict[str, dict[str, np.ndarray]] = {}
+    size = network.preprocess.size
+    with Progress(f"read {kind}", len(contacts.files), "frames") as progress:
+        for start in range(0, len(contacts.files), BATCH):
+            files = contacts.files[start : start + BATCH]
+            images, fine = np.zeros((BATCH, size, size), np.uint8), np.zeros(BATCH, bool)
+            for i, file in enumerate(files):
+                try:
+                    images[i] = prepare_frame(network.preprocess, read_image(file), view)
+                    fine[i] = plausibility(images[i], network.expected) >= ENOUGH
+                except UserError:
+                    continue  # counted as not read
+            answers = network.answer(images)
+            fine &= answers.sure
+            for way, poses in answers.poses.items():
+                for name, values in poses.items():
+                    whole = found.setdefault(way, {}).setdefault(name, np.full(len(contacts.files), np.nan))
+                    whole[start : start + len(files)] = np.where(fine, values, np.nan)[: len(files)]
+            progress.advance(len(files))
+    if not found:
+        raise UserError(f"{model} holds no trained PoseNet: what it reads off recordings is what is scored")
+    return found
+
+
+def _of(poses: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: values[rows] for name, values in poses.items()}
+
+
+def _errors(aligned: dict[str, Aligned], poses: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:
+    fine = np.isfinite(next(iter(poses.values())))
+    if not fine.any():
+        return dict.fromkeys(aligned, float("nan"))
+    found = {name: each(_of(poses, fine)) for name, each in aligned.items()}
+    true = {name: labels[fine, RECORDED[name][1]] for name in aligned}
+    return {name: float(error.mean()) for name, error in pose_errors(found, true).items()}
+
+
+def _recovery(mae: dict[str, dict[str, float]]) -> dict[str, float | None]:
+    """None where a slide spoils nothing."""
+    lost = {name: mae["sheared"][name] - mae["tap"][name] for name in mae["tap"]}
+    return {n: (mae["sheared"][n] - mae["unsheared"][n]) / by if by > 0 else None for n, by in lost.items()}

@@ -1,0 +1,66 @@
+"""Simulated pins as another sensor, camera and day would show them: networks that learn from these work on real skin.
+
+draw = drawing_of(rest, share)       # rest (P, 2) px
+batch = draw(batch, key)             # {"pins"}, or {"canonical_pins", "sheared_pins"} (B, P, 2) px, and {"edge"}
+
+The dome is the same all round, so a whole batch is turned about its axis by one angle, the edge's direction with it. How far a slide
+drags the pins is drawn for each contact: friction and stiffness of an unknown skin. So is how the sensor stands before its camera;
+canonical pins keep their places, so that unshearing takes these away as well.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.spatial import cKDTree
+
+from jaxunshear.training.turning import ANGLES, Turns, turned, turns_of
+
+FOLLOW = (0.5, 2.5)  # times the simulated motion of a slide: recorded pins went 1.5 times as far
+TURNED_DEG, SHIFTED = 4.0, 0.065  # standard deviations of the camera's place; the latter in the pins' spacing
+
+Batch = dict[str, Any]
+
+
+def drawing_of(rest: np.ndarray, share: float) -> Callable[[Batch, Array], Batch]:
+    """Draws `share` of all batches anew; the others are as the simulator gave them."""
+    turns = turns_of(rest, 1)
+    spacing_px = float(np.median(cKDTree(rest).query(rest, k=2)[0][:, 1]))
+
+    def draw(batch: Batch, key: Array) -> Batch:
+        chance, angle, follow, camera = jax.random.split(key, 4)
+        k = jax.random.randint(angle, (), 0, ANGLES)
+        drawn = batch | _turned(turns, k, batch)
+        if "sheared_pins" in drawn and "canonical_pins" in drawn:
+            tap, slide = drawn["canonical_pins"], drawn["sheared_pins"]
+            times = jax.random.uniform(follow, (len(tap), 1, 1), tap.dtype, *FOLLOW)
+            drawn["sheared_pins"] = tap + times * (slide - tap)
+        seen = "sheared_pins" if "sheared_pins" in drawn else "pins"
+        drawn[seen] = _before_camera(turns.rest, drawn[seen], spacing_px, camera)
+        some = jax.random.uniform(chance) < share
+        return {name: jnp.where(some, drawn[name], value) for name, value in batch.items()}
+
+    return draw
+
+
+def _turned(turns: Turns, k: Array, batch: Batch) -> Batch:
+    """All pins of a batch turned by angle `k`, and the edge's direction, degrees in (-180, 180]."""
+    after = {name: turned(turns, k, batch[name]) for name in batch if name.endswith("pins")}
+    if "edge" in batch:
+        degrees = batch["edge"][:, 1] + jnp.degrees(turns.radians[k])
+        after["edge"] = jnp.stack([batch["edge"][:, 0], 180 - (180 - degrees) % 360], -1)
+    return after
+
+
+def _before_camera(rest: Array, pins: Array, spacing_px: float, key: Array) -> Array:
+    """Pins (B, P, 2) px of sensors that stand turned and shifted before their camera, each by its own."""
+    angle, shift = jax.random.split(key)
+    radians = jnp.radians(TURNED_DEG) * jax.random.normal(angle, (len(pins), 1))
+    cosine, sine = jnp.cos(radians), jnp.sin(radians)
+    middle = rest.mean(axis=0)
+    x, y = jnp.moveaxis(pins - middle, -1, 0)
+    moved = jnp.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+    return middle + moved + SHIFTED * spacing_px * jax.random.normal(shift, (len(pins), 1, 2))
