@@ -48,10 +48,14 @@ def learnt_note(experiment: Experiment) -> str:
             f"These networks learnt from recordings of one sensor of {experiment.sensor.pins} pins{share}: another sensor, another "
             "object or another camera is another matter; score them with `jaxunshear evaluate RUN_DIR --recordings DIR`."
         )
-    return (
-        f"These networks have seen simulated touches only (sensor {experiment.sensor.name}, {', '.join(experiment.paired.stimuli)}). Real "
-        "slides read worse through the released ones than as they are: learn from your own with `jaxunshear fit`."
-    )
+    seen = f"These networks have seen simulated touches only (sensor {experiment.sensor.name}, {', '.join(experiment.paired.stimuli)})"
+    if over_pins(experiment) and experiment.pins.turned:
+        return (
+            f"{seen}, drawn as other sensors and cameras would show them. What they read has a zero and a sense of its own, which a few "
+            "labelled taps tell (`jaxunshear evaluate MODEL --recordings DIR`); more exact are networks that learn from your own "
+            "(`jaxunshear fit`)."
+        )
+    return f"{seen}: for recordings take the weights `skin`, or learn from your own with `jaxunshear fit`."
 
 
 def unshear_recordings(

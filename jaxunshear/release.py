@@ -22,6 +22,13 @@ PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none i
 ORIGINS = ("origin", "taken_over", "start")  # what they learnt from goes with the weights
 NEEDED = ("disentangled", "posenet")
 CARD = "README.md"
+READ = {  # columns of a simulated model's card
+    "edge_mm": "edge distance, mm",
+    "edge_deg": "edge angle, deg",
+    "x_mm": "x, mm",
+    "yaw_deg": "yaw, deg",
+    "depth_mm": "depth, mm",
+}
 
 
 def release(run_dir: Path, out: Path) -> Path:
@@ -136,19 +143,21 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
     settings, metric = results["settings"], results["metric"]
     paired, pose, sensor = settings["paired"], settings["pose"], settings["sensor"]["name"]
     shapes = ", ".join(paired["stimuli"])
+    given = settings["unshear"]["input"]
+    columns = {q: text for q, text in READ.items() if q in results["pose_mae"]["tap"]}
     lines = [
         f"# {name}",
         "",
         f"{settings['claim']}",
         "",
-        "Networks for images of a soft optical tactile sensor: Disentangled UnshearNet (encoder, pose code, canonical decoder), "
+        f"Networks for {given} of a soft optical tactile sensor: Disentangled UnshearNet (encoder, pose code, canonical decoder), "
         "which turns a sheared image into the one that a tap would give, and a PoseNet, which learnt from taps alone. Beside them, "
         "where there is a folder of the name, their rivals: `entangled`, with one code, and `posenet_sheared`, which learnt poses "
         "from slides. Kernels are stored as float16; the figures below are of the network as trained.",
         "",
         f"    jaxunshear unshear RECORDINGS --model {name} --out unsheared",
         f"    jaxunshear pose RECORDINGS --model {name}",
-        f"    jaxunshear servo --stimulus disk --model {name}",
+        *([] if given == "pins" else [f"    jaxunshear servo --stimulus disk --model {name}"]),
         "",
         f"* **Learnt from** simulated touches only: sensor `{sensor}`, shapes {shapes}; {results['counts']['train']} pairs "
         f"and three fifths of {pose['poses'] * len(pose['stimuli'])} taps, the others put aside to validate and to test; images of "
@@ -158,19 +167,21 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
         f"* **Poses** within {paired['ranges']['lateral_mm']:g} mm, {paired['ranges']['yaw_deg']:g} deg, depths "
         f"{paired['ranges']['depth_min_mm']:g} to {paired['ranges']['depth_max_mm']:g} mm; slides up to "
         f"{paired['ranges']['move_mm']:g} mm along each axis. Beyond them nothing is known.",
-        "* **Not measured**: any real sensor. Real images differ from simulated ones (see the documentation of the simulator).",
+        f"* **On recordings** of an edge: `jaxunshear evaluate {name} --recordings DIR` measures it."
+        if given == "pins"
+        else "* **Not measured**: any real sensor. Real images differ from simulated ones (see the documentation of the simulator).",
         f"* **Seed** {results['seeds']['experiment']}; made by `{results['command']}`.",
         "",
         f"Measured on {results['counts']['test']} simulated slides at {results['counts']['test_poses']} poses kept out of training:",
         "",
-        f"| image | {metric['ms_ssim']} to the tap | edge distance, mm | edge angle, deg | x, mm | yaw, deg |",
-        "| --- | --- | --- | --- | --- | --- |",
+        f"| image | {metric['ms_ssim']} to the tap | {' | '.join(columns.values())} |",
+        "| --- | --- |" + " --- |" * len(columns),
     ]
     headed = [kind for kind in (LEARNT_CODE, LEARNT_BOTH) if kind in results["pose_mae"]]
     for kind in ("tap", "sheared", "disentangled", *headed):
         errors = results["pose_mae"].get(kind, {})
         likeness = results["ms_ssim"].get(kind, {}).get("overall")
-        cells = [likeness, *(errors.get(q) for q in ("edge_mm", "edge_deg", "x_mm", "yaw_deg"))]
+        cells = [likeness, *(errors.get(q) for q in columns)]
         lines.append(f"| {kind} | " + " | ".join("" if cell is None else f"{cell:.3g}" for cell in cells) + " |")
     if headed:
         lines += [

@@ -66,24 +66,38 @@ def frame_of_recordings(recordings: Recordings, preprocess: Preprocess, sensor: 
     view = recordings.common_view()
     if view.box is None:
         raise UserError(f"{recordings.path}: its images have no crop in common: name one folder of one camera")
+    size = min(LARGEST_PX, *_first(files).shape[:2])
+    try:
+        return frame_of_files(files, view, size, preprocess, sensor)
+    except UserError:
+        with suppress(UserError):  # dark pins in white
+            return frame_of_files(files, view, size, preprocess, sensor, turned=True)
+        raise
+
+
+def _first(files: Sequence[Path]) -> np.ndarray:
+    """The first that can be read. Raises UserError."""
     for file in files:
         with suppress(UserError):
-            size = min(LARGEST_PX, *read_image(file).shape[:2])
-            return frame_of_files(list(files), view, size, preprocess, sensor)
-    raise UserError(f"none of {len(files)} images in {recordings.path} can be read")
+            return read_image(file)
+    raise UserError(f"none of {len(files)} images, such as {files[0]}, can be read")
 
 
-def frame_of_files(files: Sequence[Path], view: Any, size: int, preprocess: Preprocess, sensor: Sensor) -> Frame:
-    """From up to LATTICE_FRAMES of the files, evenly spaced, seen at `size` px."""
+def frame_of_files(
+    files: Sequence[Path], view: Any, size: int, preprocess: Preprocess, sensor: Sensor, turned: bool = False
+) -> Frame:
+    """From up to LATTICE_FRAMES of the files, evenly spaced, seen at `size` px; `turned` where pins are dark in white."""
     from jaxunshear.image.fitting import fit_lattice, layout_of
     from jaxunshear.image.pins import look
     from jaxunshear.image.preprocess import prepare_frame
+    from jaxunshear.image.understood import inverse
 
     rows = np.unique(np.linspace(0, len(files) - 1, min(LATTICE_FRAMES, len(files))).round().astype(int))
     found = []
     for row in rows:
         try:
-            found.append(look(prepare_frame(_at(preprocess, size), read_image(files[row]), view)))
+            image = prepare_frame(_at(preprocess, size), read_image(files[row]), view)
+            found.append(look(inverse(image) if turned else image))
         except UserError:
             continue  # told when all frames are read
     lattice = fit_lattice([each.pins for each in found], layout_of(sensor))

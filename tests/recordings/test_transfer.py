@@ -1,0 +1,193 @@
+"""From simulation to skin: what a network reads is brought into the labels' frame by taps alone, then scored."""
+
+import json
+from functools import partial
+
+import jax
+import made
+import numpy as np
+import pytest
+
+from jaxunshear import targets
+from jaxunshear.applications import transfer
+from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, _between
+from jaxunshear.applications.transfer import aligned_with, score_transfer, scored
+from jaxunshear.config import to_json
+from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.image.understood import expected_of
+from jaxunshear.model import pinnets, posenet
+from jaxunshear.model.settings import PinPoseNet, PinUnshear, UnshearNet
+from jaxunshear.scene.sensor import TACTIP_127, pin_lattice
+from jaxunshear.storage import write_json
+from jaxunshear.training import checkpoint
+
+RNG = np.random.default_rng(0)
+
+
+def poses(count):
+    found = np.zeros((count, 6))
+    found[:, 1], found[:, 2] = RNG.uniform(-3, 3, count), RNG.uniform(3, 5, count)
+    found[:, 5] = RNG.uniform(-180, 180, count)
+    return found
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sign_and_offset_are_found_in_taps(sign):
+    labels = poses(200)
+    noise = RNG.normal(0, 0.05, (3, 200))
+    readings = {
+        "edge_mm": sign * (labels[:, 1] - 1.4) + noise[0],
+        "depth_mm": labels[:, 2] - 2 + noise[1],
+        "edge_deg": (sign * (labels[:, 5] - 170) + 20 * noise[2] + 180) % 360 - 180,
+    }
+    readings["edge_mm"][3] = np.nan  # a tap that could not be read
+    assert scored(readings, labels) == ("y_mm", "z_mm", "Rz_deg")
+    found = {name: aligned_with(name, readings, labels) for name in ("y_mm", "z_mm", "Rz_deg")}
+    assert (found["y_mm"].sign, found["Rz_deg"].sign, found["z_mm"].sign) == (sign, sign, 1)
+    assert found["y_mm"].offset == pytest.approx(1.4, abs=0.03) and found["z_mm"].offset == pytest.approx(2, abs=0.03)
+    assert found["Rz_deg"].offset == pytest.approx(170, abs=0.5)
+
+
+def test_labels_of_no_edge_and_images_of_no_sensor_are_refused():
+    labels = poses(50)
+    labels[:, 0] = RNG.uniform(-3, 3, 50)
+    with pytest.raises(UserError, match="not of a straight edge"):
+        scored({"edge_mm": labels[:, 1]}, labels)
+    with pytest.raises(UserError, match="not of a straight edge"):
+        scored({"edge_mm": labels[:, 1]}, np.zeros((50, 6)))
+    with pytest.raises(UserError, match="no tap could be read"):
+        aligned_with("y_mm", {"edge_mm": np.full(50, np.nan)}, labels)
+
+
+@pytest.mark.parametrize("degrees", [-12.0, 0.0, 20.0])
+def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
+    known = 64 + 6 * pin_lattice(TACTIP_127) / TACTIP_127.pin_spacing_mm
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])  # rows turn by +degrees
+    here = 50 + 0.8 * (known - 64) @ turn
+    motion = RNG.normal(size=(2, *known.shape))
+    there, back, by = _between(here, known)
+    np.testing.assert_allclose(there(here + 0.8 * motion @ turn), known + motion, atol=1e-9)
+    np.testing.assert_allclose(back(known + motion), here + 0.8 * motion @ turn, atol=1e-9)
+    assert by == pytest.approx(degrees, abs=1e-9)  # an edge that a network sees at 0 lies at `degrees` in the image
+
+
+def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path, monkeypatch):
+    """A stand-in reads the true pose of taps, a worse one of slides, and half of that error once unsheared."""
+    folder = made.edge(tmp_path / "edge", 60, 40)
+
+    def answers(images):
+        start, here = answers.row, answers.labels
+        rows = np.resize(np.arange(start, min(start + len(images), len(here))), len(images))
+        answers.row += len(images)
+        pose = here[rows]
+        off = np.where(answers.slid, 1.0, 0.0)
+
+        def read(error):
+            angle = -(pose[:, 5] + 10 * error) + 40
+            return {"edge_mm": -(pose[:, 1] + error), "depth_mm": pose[:, 2] + 7, "edge_deg": 180 - (180 - angle) % 360}
+
+        return Answers(None, {AS_RECORDED: read(off), UNSHEARED: read(off / 2)}, np.ones(len(images), bool))
+
+    expected = expected_of(made.rest_px(), made.SIZE)
+    preprocess = Preprocess(size=made.SIZE)
+    monkeypatch.setattr(transfer, "perceiver", lambda *_: Perceiver(preprocess, None, (), answers, expected))
+    read = transfer._read
+
+    def with_labels(experiment, model, settings, contacts, kind):
+        answers.row, answers.labels, answers.slid = 0, contacts.pose, kind == "slides"
+        return read(experiment, model, settings, contacts, kind)
+
+    monkeypatch.setattr(transfer, "_read", with_labels)
+    results = score_transfer(Experiment("small", "none"), tmp_path / "weights", folder, "a command")
+    mae = results["pose_mae"]
+    assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)
+    assert mae["sheared"] == pytest.approx({"y_mm": 1, "z_mm": 0, "Rz_deg": 10}, abs=1e-3)
+    assert mae["unsheared"] == pytest.approx({"y_mm": 0.5, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
+    assert results["pose_recovery"]["unsheared"]["y_mm"] == pytest.approx(0.5)
+    counts = results["counts"]
+    assert counts["told_taps"] + counts["test_taps"] == 60 and counts["test_poses"] == 40 and counts["test_unsure"] == 0
+    json.dumps(results)
+
+
+def test_too_few_taps_are_refused_by_name(tmp_path):
+    folder = made.edge(tmp_path / "edge", 10, 40)
+    with pytest.raises(UserError, match="10 labelled taps"):
+        score_transfer(Experiment("small", "none"), tmp_path, folder, "a command")
+
+
+TARGETS = targets.of_ranges(("edge_mm", "edge_deg:circle", "depth_mm"), Ranges())
+
+
+@pytest.fixture(scope="module")
+def weights(tmp_path_factory):
+    """Networks over simulated pins of 127, random: what they answer depends on the pins, and on nothing else."""
+    folder = tmp_path_factory.mktemp("weights")
+    seen = Preprocess(size=made.SIZE)
+    sets = {"paired": PairedData(preprocess=seen), "pose": PoseData(preprocess=seen)}
+    names = tuple(target.name for target in TARGETS)
+    experiment = Experiment(
+        "skin", "none", sensor=TACTIP_127, targets=names, unshear=UnshearNet(size=made.SIZE, input="pins"), **sets
+    )
+    write_json(folder / "experiment.json", to_json(experiment))
+    nets = {"disentangled": PinUnshear(hidden=16, layers=1), "posenet": PinPoseNet(hidden=16, layers=1)}
+    for seed, (name, net) in enumerate(nets.items()):
+        count = posenet.outputs_of(TARGETS) if name == "posenet" else 0
+        init = jax.jit(partial(pinnets.init, net, made.rest_px(), 1.0, outputs=count))
+        fresh = init(jax.random.key(seed))
+        shaken = jax.tree.map(
+            lambda x: x + np.random.default_rng(1).normal(0, 0.2, x.shape).astype(x.dtype), fresh["params"]
+        )
+        kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
+        told = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
+        checkpoint.write_settings(folder / name, json.loads(json.dumps(told)))
+        checkpoint.save(folder / name, 1, {"average": fresh | {"params": shaken}}, {"history": [], "best_step": 1})
+        write_json(folder / name / checkpoint.SUMMARY, {})
+    return folder
+
+
+def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_path):
+    folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
+    whole = command("unshear", folder, "--model", weights, "--out", tmp_path / "whole")
+    assert whole.code == 0, whole.err
+    assert "30 images unsheared, 0 left out" in whole.out and "simulated touches only" in whole.out
+    rows = (tmp_path / "whole" / "poses.csv").read_text().splitlines()
+    one = folder / "images" / "image_7.png"
+    alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone")
+    assert alone.code == 2 and "--like" in alone.err and alone.err.count("\n") == 1
+    assert not (tmp_path / "alone").exists()
+    alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone", "--like", folder)
+    assert alone.code == 0, alone.err
+    read = next(row for row in rows if row.startswith("images/image_7.png")).split(",")[2:5]
+    assert (tmp_path / "alone" / "poses.csv").read_text().splitlines()[1].split(",")[2:5] == read
+    nothing = command("pose", one, "--model", weights, "--like", tmp_path / "nowhere")
+    assert nothing.code == 2 and "nowhere" in nothing.err
+
+
+def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
+    folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
+    assert command("unshear", folder, "--model", weights, "--out", tmp_path / "out").code == 0
+    answer = command("stream", folder, "--model", weights, "--lines", tmp_path / "lines", "--no-images")
+    assert answer.code == 0, answer.err
+    lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
+    head, *rows = (line.split(",") for line in (tmp_path / "out" / "poses.csv").read_text().splitlines())
+    for line, row in zip(lines, rows, strict=True):
+        assert line["edge_mm"] == pytest.approx(float(row[head.index("edge_mm")]), abs=1e-3)
+
+
+def test_folders_of_another_sensor_are_refused_by_name(command, weights, tmp_path):
+    from jaxunshear.scene.sensor import TACTIP_331
+
+    other = made.write(tmp_path / "other", *made.contacts(24, False, 0), sensor=TACTIP_331, size=128)
+    answer = command("pose", other, "--model", weights)
+    assert answer.code == 2 and "pins" in answer.err and answer.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", ["geometry", "servo", "reconstruct"])
+def test_what_perceives_images_refuses_networks_over_pins(command, weights, tmp_path, name):
+    answer = command(name, "--model", weights, "--out", tmp_path / "out")
+    assert answer.code == 2 and "reads pins: name another --model" in answer.err
+    assert not (tmp_path / "out").exists()
