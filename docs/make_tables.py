@@ -110,6 +110,37 @@ def simulated_slides() -> str:
     return "\n".join(lines)
 
 
+def transfer() -> str:
+    """Errors on recordings of weights that learnt in simulation alone: of the one training that reads images, and means of those over
+    pins, each with its least and most."""
+    runs = {
+        name: {row["name"]: row["value"] for row in run["rows"]}
+        for name, run in json.loads((RESULTS / "skin.json").read_text())["runs"].items()
+    }
+    seeds = [rows for name, rows in runs.items() if name.startswith("skin")]
+    lines = [
+        "| learnt in simulation; reads recorded | `standard`, images: y, mm | Rz, deg | `skin`, pins: y, mm | Rz, deg |",
+        "|---|---|---|---|---|",
+    ]
+    kinds = {
+        "taps": "pose_mae.tap",
+        "slides as recorded": "pose_mae.sheared",
+        "**slides unsheared**": "pose_mae.unsheared",
+        "recovery: the share of the slide's damage undone": "pose_recovery.unsheared",
+    }
+    for told, kind in kinds.items():
+        digits = [2 if "recovery" in kind else d for _, d in COLUMNS]
+        one = [_plain(runs["standard"][f"{kind}.{q}"], d) for (q, _), d in zip(COLUMNS, digits, strict=True)]
+        values = [[rows[f"{kind}.{q}"] for rows in seeds] for q, _ in COLUMNS]
+        many = [f"{fmean(v):.{d}f} [{min(v):.{d}f}, {max(v):.{d}f}]" for v, d in zip(values, digits, strict=True)]
+        lines.append(_line(told, [*one, *many]))
+    return "\n".join(lines)
+
+
+def _plain(value: float | None, digits: int) -> str:
+    return "none" if value is None else f"{value:.{digits}f}"
+
+
 def refit() -> str:
     """What the simulator gains on contacts kept out, by the object's frame, by each value of the sensor, and by all of them."""
     rows = {row["name"]: row["value"] for row in json.loads((RESULTS / "validate_refit.json").read_text())["rows"]}
@@ -201,7 +232,7 @@ def _cell(metric: dict[str, Any], digits: int) -> str:
 
 
 TABLES = {
-    "README.md": (real_skin, demo),
+    "README.md": (real_skin, transfer, demo),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
     "docs/applications.md": (geometry, objects, geometry_best),

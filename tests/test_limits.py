@@ -146,3 +146,11 @@ def test_a_surface_shows_its_depth_alone():
     words = "--paired.stimuli surface --pose.stimuli surface"
     assert refusal(words).startswith("--targets ")
     validate(override(PLAIN, [*words.split(), "--targets", "depth_mm"]))
+
+
+def test_turned_touches_keep_distance_direction_and_depth_alone():
+    words = ["--unshear.input", "pins", "--pins.turned", "1"]
+    assert "edge_deg, edge_mm" in refusal(" ".join(words))
+    assert "edge_deg, edge_mm" in refusal(" ".join([*words, "--targets", "edge_mm,yaw_deg"]))
+    validate(override(PLAIN, [*words, "--targets", "edge_mm,edge_deg:circle,depth_mm"]))
+    assert refusal("--pins.turned 1 --targets edge_mm").startswith("--pins.turned ")
