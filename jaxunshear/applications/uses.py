@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from jaxunshear.applications.halves import Pairing
 from jaxunshear.applications.sampled import LEAST_PINS, SENSORS, Pins
 from jaxunshear.dataset.labels import table_of
+from jaxunshear.dataset.preparing import LEAST_FRAMES
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS
 from jaxunshear.scene.sensor import TACTIP_331
 
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 
 FEW = 0.1  # of a folder's contacts: taps among slides, or slides among taps, that make it neither
 SIMULATED = (
-    "`unshear` and `pose` use released networks that learnt from simulated touches: compare with your labels first"
+    "`unshear` and `pose` use released networks that learnt from simulated touches: `jaxunshear evaluate skin --recordings DIR` "
+    "compares them with labels of an edge"
 )
 
 
@@ -78,9 +80,12 @@ def uses_of(path: Path, parts: tuple[Part, ...]) -> tuple[Use, ...]:
     """Of recordings at `path`, the command lines to give next."""
     ready = [part for part in parts if part.seen and not part.seen.pixels.negative]
     alike = len(ready) == len(parts) and len({_camera(part) for part in ready}) == 1
-    places = [(path if alike else part.path, part.seen.pins) for part in (ready[:1] if alike else ready) if part.seen]
+    shown = ready[:1] if alike else ready
+    places = [(path if alike else part.path, part.seen.pins) for part in shown if part.seen]
     if places:
-        uses = [_pins(*place) for place in places] + [use for place in places for use in _released(*place)]
+        images = [sum(part.images for part in ready)] if alike else [part.images for part in ready]
+        uses = [_pins(*place) for place in places]
+        uses += [use for place, count in zip(places, images, strict=True) for use in _released(*place, count)]
     else:
         why = "the pins are dark: invert the images first" if any(part.seen for part in parts) else "no usable images"
         uses = [Use(_line("pins", path), why), Use(_line("unshear", path, "--out", "unsheared"), why)]
@@ -99,10 +104,13 @@ def _pins(place: Path, pins: Pins) -> Use:
     return Use(_line("pins", place, *([] if pins.sensor == TACTIP_331.name else ["--sensor", pins.sensor])))
 
 
-def _released(place: Path, pins: Pins) -> tuple[Use, ...]:
+def _released(place: Path, pins: Pins, images: int) -> tuple[Use, ...]:
     """What the released networks, of 331 pins, can do."""
-    other = pins.sensor != TACTIP_331.name
-    why = f"the released networks know {TACTIP_331.pins} pins; train a --model of this sensor" if other else ""
+    why = ""
+    if pins.sensor != TACTIP_331.name:
+        why = f"the released networks know {TACTIP_331.pins} pins; train a --model of this sensor"
+    elif images < LEAST_FRAMES:
+        why = f"the mean of {LEAST_FRAMES} contacts or more tells where pins stand: name a folder of them by --like"
     lines = _line("unshear", place, "--out", "unsheared"), _line("pose", place)
     return tuple(Use(line, why, "" if why else SIMULATED) for line in lines)
 
