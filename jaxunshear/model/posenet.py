@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import flax.linen as nn
+import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
@@ -100,6 +101,15 @@ def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Array:
             signed += [jnp.cos(angle), jnp.sin(angle)]
         else:
             signed.append((value - target.middle) / target.reach)
+    return (jnp.stack(signed, -1) + 1) / 2
+
+
+def drawn_outputs(targets: Targets, count: int, key: Array) -> Array:
+    """Outputs (count, K) in [0, 1] of poses that are uniform over the targets' ranges and circles."""
+    signed: list[Array] = []
+    for target, one in zip(targets, jax.random.split(key, len(targets)), strict=True):
+        drawn = jax.random.uniform(one, (count,), minval=-1.0)
+        signed += [jnp.cos(jnp.pi * drawn), jnp.sin(jnp.pi * drawn)] if target.circle else [drawn]
     return (jnp.stack(signed, -1) + 1) / 2
 
 

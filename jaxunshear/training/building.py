@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, training_of
+from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained, training_of
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.settings import (
     PinPoseNet,
@@ -66,7 +66,9 @@ def _over_pins(
         turned = experiment.pins.turned if network == "posenet_sheared" and recorded_of(experiment) else 0.0
         turns = _turns(examples) if turned else None
         reader = PinPoseNet(**plain | {"turned": turned})
-        return pin_tasks.pin_posenet_task(reader, training, *known, turns), (field, *sure, *labels)
+        rendered = field == "pins" and RENDERER in trained(experiment)
+        render = partial(pinnets.render, *_of_taps(experiment, RENDERER, folder)) if rendered else None
+        return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
     codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
     teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
     named = ("canonical_pins", "sheared_pins", *sure, *weighed, *(labels if labelled(training) else ()))
@@ -126,9 +128,13 @@ def _turns(examples: Examples) -> Turns:
 
 
 def _teacher(experiment: Experiment, folder: Path, predict: Callable[..., Any]) -> Callable[[Any], Any]:
-    path = folder / TEACHER
+    return partial(predict, *_of_taps(experiment, TEACHER, folder))
+
+
+def _of_taps(experiment: Experiment, network: str, folder: Path) -> tuple[Any, Any]:
+    """Settings and variables of a network that another learns from. Raises UserError."""
+    path = folder / network
     if not (path / "summary.json").exists():
-        raise UserError(f"{path} is missing, and train.pose_weight needs it: train {TEACHER} first")
-    check_origin(experiment, TEACHER, folder)
-    net: Any = read_net(path)
-    return partial(predict, net, load_best(path))
+        raise UserError(f"{path} is missing, and others learn from it: train {network} first")
+    check_origin(experiment, network, folder)
+    return read_net(path), load_best(path)

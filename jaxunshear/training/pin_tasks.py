@@ -68,9 +68,19 @@ def pin_unshear_task(
 
 
 def pin_posenet_task(
-    net: PinPoseNet, training: Training, targets: Targets, rest: ArrayLike, spread: float, turns: Turns | None = None
+    net: PinPoseNet,
+    training: Training,
+    targets: Targets,
+    rest: ArrayLike,
+    spread: float,
+    turns: Turns | None = None,
+    render: Callable[[Array], Array] | None = None,
 ) -> Task:
-    """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets. `turns` are needed for `net.turned` alone."""
+    """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets. `turns` are needed for `net.turned` alone.
+
+    `render`, outputs (B, K) -> pins (B, P, 2) px, is a renderer that learnt from the same taps: then as many rendered taps, at poses
+    drawn anew, teach as recorded ones. Unsheared pins are as smooth as these: a PoseNet of recorded taps alone reads them less well.
+    """
     weights = posenet.output_weights(targets)
 
     def terms(variables, batch, key):
@@ -83,7 +93,12 @@ def pin_posenet_task(
             k = _drawn_turn(net.turned, jax.random.fold_in(key, 1))
             pins, wanted, angle = turned(turns, k, pins), turned_outputs(turns, k, wanted, targets), turns.radians[k]
         loss = losses.absolute_pose(pinnets.predict(net, variables, pins, angle), wanted, weights)
-        return weighed({"pose": loss}, batch), variables["batch_stats"]
+        named = weighed({"pose": loss}, batch)
+        if render is not None:
+            drawn = posenet.drawn_outputs(targets, len(pins), jax.random.fold_in(key, 3))
+            rendered = pinnets.spoilt(net, render(drawn), jax.random.fold_in(key, 4))
+            named["rendered"] = losses.absolute_pose(pinnets.predict(net, variables, rendered), drawn, weights)
+        return named, variables["batch_stats"]
 
     def validate(variables, batch):
         outputs = pinnets.predict(net, variables, batch["pins"])
@@ -91,7 +106,7 @@ def pin_posenet_task(
         return weighed({"pose": loss} | pose_error_terms(outputs, batch, targets), batch)
 
     init = partial(pinnets.init, net, rest, spread, outputs=posenet.outputs_of(targets))
-    return Task("pin_posenet", net, targets, init, terms, {"pose": 1.0}, validate, "pose")
+    return Task("pin_posenet", net, targets, init, terms, {"pose": 1.0, "rendered": 1.0}, validate, "pose")
 
 
 def renderer_task(net: PinRenderer, training: Training, targets: Targets, rest: ArrayLike, spread: float) -> Task:

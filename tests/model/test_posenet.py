@@ -29,6 +29,14 @@ def test_targets_and_units_are_inverse():
     np.testing.assert_allclose(back["edge_deg"], edge[:, 1], atol=1e-3)
 
 
+def test_poses_are_drawn_evenly_over_ranges_and_circles():
+    pose = posenet.pose_from_outputs(posenet.drawn_outputs(TARGETS, 4000, jax.random.key(0)), TARGETS)
+    for name, reach in (("x_mm", 5), ("yaw_deg", 45), ("edge_deg", 180)):
+        quantiles = np.quantile(pose[name], [0.0, 0.25, 0.5, 0.75, 1.0]) / reach
+        np.testing.assert_allclose(quantiles, [-1, -0.5, 0, 0.5, 1], atol=0.05)
+    assert abs(np.corrcoef(pose["x_mm"], pose["yaw_deg"])[0, 1]) < 0.05
+
+
 def test_the_papers_two_outputs_come_first():
     batch = {"pose": jnp.asarray([[5.0, 0, -45, 1]]), "edge": jnp.zeros((1, 2))}
     np.testing.assert_allclose(posenet.pose_targets(batch, TARGETS)[0, :2], [1, 0], atol=1e-6)

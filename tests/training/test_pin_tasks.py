@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.model.pinnets import predict
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.targets import of_labels
 from jaxunshear.training.pin_tasks import pin_posenet_task, pin_unshear_task, renderer_task
@@ -45,6 +46,27 @@ def test_every_part_is_taught_by_its_own_losses():
 
     assert reached("supervised") == {"E", "pose", "DC"}
     assert reached("reconstruction") == {"E", "pose", "shear", "DS"}
+
+
+def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
+    """With a renderer that PoseNet inverts nothing is left to learn of its taps, and without one they are no term."""
+    net = PinPoseNet(**SMALL)
+    plain = pin_posenet_task(net, Training(), TARGETS, REST, 1.0)
+    variables = plain.init(KEY)
+    assert set(plain.terms(variables, batch(), KEY)[0]) == {"pose"}
+    seen = []
+
+    def render(outputs):
+        seen.append(outputs)
+        return REST + jnp.zeros((len(outputs), 1, 1)).at[:, 0, 0].set(outputs[:, 0])[..., :1]
+
+    task = pin_posenet_task(net, Training(), TARGETS, REST, 1.0, render=render)
+    named = task.terms(variables, batch(), KEY)[0]
+    read = predict(net, variables, render(seen[0]))
+    np.testing.assert_allclose(named["rendered"], jnp.abs(read - seen[0]).sum(-1) / seen[0].shape[1], rtol=1e-5)
+    np.testing.assert_array_equal(named["pose"], plain.terms(variables, batch(), KEY)[0]["pose"])
+    other = task.terms(variables, batch(), jax.random.key(1))[0]["rendered"]
+    assert np.any(np.asarray(other) != np.asarray(named["rendered"]))
 
 
 @pytest.mark.parametrize("target", ["tap", "label"])
