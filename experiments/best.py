@@ -2,14 +2,10 @@
 
     jaxunshear run experiments/best.py
 
-Expected on two cores, as measured with flush pins, data version 2.4.0:
-an hour and three quarters on a fast machine, with light work beside (docs/results/best.json: 71
-minutes for the disentangled network, 12 for the data, 12 for the PoseNets, 9 to evaluate), reckoned three hours and a half
-on that of the other results; MS-SSIM 0.982, edge distance to 0.22 mm where taps give 0.18. Sensor and networks of `standard.py`,
-but that the disentangled one sees seven and a half times as many poses, 15 times as many images, and is told how far
-apart the poses lie that a PoseNet of its own (`posenet_teacher`) reads off its image and off the tap. Both PoseNets see
-six times as many poses; the one that is evaluated five times as many images, for poses and for walks (docs/applications.md).
-The released weights `best` are of two runs of this file with other settings (`best_deep`, `best_sided` in docs/model.md).
+Expected on two cores: some hours; not measured on today's data. Sensor and networks of `standard.py`, but that the disentangled one
+sees seven and a half times as many poses, 15 times as many images, and is told how far apart the poses lie that a PoseNet
+of its own (`posenet_teacher`) reads off its image and off the tap. Both PoseNets see six times as many poses; the one that
+is evaluated five times as many images.
 """
 
 from dataclasses import replace

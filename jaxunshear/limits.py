@@ -4,7 +4,7 @@ A rule is (holds, dotted field name, what is wrong and what to do instead). Late
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 
 from jaxunshear.contact.rings import deepest_mm
@@ -33,15 +33,6 @@ Rule = tuple[bool, str, str]
 
 # The keys of `scene.stimuli.STIMULI`, which imports JAX; a test holds the two together.
 STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface")
-MIRROR_IMAGES = (
-    "disk",
-    "clover",
-    "teardrop",
-    "flower",
-    "leaf",
-    "edge",
-    "surface",
-)  # of themselves, left and right of the target's normal
 TURNED = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
 SURFACE = "surface"  # the same wherever and however it is turned
 SCHEDULES = ("cosine", "steps")
@@ -83,10 +74,6 @@ def _simulated(experiment: Experiment, paired: PairedData, pose: PoseData) -> It
         "train.pose_target",
         "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
     )
-    yield from _mirror(experiment.train, "train", paired.stimuli)
-    seen = {*pose.stimuli, *(paired.stimuli if "posenet_sheared" in experiment.networks else ())}
-    for name in _posenets(experiment):
-        yield from _mirror(getattr(experiment, name), name, seen)
 
 
 def _recorded(experiment: Experiment) -> Iterator[Rule]:
@@ -137,12 +124,6 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
     for field in ("unseen", "other_jitters_mm"):
         yield not getattr(experiment, field), field, "is a test of simulated touches: leave it empty"
     yield from _trainings(experiment, LARGEST_PX**2, LARGEST_PX**2)
-    for name in ("train", *_posenets(experiment)):
-        yield (
-            not getattr(experiment, name).mirror,
-            f"{name}.mirror",
-            "recorded labels have no mirror image: leave it at false",
-        )
 
 
 def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
@@ -155,11 +136,6 @@ def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
         "asks for a code to read the pose off, and the network unet has none: leave one of the two out",
     )
     yield (
-        experiment.train.mirror or not experiment.unshear.both_sides,
-        "unshear.both_sides",
-        "asks for networks that have seen mirror images: add --train.mirror true, or leave it at false",
-    )
-    yield (
         not experiment.train_teacher.start,
         "train_teacher.start",
         "leave it empty: what marks a network must not teach it",
@@ -169,7 +145,7 @@ def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
         yield from _without_pair_losses(getattr(experiment, name), name)
     if over_pins(experiment) or RENDERER in trained(experiment):
         yield from _training(experiment.train_pins, "train_pins", min(pairs, taps))
-        for field in ("patch_weight", "label_weight", "mirror"):
+        for field in ("patch_weight", "label_weight"):
             value = getattr(experiment.train_pins, field)
             yield not value, f"train_pins.{field}", "is for networks over images: leave it at 0"
         yield (
@@ -424,11 +400,6 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
         "unshear.size",
         f"is not divisible by {halvings}: each of the {len(unshear.widths)} widths halves the image",
     )
-    yield (
-        0 <= unshear.residual < len(unshear.widths),
-        "unshear.residual",
-        f"is no number of layers from 0 to {len(unshear.widths) - 1}, all of the encoder's but the first",
-    )
     yield len(posenet.widths) == 5, "posenet.widths", "list five: PoseNet has five convolutions"
     yield posenet.size % 16 == 0, "posenet.size", "is no multiple of 16, which PoseNet's strides and pooling need"
     yield posenet.hidden >= 1, "posenet.hidden", "must be at least 1"
@@ -527,15 +498,6 @@ def _training(training: Training, group: str, examples: int) -> Iterator[Rule]:
     yield 0 <= training.shift <= 0.25, f"{group}.shift", "use a fraction of the image, 0 to 0.25"
     yield training.validate_every >= 1, f"{group}.validate_every", "must be at least 1"
     yield training.validation_images >= 1, f"{group}.validation_images", "must be at least 1"
-
-
-def _mirror(training: Training, group: str, stimuli: Iterable[str]) -> Iterator[Rule]:
-    others = ", ".join(sorted(set(stimuli) - set(MIRROR_IMAGES)))
-    yield (
-        not training.mirror or not others,
-        f"{group}.mirror",
-        f"shows poses of {others} that are none: leave it at false",
-    )
 
 
 def _pair_losses(training: Training, size: int) -> Iterator[Rule]:

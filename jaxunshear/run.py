@@ -139,7 +139,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     if recorded_of(experiment):
         write_json(folder / FRAME, stored_of(experiment, data).frame)
     task, fields = task_of(experiment, network, examples, folder)
-    batches = examples.reader.train_batches(training.batch, seed, training.shift, fields, training.mirror)
+    batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
     begin = start_folder(training.start, network)
     summary = train(
         task,

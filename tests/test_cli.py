@@ -79,8 +79,6 @@ BAD_FIELDS = [
     ),
     ("--unshear.widths 8,0", "two positive numbers"),
     ("--unshear.widths 8", "two positive numbers"),
-    ("--unshear.residual 5", "no number of layers from 0 to 4"),
-    ("--unshear.residual -1", "--unshear.residual"),
     ("--unshear.disentangled false", "use `--networks entangled`"),
     ("--posenet.widths 8,8", "five convolutions"),
     ("--sensor gelsight", "use one of tactip331, tactip127, tactip331-flush, tactip331-fitted"),

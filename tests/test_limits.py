@@ -40,19 +40,6 @@ def test_a_teachers_training_is_judged_where_there_is_one():
     assert "leave it at 100" in refusal("--train.pose_weight 0.1 --train_teacher.crops 5")
 
 
-def test_a_mirror_is_for_shapes_that_are_their_own_mirror_images():
-    assert refusal("--train.mirror true --paired.stimuli disk,spiral_1").startswith("--train.mirror ")
-    assert refusal("--train_posenet.mirror true --pose.stimuli disk,spiral_1").startswith("--train_posenet.mirror ")
-    words = ["--train.mirror", "true", "--train_posenet.mirror", "true", "--unseen", "spiral_1,leaf"]
-    assert override(PLAIN, words).train.mirror is True
-    validate(override(PLAIN, words))
-
-
-def test_both_sides_are_unsheared_by_what_has_seen_both():
-    assert refusal("--unshear.both_sides true").startswith("--unshear.both_sides ")
-    validate(override(PLAIN, ["--unshear.both_sides", "true", "--train.mirror", "true"]))
-
-
 def test_a_poses_target_is_known_and_on_the_teachers_scale():
     assert refusal("--train.pose_target pins").startswith("--train.pose_target pins: ")
     words = ["--train.pose_weight", "0.1", "--train.pose_target", "label"]

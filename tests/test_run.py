@@ -104,11 +104,10 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
     assert not any((out / "tiny" / name).exists() for name in ("results.json", "ablation.json"))
 
 
-def test_a_network_is_taught_by_a_posenet_and_told_poses_and_sees_both_sides(finished, command, tmp_path):
+def test_a_network_is_taught_by_a_posenet_and_told_poses(finished, command, tmp_path):
     """Results do not know that PoseNet; released weights hold the head that reads poses off the code, and no DS."""
     words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--networks", "disentangled,posenet"]
     words += ["--train.pose_weight", 1, "--train.pose_target", "label", "--train.label_weight", 0.5]
-    words += ["--train.mirror", "true", "--unshear.both_sides", "true"]
     done = command("run", *words)
     assert done.code == 0, done.err
     folder = tmp_path / "tiny"

@@ -267,9 +267,9 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int)
 def multiplications(net: UnshearNet, training: bool) -> int:
     """Of one image's forward pass through all convolutions; with `training` False those of encoder, pose code and DC alone."""
     widths, side, count = net.widths, net.size, 0
-    for left, before, width in zip(range(len(widths) - 1, -1, -1), (1, *widths), widths, strict=False):
+    for before, width in zip((1, *widths), widths, strict=False):
         side //= 2
-        count += (16 * before + (9 * width if left < net.residual else 0)) * width * side * side
+        count += 16 * before * width * side * side
     shear = net.shear_channels if net.disentangled and training else 0
     pose = net.pose_channels if net.disentangled else 0
     count += 9 * widths[-1] * (pose + shear) * side * side

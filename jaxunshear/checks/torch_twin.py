@@ -37,17 +37,6 @@ def _up(before: int, width: int) -> nn.Module:
     return nn.Sequential(nn.ConvTranspose2d(before, width, 4, 2, 1, bias=False), _norm(width), nn.ReLU(inplace=True))
 
 
-class Residual(nn.Module):
-    """Passes its input by its convolution."""
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.layer = _same(width, width)
-
-    def forward(self, x: Tensor) -> Tensor:
-        return x + self.layer(x)
-
-
 class Twin(nn.Module):
     """`unshearnet.Network`, images (B, 1, S, S) in [0, 1]."""
 
@@ -55,11 +44,7 @@ class Twin(nn.Module):
         super().__init__()
         self.net = net
         widths = net.widths
-        self.E = nn.Sequential()
-        for left, before, width in zip(range(len(widths) - 1, -1, -1), (1, *widths), widths, strict=False):
-            self.E.append(_down(before, width))
-            if left < net.residual:
-                self.E.append(Residual(width))
+        self.E = nn.Sequential(*(_down(a, b) for a, b in zip((1, *widths), widths, strict=False)))
         codes = widths[-1]
         if net.disentangled:
             self.pose = _same(widths[-1], net.pose_channels)
@@ -90,10 +75,8 @@ class Twin(nn.Module):
     def load(self, variables: dict[str, Any]) -> None:
         """Takes the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
-        downs = [layer for layer in self.E if not isinstance(layer, Residual)]
-        _load_layers(downs, params["E"], stats["E"], ("First_0", *(f"Down_{i}" for i in range(99))), False)
-        added = [layer.layer for layer in self.E if isinstance(layer, Residual)]
-        _load_layers(added, params["E"], stats["E"], tuple(f"Same_{i}" for i in range(99)), False)
+        downs = ("First_0", *(f"Down_{i}" for i in range(len(self.net.widths) - 1)))
+        _load_layers(self.E, params["E"], stats["E"], downs, False)
         for name in ("DC", "DS"):
             if name in params:
                 ups = tuple(f"Up_{i}" for i in range(len(self.net.widths) - 1))
@@ -148,7 +131,7 @@ def channels_last(twin: Any) -> Any:
 
 
 def _load_layers(layers, params, stats, names: tuple[str, ...], transposed: bool) -> None:
-    for layer, name in zip(layers, names, strict=False):
+    for layer, name in zip(layers, names, strict=True):
         _load_layer(layer, params[name], stats[name], transposed)
 
 

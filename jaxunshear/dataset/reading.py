@@ -31,7 +31,6 @@ from jaxunshear.storage import blame_the_machine, read_json
 MEMORY_BYTES = 1 << 30
 IMAGES = ("image", "canonical", "sheared")
 PINS = ("pins", "canonical_pins", "sheared_pins")
-MIRRORED = {"pose": np.array([1, -1, -1, 1], np.float32), "edge": np.array([1, -1], np.float32)}
 OF_TAP = ("canonical", "canonical_pins", "tap_id", "tap_depth_mm")  # what re-pairing exchanges
 Batch = dict[str, np.ndarray]
 
@@ -72,13 +71,12 @@ class Reader:
         return self._images({field: stored[field][rows] for field in fields})
 
     def train_batches(
-        self, batch: int, seed: int, shift: float, fields: Sequence[str] | None = None, mirror: bool = False
+        self, batch: int, seed: int, shift: float, fields: Sequence[str] | None = None
     ) -> Callable[[int], Iterator[Batch]]:
         """Endless training batches from any step on; every epoch is shuffled anew.
 
         `shift` is the largest random shift along each axis as a fraction of the image size, rounded to whole pixels; both
         images of a pair shift alike and their pins with them. A sheared image is paired with a random tap of its pose.
-        With `mirror` half of the examples, at random, are seen in a mirror (`mirrored`, which knows images, "pose" and "edge" alone).
         """
         rows = self._rows("train")
         most = shift * self._size
@@ -89,13 +87,12 @@ class Reader:
             offset = np.rint(generator.uniform(-most, most, 2)).astype(int)
             tap = generator.choice(siblings[row])
             example = self._images({name: rows[name][tap if name in OF_TAP else row] for name in wanted})
-            example = shifted(example, *offset.tolist()) if offset.any() else example
-            return mirrored(example) if mirror and generator.random() < 0.5 else example
+            return shifted(example, *offset.tolist()) if offset.any() else example
 
         drawn = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
         order = _shuffled(self.length("train"), batch, seed)
         # whether nothing of an example is drawn at random: then a batch is read whole
-        still = not shift and not mirror and all(len(each) == 1 for each in siblings)
+        still = not shift and all(len(each) == 1 for each in siblings)
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
             steps = itertools.count(start_step)
@@ -153,19 +150,6 @@ def shifted(example: Batch, columns: int, rows: int) -> Batch:
     for name in example.keys() & set(PINS):
         moved[name] = example[name] + np.array([columns, rows], np.float32)
     return moved
-
-
-def mirrored(example: Batch) -> Batch:
-    """Images (S, S, 1), "pose" (4,) and "edge" (2,) as a mirror along the sensor's x axis shows them: y, yaw and the edge's direction
-    change their signs.
-
-    The other side of a contact if the pins' places and what is touched are their own mirror images; drift and specks of a simulated
-    camera are not, and add to what a network sees. Raises ValueError for other fields.
-    """
-    other = ", ".join(example.keys() - set(IMAGES) - MIRRORED.keys())
-    if other:
-        raise ValueError(f"no mirror is known for {other}: read images, pose and edge alone")
-    return {name: value * MIRRORED[name] if name in MIRRORED else value[::-1] for name, value in example.items()}
 
 
 def _overlap(offset: int, size: int) -> tuple[slice, slice]:

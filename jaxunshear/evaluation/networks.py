@@ -70,7 +70,7 @@ def run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: s
             if kind == "disentangled" and kind in nets:
                 cells = draw_cells(nets[kind], variables[kind], given)
                 images[kind] = cells["DC(z_p)"]
-            if kind in nets and (kind not in images or nets[kind].both_sides):
+            elif kind in nets:
                 images[kind] = unshear(nets[kind], variables[kind], given)
         if "posenet" in nets:
             answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}

@@ -5,8 +5,6 @@ The precision is that of the images given: kernels are rounded to it, so bfloat1
 gradients of kernels, which are kept in float32 from there on, as are parameters and statistics.
 """
 
-from collections.abc import Callable
-
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
@@ -21,13 +19,6 @@ MOMENTUM = 0.9  # of the running statistics
 def in_precision(images: Array, precision: str) -> Array:
     """Images as a network of this precision ("float32", "bfloat16") is to be given them; wider ones stay as they are in float32."""
     return images.astype(jnp.bfloat16) if precision == "bfloat16" else images
-
-
-def both_sides(unshear: Callable[[Array], Array], images: Array) -> Array:
-    """What `unshear` gives of images (B, S, S, 1), averaged with what it gives of their mirror images, turned back. The mirror is that
-    of training (`dataset.reading.mirrored`): along the sensor's x axis, so that rows change places."""
-    given, turned = jnp.split(unshear(jnp.concatenate([images, images[:, ::-1]])), 2)
-    return (given + turned[:, ::-1]) / 2
 
 
 class NormRelu(nn.Module):
@@ -84,15 +75,6 @@ class Same(nn.Module):
     def __call__(self, x: Array, train: bool) -> Array:
         w = self.param("kernel", INIT, (3, 3, x.shape[-1], self.width)).astype(x.dtype)
         return NormRelu(name="norm")(conv.conv_valid(conv.pad(x, 1), w, 1), train)
-
-
-def inner(x: Array, width: int, target: str, residual: bool, train: bool) -> Array:
-    """`Down`, within the module that calls this; with `residual` what a `Same` makes of its result is added to it."""
-    if not residual:
-        return Down(width, target)(x, train)
-    x = Down(width, "plain")(x, train)
-    x = x + Same(width)(x, train)
-    return conv.to_blocks(conv.pad(x, 1), 2) if target == "blocks" else x
 
 
 class Up(nn.Module):

@@ -18,8 +18,6 @@ class UnshearNet:
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
     disentangled: bool = True
-    residual: int = 0  # of E's innermost layers have a 3x3 convolution more, added to what they give
-    both_sides: bool = False  # unshears an image and its mirror image, and takes the mean of what both give
     input: str = "images"  # or "pins": networks over pins (`PinNet`) in the place of all of these
 
 
@@ -34,8 +32,6 @@ class UNet:
 
     size: int = 128
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)
-    residual: int = 0  # as UnshearNet's
-    both_sides: bool = False  # as UnshearNet's
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.model import conv, settings, unshearnet
-from jaxunshear.model.layers import First, Last, Up, both_sides, inner
+from jaxunshear.model.layers import Down, First, Last, Up
 
 Variables = dict[str, Any]
 
@@ -29,10 +29,9 @@ class Network(nn.Module):
     def __call__(self, images: Array, train: bool) -> Array:
         first, *widths = self.net.widths
         arrays = [First(first)(images, train)]
-        plain = len(widths) - self.net.residual
-        for i, width in enumerate(widths[:-1]):
-            arrays.append(inner(arrays[-1], width, "blocks", i >= plain, train))
-        x = conv.pad(inner(arrays[-1], widths[-1], "plain", self.net.residual > 0, train), 1)
+        for width in widths[:-1]:
+            arrays.append(Down(width)(arrays[-1], train))
+        x = conv.pad(Down(widths[-1], "plain")(arrays[-1], train), 1)
         for width in reversed(widths[:-1]):
             x = jnp.concatenate([Up(width)(x, train), conv.from_blocks(arrays.pop(), 2)], -1)
         x, skipped = Up(first, "blocks")(x, train), arrays.pop()
@@ -54,17 +53,13 @@ def init(net: settings.UNet, key: Array) -> Variables:
 
 def check(net: settings.UNet) -> None:
     """Raises ValueError that names the field where a network of these settings cannot be built."""
-    unshearnet.check(settings.UnshearNet(net.size, net.widths, residual=net.residual))
+    unshearnet.check(settings.UnshearNet(net.size, net.widths))
 
 
 def unshear(net: settings.UNet, variables: Variables, images: Array) -> Array:
     """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones."""
-
-    def drawn(images: Array) -> Array:
-        logits: Array = Network(net).apply(variables, images, False)  # type: ignore[assignment]
-        return jax.nn.sigmoid(logits)
-
-    return both_sides(drawn, images) if net.both_sides else drawn(images)
+    logits: Array = Network(net).apply(variables, images, False)  # type: ignore[assignment]
+    return jax.nn.sigmoid(logits)
 
 
 def reconstruct(net: settings.UNet, variables: Variables, images: Array) -> tuple[Array, None, None, Variables]:

@@ -11,7 +11,6 @@ network has one code and DC alone; its z_s is None. Inputs are binary images sca
 
 import dataclasses
 import math
-from functools import partial
 from typing import Any
 
 import flax.linen as nn
@@ -20,7 +19,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.model import conv
-from jaxunshear.model.layers import First, Last, Same, Up, both_sides, inner
+from jaxunshear.model.layers import Down, First, Last, Same, Up
 from jaxunshear.model.parts import check_sheared, holds
 from jaxunshear.model.settings import UnshearNet
 
@@ -31,14 +30,13 @@ class Encoder(nn.Module):
     """E: an image (B, S, S, 1) -> (B, S / 2**layers, S / 2**layers, widths[-1])."""
 
     widths: tuple[int, ...]
-    residual: int = 0  # of the innermost layers have a second convolution, which is added to what the first one gives
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         x = First(self.widths[0])(x, train)
-        for left, width in zip(range(len(self.widths) - 2, -1, -1), self.widths[1:], strict=True):
-            x = inner(x, width, "blocks" if left else "plain", left < self.residual, train)
-        return x
+        for width in self.widths[1:-1]:
+            x = Down(width)(x, train)
+        return Down(self.widths[-1], "plain")(x, train)
 
 
 class Decoder(nn.Module):
@@ -61,7 +59,7 @@ class Network(nn.Module):
 
     def setup(self) -> None:
         net = self.net
-        self.E, self.DC = Encoder(net.widths, net.residual), Decoder(net.widths)
+        self.E, self.DC = Encoder(net.widths), Decoder(net.widths)
         if net.disentangled:
             self.pose = Same(net.pose_channels)
             if net.shear_channels:
@@ -104,10 +102,6 @@ def check(net: UnshearNet) -> None:
         raise ValueError(f"widths: at least two layers are needed, got {net.widths}")
     if net.size % 2 ** len(net.widths):
         raise ValueError(f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)")
-    if not 0 <= net.residual < len(net.widths):
-        raise ValueError(
-            f"residual: {net.residual} of {len(net.widths)} layers; use 0 to {len(net.widths) - 1}, all but the first"
-        )
     if net.disentangled and net.pose_channels < 1:
         raise ValueError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
     if net.disentangled and net.shear_channels < 0:
@@ -165,8 +159,7 @@ def decode_sheared(net: UnshearNet, variables: Variables, z_p: Array, z_s: Array
 
 def unshear(net: UnshearNet, variables: Variables, images: Array) -> Array:
     """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
-    drawn = partial(_apply, net, variables, "unshear", train=False)
-    return both_sides(drawn, images) if net.both_sides else drawn(images)
+    return _apply(net, variables, "unshear", images, train=False)
 
 
 def reconstruct(net: UnshearNet, variables: Variables, images: Array) -> tuple[Array, Array | None, Array, Variables]:

@@ -88,7 +88,7 @@ def _drawn(task: Task, examples: Examples, share: float) -> Task:
 def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
     """The settings of one of the networks that unshear, all derived from `net`."""
     if network == "unet":
-        return UNet(net.size, net.widths, net.residual, net.both_sides)
+        return UNet(net.size, net.widths)
     if network == "entangled_large":
         return as_large_entangled(dataclasses.replace(net, disentangled=True))
     if network == "entangled":

@@ -30,7 +30,6 @@ class Training:
     precision: str = "float32"  # of the convolutions; or "bfloat16"
     averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
     shift: float = 0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
-    mirror: bool = False  # half of the images as in a mirror, for sensors and shapes that are their own mirror images
     start: str = ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones
     validate_every: int = 100  # steps; also when a checkpoint is written
     validation_images: int = 256  # at most, the first of the validation split

@@ -8,7 +8,7 @@ import pytest
 from jaxunshear.dataset import reading
 from jaxunshear.dataset.configs import VERSION, set_folder
 from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.reading import Reader, mirrored, open_set, shifted
+from jaxunshear.dataset.reading import Reader, open_set, shifted
 from jaxunshear.dataset.shots import draw
 from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
@@ -95,31 +95,6 @@ def test_a_slide_meets_every_tap_of_its_pose_and_no_other(made, paired, engine):
             row = np.flatnonzero(here & (shots.instance == tap))[0]
             np.testing.assert_array_equal(batch["canonical"][place, :, :, 0], image_of(engine, paired, row))
     assert all(taps == {0, 1} for taps in met.values())
-
-
-def test_a_mirror_shows_half_of_the_examples_with_their_poses(made):
-    fields = ("canonical", "sheared", "pose", "edge")
-    plain = take(made.train_batches(12, 0, 0.1, fields)(0), 6)
-    seen = take(made.train_batches(12, 0, 0.1, fields, mirror=True)(0), 6)
-    turned = []
-    for before, after in zip(plain, seen, strict=True):
-        for place in range(12):
-            own, other = ({name: batch[name][place] for name in fields} for batch in (before, after))
-            twice = mirrored(mirrored(own))
-            assert all(np.array_equal(own[name], twice[name]) for name in fields)
-            turned.append(own["pose"][2] != other["pose"][2])
-            expected = mirrored(own) if turned[-1] else own
-            assert all(np.array_equal(expected[name], other[name]) for name in fields)
-    assert 20 < sum(turned) < 52  # of 72
-    example = mirrored({"sheared": np.arange(4, dtype=np.uint8).reshape(2, 2, 1), "pose": np.array([1.0, 2, 3, 4])})
-    assert example["sheared"][..., 0].tolist() == [[2, 3], [0, 1]]
-    assert example["pose"].tolist() == [1, -2, -3, 4]
-    assert mirrored({"edge": np.array([-1.0, 30.0])})["edge"].tolist() == [-1, -30]
-
-
-def test_a_mirror_of_what_it_does_not_know_is_refused(made):
-    with pytest.raises(ValueError, match="move"):
-        mirrored({"move": np.zeros(2)})
 
 
 def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine):

@@ -77,21 +77,6 @@ def test_outputs_and_scores_of_trained_networks(trained):
     assert len(scores) == 3 + 4 * 3
 
 
-def test_a_network_of_both_sides_is_judged_by_both_and_its_codes_by_one(trained):
-    one = networks.read_net(trained / "disentangled")
-    run = {
-        net: jax.jit(networks.run_of({"disentangled": net}, {"disentangled": TARGETS}))
-        for net in (one, replace(one, both_sides=True))
-    }
-    variables = {"disentangled": networks.load_best(trained / "disentangled")}
-    (plain, _), (both, _) = (each(variables, None, images(), images()[::-1]) for each in run.values())
-    turned, _ = run[one](variables, None, images(), images()[::-1, ::-1])
-    expected = (plain.images["disentangled"] + turned.images["disentangled"][:, ::-1]) / 2
-    np.testing.assert_allclose(both.images["disentangled"], expected, atol=1e-6)
-    for cell in CELLS:
-        np.testing.assert_allclose(both.cells[cell], plain.cells[cell], atol=1e-6)
-
-
 def test_a_missing_network_is_named(trained, tmp_path):
     for name in ("disentangled", "posenet"):
         (tmp_path / name).symlink_to(trained / name)

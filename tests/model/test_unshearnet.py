@@ -1,7 +1,5 @@
 """UnshearNet: shapes, what depends on what, and which loss reaches which module."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -74,21 +72,6 @@ def test_entangled_has_one_code_and_one_decoder(images):
     assert sheared is None
 
 
-@pytest.mark.parametrize("residual", [1, 2])
-def test_a_residual_convolution_that_gives_nothing_changes_nothing(variables, images, residual):
-    net = dataclasses.replace(NET, residual=residual)
-    deep = quick_init(net, jax.random.key(0))
-    added = {f"Same_{i}" for i in range(residual)}
-    assert set(deep["params"]["E"]) == set(variables["params"]["E"]) | added
-    silent = jax.tree.map(jnp.zeros_like, {name: deep["params"]["E"][name] for name in added})
-    params = variables["params"] | {"E": variables["params"]["E"] | silent}
-    stats = variables["batch_stats"] | {"E": deep["batch_stats"]["E"] | variables["batch_stats"]["E"]}
-    got = unshearnet.encode(net, {"params": params, "batch_stats": stats}, images, train=True)
-    for a, b in zip(got, unshearnet.encode(NET, variables, images, train=True), strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-6)
-    assert not np.allclose(unshearnet.encode(net, deep, images, train=True)[0], got[0], atol=1e-2)
-
-
 def test_unshear_needs_neither_the_shear_code_nor_its_decoder(variables, images):
     pruned = {kind: {m: v for m, v in tree.items() if m not in ("shear", "DS")} for kind, tree in variables.items()}
     got = unshearnet.unshear(NET, pruned, images)
@@ -159,8 +142,6 @@ def test_initial_weights_are_normal_with_deviation_002(variables):
         (UnshearNet(size=100), "size"),
         (UnshearNet(widths=(8,)), "widths"),
         (UnshearNet(widths=()), "widths"),
-        (UnshearNet(residual=5), "residual"),
-        (UnshearNet(residual=-1), "residual"),
     ],
 )
 def test_sizes_that_do_not_fit_are_refused_by_name(net, field):

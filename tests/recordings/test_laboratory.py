@@ -242,7 +242,6 @@ REFUSED = [
     (("--paired.pairing", "simulated", "--unshear.input", "pins"), "yours has 127"),
     (("--networks", "unet", "--unshear.input", "pins"), "reads images alone"),
     (("--unseen", "flower"), "is a test of simulated touches"),
-    (("--train.mirror", "true"), "have no mirror image"),
 ]
 
 
