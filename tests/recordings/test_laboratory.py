@@ -233,7 +233,7 @@ REFUSED = [
     (("--paired.labelled", "0"), "a share above 0"),
     (("--paired.unlabelled", "guessed"), "is unknown: use left_out or read"),
     (("--paired.unlabelled", "read", "--paired.pairing", "pose_id"), "give no partner for pairing pose_id"),
-    (("--pins.turned", "0.5"), "is for networks over recorded pins"),
+    (("--pins.turned", "0.5"), "is for networks over pins"),
     (
         ("--pins.turned", "0.5", "--unshear.input", "pins", "--networks", "disentangled,posenet"),
         "is for posenet_sheared, which",
