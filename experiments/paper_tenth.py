@@ -1,11 +1,11 @@
-"""Claim: appendix B, as experiments/paper.py reads it, learns to unshear from a tenth of the paper's data.
+"""Claim: appendix B, as experiments/paper.py reads it, learns from a tenth of the paper's data; it does not end with it.
 
     jaxunshear run experiments/paper_tenth.py
 
 The disentangled network alone, at 256 px, of the sensor, camera and friction that were fitted to recordings: 200 poses of each of
 three shapes with 5 taps and 15 slides, and 24 epochs of 169 steps, all before the paper's first drop of the learning rate.
-Expected on one free core, by the time that its first steps took: two hours of training. It has not been run to its end, so the
-claim is open. Slides are paired as in the paper, with taps that miss their depth by up to 1 mm; the test against taps of their own
+Expected on one core, docs/results/paper_tenth.json: two hours of training; MS-SSIM 0.82 (sheared 0.60, mean tap 0.69), validation
+loss still falling. Slides are paired as in the paper, with taps that miss their depth by up to 1 mm; the test against taps of their own
 depth stands apart.
 """
 
@@ -21,7 +21,7 @@ experiment = replace(
     PAPER,
     name="paper_tenth",
     networks=("disentangled",),
-    claim="Appendix B learns, on a tenth of the paper's data.",
+    claim="Appendix B learns, on a tenth of the paper's data; it does not end with it.",
     sensor=sensor_of("paper_tenth"),
     paired=PAIRED["paper_tenth"],
     pose=POSE["paper_tenth"],
