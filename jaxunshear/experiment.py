@@ -96,10 +96,14 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
     renderer, a teacher, a reader of slides without labels."""
     unshears = set(experiment.networks) - {*POSENETS, RENDERER}
     recorded = recorded_of(experiment)
-    rendered = (RENDERER,) if recorded and recorded.pairing in RENDERED and unshears else ()
     reader = ("posenet_sheared",) if recorded and recorded.unlabelled == "read" and unshears else ()
     training = experiment.train_pins if over_pins(experiment) else experiment.train
     taught = (TEACHER,) if training.pose_weight and unshears else ()
+    drawn = over_pins(experiment) and {"posenet", TEACHER} & {
+        *experiment.networks,
+        *taught,
+    }  # learns from rendered taps, too
+    rendered = (RENDERER,) if recorded and (drawn or (recorded.pairing in RENDERED and unshears)) else ()
     return tuple(dict.fromkeys((*rendered, *taught, *reader, *experiment.networks)))
 
 

@@ -13,7 +13,7 @@ from jaxunshear.preset import read_preset, with_preset
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = ROOT / "docs" / "results" / "calibrate_edge_2d.json"
-DEMO, RECORDED, SWEEP = (ROOT / "experiments" / f"{name}.py" for name in ("demo", "recorded", "taught"))
+DEMO, RECORDED, SWEEP = (ROOT / "experiments" / f"{name}.py" for name in ("demo", "recorded", "lambda_split"))
 
 
 def test_sensor_camera_and_friction_are_the_calibrated_ones():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxunshear.applications import uses
 from jaxunshear.applications.doctor import examine
 from jaxunshear.cli import _parser, main
 from jaxunshear.errors import UserError
@@ -57,7 +58,8 @@ def works(diagnosis):
         (NEWER, "processed_images", "newer layout (processed_images/)"),
     ],
 )
-def test_taps_and_slides_of_each_layout(tmp_path, columns, images, layout):
+def test_taps_and_slides_of_each_layout(tmp_path, monkeypatch, columns, images, layout):
+    monkeypatch.setattr(uses, "LEAST_FRAMES", 6)
     root = tmp_path / "edge 2d"
     taps = recorded(root / "tap" / "train", columns=columns, images=images)
     slides = recorded(root / "shear" / "train", slide=2.0, columns=columns, images=images)
@@ -90,6 +92,11 @@ def test_taps_and_slides_of_each_layout(tmp_path, columns, images, layout):
     ]
     for command in works(diagnosis):
         _parser().parse_args(shlex.split(command)[1:])
+
+
+def test_too_few_images_to_tell_where_pins_stand(tmp_path):
+    (unshear,) = (use for use in examine(recorded(tmp_path / "tap")).uses if " unshear " in use.command)
+    assert not unshear.works and "20 contacts or more" in unshear.why_not and "--like" in unshear.why_not
 
 
 def test_one_kind_alone_teaches_poses(tmp_path):

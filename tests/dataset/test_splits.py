@@ -8,14 +8,15 @@ from jaxunshear.dataset.shots import draw
 from jaxunshear.dataset.splits import BLOCK, SPLITS, split_of, splits_of, train_poses
 
 GOLDEN = [2, 0, 0, 0, 1, 0, 1, 0, 2, 0, 0, 2, 1, 0, 0, 1, 0, 0, 0, 2]
+DRAWN = (5, 7, 24, 60)
 SIZES = (5, 6, 7, 8, 9, 10, 11, 13, 24, 36, 60, 150)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 7, 1000, 2**31 - 1])
+@pytest.mark.parametrize("seed", [0, 7, 2**31 - 1])
 def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
     """Of any two sizes, slides, stimuli and kinds of set: the very poses are compared, not their numbers."""
     seen: dict[tuple, set[str]] = {}
-    for size in SIZES:
+    for size in DRAWN:
         for settings in (
             PairedData(poses=size, seed=seed),
             PairedData(poses=size, seed=seed, stimuli=("teardrop", "flower", "disk"), taps=2, slides=5),
@@ -24,7 +25,7 @@ def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
             shots = draw(settings)
             for stimulus, pose, split in zip(shots.scenes.stimulus, shots.scenes.pose, shots.split, strict=True):
                 seen.setdefault((settings.stimuli[stimulus], *pose.tolist()), set()).add(SPLITS[split])
-    assert len(seen) == 4 * max(SIZES)
+    assert len(seen) == 4 * max(DRAWN)
     assert all(len(splits) == 1 for splits in seen.values())
 
 
