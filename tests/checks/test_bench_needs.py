@@ -10,6 +10,7 @@ def rows():
     return bench_needs.bench_needs(size=32, widths=(4, 8), rounds=1)
 
 
+@pytest.mark.long
 def test_every_part_left_out_saves_operations(rows):
     ratios = {row["left_out"]: row["operations_ratio"] for row in rows}
     assert all(ratio < 1 for ratio in ratios.values())
@@ -18,6 +19,7 @@ def test_every_part_left_out_saves_operations(rows):
     assert ratios["networks that are not asked for"] < 0.5
 
 
+@pytest.mark.long
 def test_rows_hold_both_ways(rows):
     for row in rows:
         assert row["seconds_ratio"] > 0

@@ -63,6 +63,7 @@ def run(*settings: Setting) -> list[dict]:
     return bench(sensor=HALF_SIZE, effort=SMALL, settings=settings)
 
 
+@pytest.mark.long
 def test_a_row_says_all_there_is_to_say():
     kept = []
     setting = Setting("auto, batch 2", "auto", LEVELS["auto"], 2)

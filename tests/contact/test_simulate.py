@@ -65,6 +65,7 @@ def test_auto_agrees_with_reference(contacts):
     assert np.percentile(rms_mm(contacts.pins, reference.pins), 95) < 0.04  # mm: 0.3 px at 256
 
 
+@pytest.mark.long
 def test_what_is_left_out_changes_next_to_nothing():
     few = scenes(4, (2.0, 2.6))
     fine = replace(LEVELS["auto"], tolerance=0.02, limit=3000, omit=("nodes", "untouched", "grouping", "friction"))

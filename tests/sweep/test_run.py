@@ -64,6 +64,7 @@ def test_weights_that_may_know_the_test_are_refused_before_any_row(stand_in, swe
     assert not steps() and not rows(tmp_path)
 
 
+@pytest.mark.long
 def test_more_cells_seeds_and_other_labels_keep_the_rows_that_are_there(stand_in, swept, steps):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
     swept(sweep)  # trains its PoseNet in the row: no other needs it yet
@@ -101,6 +102,7 @@ def test_a_training_whose_model_is_damaged_is_not_used_again(stand_in, swept, st
     assert sum(name.startswith("posenet") for name in again) == 10
 
 
+@pytest.mark.long
 def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(stand_in, swept, steps, tmp_path):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
     more = replace(sweep, grid=(("train.patch_weight", (0.0, 0.1)),))
@@ -133,6 +135,7 @@ def test_a_teacher_that_rows_share_is_trained_once(stand_in, swept, steps):
     ]
 
 
+@pytest.mark.long
 def test_memory_is_that_of_the_trainings_too(stand_in, swept, tmp_path):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 0.1)),), seeds=(0,))
     swept(sweep)
@@ -143,6 +146,7 @@ def test_memory_is_that_of_the_trainings_too(stand_in, swept, tmp_path):
     assert {cell["costs"]["0"]["peak_memory_bytes"] for cell in swept(sweep)["cells"]} == {10**15}
 
 
+@pytest.mark.long
 def test_a_picture_of_other_rows_does_not_stay(stand_in, swept, tmp_path):
     sweep = replace(stand_in.SWEEP, seeds=(0,))
     swept(sweep)
