@@ -34,7 +34,7 @@ def score_recordings(
     """Results in the form of results.json. Raises UserError where the run is about simulated touches, or nothing can be read or scored."""
     settings = recorded_of(experiment)
     if settings is None:
-        raise UserError(f"{run_dir} learnt from simulated touches: applications/transfer.py scores these")
+        raise UserError(f"{run_dir} learnt from simulated touches: score it with `jaxunshear evaluate`")
     started = time.perf_counter()
     for network in experiment.networks:
         check_finished(run_dir / network)
