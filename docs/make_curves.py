@@ -53,6 +53,8 @@ def picture(rows: list[dict[str, Any]], path: Path) -> None:
             losses.plot(row["step"], row["validation"][RANK], **style)
         sizes.set(xlabel="steps", yscale="log", title="inner kernels, root mean square (0.02 at the start)")
         losses.set(xlabel="steps", yscale="log", title="validation loss: mean squared difference to the tap")
+        for axes in (sizes, losses):
+            axes.locator_params(axis="x", nbins=6)
         if len(labels) > 1:
             figure.legend(loc="outside lower center", ncols=3, fontsize=LABEL)
         figure.savefig(path, dpi=DPI, metadata={"Software": ""})
