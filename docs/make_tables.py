@@ -68,6 +68,69 @@ def demo() -> str:
     return "\n".join(lines)
 
 
+LOOKS = {
+    "tap": "tap",
+    "sheared": "sheared",
+    "translated": "sheared, best translation",
+    "mean_tap": "mean training tap",
+    "nearest_tap": "nearest training tap",
+    "entangled": "entangled",
+    "entangled_large": "entangled, as many parameters",
+    "unet": "U-Net",
+    "disentangled": "disentangled",
+    "sheared_learnt": "PoseNet that learnt slides",
+}
+QUANTITIES = (("x_mm", 2), ("yaw_deg", 1), ("edge_mm", 2), ("edge_deg", 1))
+
+
+def standard() -> str:
+    """Likeness, pins and errors of the standard experiment by what is looked at."""
+    metrics = _cells("standard")[0]["metrics"]
+    lines = [
+        "| | MS-SSIM@4 | pins, px rms | x, mm | yaw, deg | edge distance, mm | edge angle, deg |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for look, told in LOOKS.items():
+        likeness = _cell(metrics[f"ms_ssim/{look}"], 3) if f"ms_ssim/{look}" in metrics else ""
+        pins = metrics.get(f"pin_error/{look}/rms_px") if look != "sheared" else None
+        cells = [_cell(metrics[f"pose/{look}/{name}"], digits) for name, digits in QUANTITIES]
+        lines.append(_line(told, [likeness, f"{pins['mean']:.3f}" if pins else "", *cells]))
+    return "\n".join(lines)
+
+
+def recoveries() -> str:
+    """The share of what a slide adds to an error that is gone again, by reader and network."""
+    metrics = _cells("standard")[0]["metrics"]
+    lines = ["| recovery | x | yaw | edge distance | edge angle |", "|---|---|---|---|---|"]
+    for look in ("entangled", "entangled_large", "unet", "disentangled", "sheared_learnt"):
+        lines.append(_line(LOOKS[look], [_cell(metrics[f"pose_recovery/{look}/{name}"], 2) for name, _ in QUANTITIES]))
+    return "\n".join(lines)
+
+
+def other_readers() -> str:
+    """Errors of the reader that is no neural network, in the standard experiment."""
+    metrics = _cells("standard")[0]["metrics"]
+    lines = ["| `pixels` reads | x, mm | yaw, deg | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
+    for look in ("tap", "sheared", "entangled", "entangled_large", "unet", "disentangled"):
+        cells = [_cell(metrics[f"read/pixels/{look}/{name}"], digits) for name, digits in QUANTITIES]
+        lines.append(_line(LOOKS[look], cells))
+    return "\n".join(lines)
+
+
+def standard_first() -> str:
+    """The first figures of the standard experiment, the paper's beside them."""
+    metrics = _cells("standard")[0]["metrics"]
+    kinds = ("tap", "sheared", "entangled", "disentangled")
+    lines = [f"| `standard.py` | {' | '.join(kinds)} |", "|---|" + "---|" * len(kinds)]
+    likeness = ["1", *(_cell(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
+    lines.append(_line("MS-SSIM to the tap, simulated, 128 px (`ms_ssim@4`)", likeness))
+    lines.append(_line("MS-SSIM, real, 256 px (paper, Table 1)", ["1", "0.32", "0.90", "0.93"]))
+    for name, key, digits in (("edge distance error, mm", "edge_mm", 2), ("edge angle error, deg", "edge_deg", 1)):
+        cells = [_cell(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]
+        lines.append(_line(f"{name}, simulated", cells))
+    return "\n".join(lines)
+
+
 def few_labels() -> str:
     """Errors over the share of slides with labels, by what is learnt from, unsheared and learnt directly."""
     lines = [f"| slides with a label | {' | '.join(LEARNT)} |", "|---|" + "---|" * len(LEARNT)]
@@ -131,34 +194,26 @@ def tenth() -> str:
 
 
 def transfer() -> str:
-    """Errors on recordings of weights that learnt in simulation alone: of the one training that reads images, and means of those over
-    pins, each with its least and most."""
-    runs = {
-        name: {row["name"]: row["value"] for row in run["rows"]}
-        for name, run in json.loads((RESULTS / "skin.json").read_text())["runs"].items()
-    }
-    seeds = [rows for name, rows in runs.items() if name.startswith("skin")]
+    """Errors on recordings of the weights that learnt in simulation alone, by their own PoseNet and by a ridge that learnt recorded taps:
+    means of the trainings, each with its least and most."""
+    runs = [{name: row["value"] for name, row in run.items()} for run in _runs("skin", "skin")]
+    readers = ("pose_mae", "readers.pins")
     lines = [
-        "| learnt in simulation; reads recorded | `standard`, images: y, mm | Rz, deg | `skin`, pins: y, mm | Rz, deg |",
+        "| learnt in simulation; reads recorded | its PoseNet: y, mm | Rz, deg | a ridge on recorded taps: y, mm | Rz, deg |",
         "|---|---|---|---|---|",
     ]
-    kinds = {
-        "taps": "pose_mae.tap",
-        "slides as recorded": "pose_mae.sheared",
-        "**slides unsheared**": "pose_mae.unsheared",
-        "recovery: the share of the slide's damage undone": "pose_recovery.unsheared",
-    }
+    kinds = {"taps": "tap", "slides as recorded": "sheared", "**slides unsheared**": "unsheared"}
     for told, kind in kinds.items():
-        digits = [2 if "recovery" in kind else d for _, d in COLUMNS]
-        one = [_plain(runs["standard"][f"{kind}.{q}"], d) for (q, _), d in zip(COLUMNS, digits, strict=True)]
-        values = [[rows[f"{kind}.{q}"] for rows in seeds] for q, _ in COLUMNS]
-        many = [f"{fmean(v):.{d}f} [{min(v):.{d}f}, {max(v):.{d}f}]" for v, d in zip(values, digits, strict=True)]
-        lines.append(_line(told, [*one, *many]))
-    return "\n".join(lines)
-
-
-def _plain(value: float | None, digits: int) -> str:
-    return "none" if value is None else f"{value:.{digits}f}"
+        values = [
+            ([run[f"{reader}.{kind}.{q}"] for run in runs], digits) for reader in readers for q, digits in COLUMNS
+        ]
+        lines.append(_line(told, [_of_values(each, digits) for each, digits in values]))
+    undone = []
+    for reader in readers:
+        for q, _ in COLUMNS:
+            tap, sheared, after = ([run[f"{reader}.{kind}.{q}"] for run in runs] for kind in kinds.values())
+            undone.append(_of_values([(s - u) / (s - t) for t, s, u in zip(tap, sheared, after, strict=True)], 2))
+    return "\n".join([*lines, _line("recovery: the share of the slide's damage undone", undone)])
 
 
 def refit() -> str:
@@ -196,19 +251,53 @@ def geometry() -> str:
     return "\n".join(lines)
 
 
+WALKED = {
+    "true": "true pose",
+    "sheared": "sheared, tap PoseNet",
+    "entangled": "entangled",
+    "disentangled": "disentangled",
+    "sheared_learnt": "sheared, PoseNet that learnt slides",
+}
+
+
+def _runs(name: str, begins: str = "") -> list[dict[str, dict[str, Any]]]:
+    """The rows by name of the trainings that stand in a result file, those whose name begins so."""
+    runs = json.loads((RESULTS / f"{name}.json").read_text())["runs"]
+    return [{row["name"]: row for row in run["rows"]} for told, run in runs.items() if told.startswith(begins)]
+
+
+def _of_walks(rows: list[dict[str, Any]], field: str, digits: int) -> str:
+    """Over all walks of all trainings."""
+    return _of_values([value for row in rows for value in row[field]], digits)
+
+
+def _shapes(rows: dict[str, dict[str, Any]]) -> dict[str, str]:
+    names = dict.fromkeys(row["stimulus"] for row in rows.values())
+    return {name: name if name in TRAINED else f"{name} (unseen)" for name in names}
+
+
+def servo() -> str:
+    """How far walks are from the edge, mm: the mean of each walk, over starts and trainings."""
+    runs = _runs("servo")
+    lines = [f"| | {' | '.join(WALKED.values())} |", "|---|" + "---|" * len(WALKED)]
+    for shape, told in _shapes(runs[0]).items():
+        found = [[run[f"{shape}/{way}"] for run in runs if f"{shape}/{way}" in run] for way in WALKED]
+        lines.append(_line(told, [_of_walks(rows, "walk_mm", 2) for rows in found]))
+    return "\n".join(lines)
+
+
 def objects() -> str:
-    """IoU with the true shape over the whole grid and over the cells that were felt; of `skin` the rms error of the top, mm."""
-    rows = {row["name"]: row for row in json.loads((RESULTS / "objects.json").read_text())["rows"]}
-    looks = {"unsheared": "disentangled", "sheared": "sheared"}
-    lines = ["| | " + " | ".join(f"{made}, {told}" for made in MADE for told in looks) + " |", "|---|" + "---|" * 6]
-    for shape in dict.fromkeys(row["stimulus"] for row in rows.values()):
-        cells = []
-        for made in MADE:
-            for way in looks.values():
-                row = rows[f"{shape}/{made}/{way}"]
-                top = row["height_rms_mm"]
-                cells.append(f"{row['iou']:.2f} / {row['iou_felt']:.2f}" + ("" if top is None else f" / {top:.2f}"))
-        lines.append(_line(shape if shape in TRAINED else f"{shape} (unseen)", cells))
+    """IoU with the true shape over the whole grid, by maker: over starts and trainings."""
+    runs, looks = _runs("reconstruct"), {"disentangled": "unsheared", "sheared": "sheared"}
+    lines = [
+        "| | " + " | ".join(f"{made}, {told}" for made in MADE for told in looks.values()) + " |",
+        "|---|" + "---|" * 6,
+    ]
+    for shape, told in _shapes(runs[0]).items():
+        rows = [
+            [run[name] for run in runs if (name := f"{shape}/{made}/{way}") in run] for made in MADE for way in looks
+        ]
+        lines.append(_line(told, [_of_walks(each, "walk_iou", 2) for each in rows]))
     return "\n".join(lines)
 
 
@@ -230,6 +319,11 @@ def readings() -> str:
     return "\n".join(lines)
 
 
+def _of_values(values: list[float], digits: int) -> str:
+    """Mean [least, most]."""
+    return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
+
+
 def _cells(name: str) -> list[dict[str, Any]]:
     return json.loads((RESULTS / f"{name}.json").read_text())["cells"]
 
@@ -244,11 +338,11 @@ def _cell(metric: dict[str, Any], digits: int) -> str:
 
 
 TABLES = {
-    "README.md": (real_skin, transfer, demo),
+    "README.md": (real_skin, transfer, demo, standard_first),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
-    "docs/applications.md": (geometry, objects),
-    "docs/model.md": (readings, tenth),
+    "docs/applications.md": (geometry,),
+    "docs/model.md": (standard, recoveries, other_readers, readings, tenth),
 }
 
 if __name__ == "__main__":

@@ -2,10 +2,9 @@
 
     jaxunshear run experiments/calibrated.py
 
-Expected on two cores (docs/results/calibrated.json): as long as the demo (the stored run, with other work beside, 20
-minutes), MS-SSIM from about 0.50 to 0.953, and a third of what the slide adds to pose errors gone again, half with the
-entangled network: the fitted skin slips at half the pull and its pins are levers, so that slides mislead a PoseNet less
-than the demo's do, and minutes of training undo less. The page compares it with the demo's bars and says where it misses.
+Expected on two cores: as long as the demo. The fitted skin slips at half the pull and its pins are levers, so slides mislead a PoseNet
+less than the demo's do, and minutes of training undo less. Not measured since data version 3.0.0: experiments/standard.py, of the same
+sensor, is. The page compares it with the demo's bars and says where it misses.
 """
 
 from dataclasses import replace

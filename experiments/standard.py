@@ -2,11 +2,11 @@
 
     jaxunshear sweep experiments/standard.py --seeds 0,1,2        # one seed: jaxunshear run experiments/standard.py
 
-The sensor, its camera and its friction are those fitted to recordings. Expected on two cores, as measured with flush pins, data
-version 2.4.0 (docs/results/standard.json): 34 minutes for the networks of a seed and five for their
-evaluation, beside 7 for the data, which all seeds share; MS-SSIM 0.971, edge distance to 0.32 mm. Images of
-128 px, camera noise and drift on. Tests of their own: the four shapes that no network has seen, and taps whose depth
-misses the slide's by up to 1 mm, as the paper pairs them.
+The sensor, its camera and its friction are those fitted to recordings. Expected (docs/results/standard.json): MS-SSIM 0.970 (sheared
+0.565), edge distance to 0.31 mm (taps 0.23, sheared 0.48). On two cores half an hour for the networks of a seed and five minutes for
+their evaluation, beside seven for the data, which all seeds share; on a GPU two or three minutes for the networks. Images of 128 px,
+camera noise and drift on. Tests of their own: the four shapes that no network has seen, and taps whose depth misses the slide's by up to
+1 mm, as the paper pairs them.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of

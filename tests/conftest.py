@@ -17,7 +17,27 @@ if OWN:
     os.environ[COMPILED] = tempfile.mkdtemp(prefix="compiled-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
 
+LIGHT = "--xla_backend_optimization_level=1"
+
+
+def compile_lightly() -> None:
+    """Tests compile much and compute little. Processes that they start compile as everywhere."""
+    import jax
+
+    if "XLA_FLAGS" not in os.environ:
+        os.environ["XLA_FLAGS"] = LIGHT
+        jax.devices()
+        del os.environ["XLA_FLAGS"]
+
+
+compile_lightly()
 REAL = Path(__file__).resolve().parents[1].parent / "shared" / "real"
+
+
+@pytest.fixture
+def light() -> dict[str, str]:
+    """For the environment of a process that is to compute the bits of this one."""
+    return {"XLA_FLAGS": LIGHT}
 
 
 @pytest.fixture(scope="session")

@@ -60,6 +60,7 @@ print(min(faults() for _ in range(20)))  # small blocks settle among the large o
 """
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="of glibc")
 def test_a_computation_finds_the_memory_of_the_last_one():
     def pages(keep):

@@ -104,6 +104,7 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
     assert not any((out / "tiny" / name).exists() for name in ("results.json", "ablation.json"))
 
 
+@pytest.mark.long
 def test_a_network_is_taught_by_a_posenet_and_told_poses(finished, command, tmp_path):
     """Results do not know that PoseNet; released weights hold the head that reads poses off the code, and no DS."""
     words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--networks", "disentangled,posenet"]

@@ -116,7 +116,7 @@ def _row(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, so
         "walks": len(rows),
         "closed": int(np.sum(walks.end[rows] == CLOSED)),
         "iou": float(scores[:, 0].mean()),
-        "iou_least": float(scores[:, 0].min()),
+        "walk_iou": scores[:, 0].tolist(),
         "iou_felt": float(scores[:, 3].mean()),
         "mean_mm": float(scores[:, 1].mean()),
         "hausdorff_mm": float(scores[:, 2].mean()),

@@ -47,11 +47,13 @@ Move = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
 
 
 class Answers(NamedTuple):
-    """Of one batch: images (B, S, S) in [0, 1], poses by way and target, each (B,), and whether pins were followed for sure (B,)."""
+    """Of one batch: images (B, S, S) in [0, 1], poses by way and target, each (B,), whether pins were followed for sure (B,), and
+    their places (B, P, 2) px by way, of networks over pins alone."""
 
     unsheared: np.ndarray | None
     poses: dict[str, dict[str, np.ndarray]]
     sure: np.ndarray
+    pins: dict[str, np.ndarray]
 
 
 class Perceiver(NamedTuple):
@@ -95,7 +97,9 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
 
     def answer(images: np.ndarray) -> Answers:
         after, poses = jax.device_get(run(images[..., None].astype(np.float32) / 255))
-        return Answers(None if after is None else after[..., 0], _in_order(poses, names), np.ones(len(images), bool))
+        return Answers(
+            None if after is None else after[..., 0], _in_order(poses, names), np.ones(len(images), bool), {}
+        )
 
     return Perceiver(experiment.paired.preprocess, view, names, answer, expected_by(model, experiment))
 
@@ -162,13 +166,14 @@ def _of_pins(
         motion = np.array([track.motion for track in tracks])
         pins = to_image(frame, lattice.place + np.where(sure[:, None, None], motion, np.nan))
         after, poses = jax.device_get(run(there(pins).astype(np.float32)))
-        drawn = (
-            None if after is None else np.asarray(dots(jnp.asarray(back(after)), frame.radius_px, frame.size))[..., 0]
-        )
+        places, drawn = {AS_RECORDED: pins}, None
+        if after is not None:
+            places[UNSHEARED] = back(after)
+            drawn = np.asarray(dots(jnp.asarray(places[UNSHEARED]), frame.radius_px, frame.size))[..., 0]
         for pose in poses.values():
             if EDGE in pose:
                 pose[EDGE] = 180 - (180 - pose[EDGE] - degrees) % 360
-        return Answers(drawn, _in_order(poses, names), sure)
+        return Answers(drawn, _in_order(poses, names), sure, places)
 
     preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
     return Perceiver(preprocess, frame.view, names, answer, expected)

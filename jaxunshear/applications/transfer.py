@@ -5,9 +5,13 @@
 
 What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, tell how
 it goes with the labels: a sign and an offset each. The other half is scored, and every slide; nothing is fitted to slides.
+
+Networks over pins are also read by one of another make: a kernel ridge that learns pose from the pins of those same taps. It has nothing
+in common with the networks, and with the simulator that they learnt in.
 """
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +25,8 @@ from jaxunshear.dataset.recordings import read_image
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import rounded
+from jaxunshear.evaluation.readers import places
+from jaxunshear.evaluation.ridge import answers, fitted
 from jaxunshear.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.image.understood import ENOUGH, plausibility
@@ -59,7 +65,9 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
                 f"{recordings} holds {len(found.files)} labelled {kind}: at least {LEAST_FRAMES} are needed to score by"
             )
     told = np.random.default_rng(SEED).random(len(taps.files)) < 0.5
-    of_taps, of_slides = (_read(experiment, model, settings, *kind) for kind in ((taps, "taps"), (slides, "slides")))
+    (of_taps, tap_pins), (of_slides, slide_pins) = (
+        _read(experiment, model, settings, *kind) for kind in ((taps, "taps"), (slides, "slides"))
+    )
     known = _of(of_taps[AS_RECORDED], told)
     if UNSHEARED not in of_slides:
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
@@ -70,6 +78,15 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
         "unsheared": (of_slides[UNSHEARED], slides.pose),
     }
     mae = {way: _errors(aligned, poses, labels) for way, (poses, labels) in ways.items()}
+    readers = {}
+    if tap_pins:
+        reader = learnt(tap_pins[AS_RECORDED][told], taps.pose[told], tuple(aligned))
+        seen = {
+            "tap": (tap_pins[AS_RECORDED][~told], taps.pose[~told]),
+            "sheared": (slide_pins[AS_RECORDED], slides.pose),
+            "unsheared": (slide_pins[UNSHEARED], slides.pose),
+        }
+        readers["pins"] = {way: _errors_between(reader(pins), labels) for way, (pins, labels) in seen.items()}
     unread = [int(np.isnan(next(iter(of[AS_RECORDED].values()))).sum()) for of in (of_taps, of_slides)]
     results = {
         "experiment": experiment.name,
@@ -78,11 +95,13 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
             "pose_mae": "mean absolute error of a PoseNet that learnt from simulated taps, sign and offset of each reading by half of the "
             "recorded taps",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
+            "readers": "mean absolute error of a kernel ridge that learnt from the pins of half of the recorded taps",
         },
         "targets": [{"name": name} for name in aligned],
         "aligned": {name: each._asdict() for name, each in aligned.items()},
         "pose_mae": mae,
         "pose_recovery": {"unsheared": _recovery(mae)},
+        "readers": readers,
         "counts": {
             "told_taps": int(told.sum()),
             "test_taps": int((~told).sum()),
@@ -98,6 +117,34 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
         "command": command,
     }
     return rounded(results)
+
+
+def learnt(
+    pins: np.ndarray, labels: np.ndarray, names: tuple[str, ...]
+) -> Callable[[np.ndarray], dict[str, np.ndarray]]:
+    """Pins (N, P, 2) px -> the labels by name, (N,) each, NaN where a pin is not known; learnt from such pins with labels (N, 6)."""
+    sure = np.isfinite(pins).all(axis=(1, 2))
+    values = {name: labels[sure, RECORDED[name][1]] for name in names}
+    spread = {name: float(value.std()) for name, value in values.items()}
+    columns = []
+    for name, value in values.items():
+        turn = np.radians(value)
+        columns += [np.cos(turn), np.sin(turn)] if name.endswith("_deg") else [value / spread[name]]
+    ridge = fitted(places(pins[sure]), np.stack(columns, axis=1))
+
+    def read(others: np.ndarray) -> dict[str, np.ndarray]:
+        known = np.isfinite(others).all(axis=(1, 2))
+        found = np.full((len(others), len(columns)), np.nan)
+        found[known] = answers(ridge, places(others[known]))
+        rest = iter(found.T)
+        return {
+            name: np.degrees(np.arctan2(*(next(rest), next(rest))[::-1]))
+            if name.endswith("_deg")
+            else next(rest) * spread[name]
+            for name in names
+        }
+
+    return read
 
 
 def scored(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
@@ -129,8 +176,9 @@ def aligned_with(name: str, readings: dict[str, np.ndarray], labels: np.ndarray)
 
 def _read(
     experiment: Experiment, model: Path, settings: Recorded, contacts: Contacts, kind: str
-) -> dict[str, dict[str, np.ndarray]]:
-    """Poses by way and quantity, (N,) each, NaN where a contact could not be read."""
+) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, np.ndarray]]:
+    """Poses by way and quantity, (N,) each, and pins by way, (N, P, 2) px, of networks over pins; NaN where a contact could not be
+    read."""
     contacts = contacts._replace(
         split=np.zeros(len(contacts.files), int)
     )  # all alike: whoever looks for training frames finds them
@@ -138,6 +186,7 @@ def _read(
     network = perceiver(model, experiment, True, frame)
     view = network.view or common_view(contacts, network.preprocess)
     found: dict[str, dict[str, np.ndarray]] = {}
+    pins: dict[str, np.ndarray] = {}
     size = network.preprocess.size
     with Progress(f"read {kind}", len(contacts.files), "frames") as progress:
         for start in range(0, len(contacts.files), BATCH):
@@ -149,16 +198,19 @@ def _read(
                     fine[i] = plausibility(images[i], network.expected) >= ENOUGH
                 except UserError:
                     continue  # counted as not read
-            answers = network.answer(images)
-            fine &= answers.sure
-            for way, poses in answers.poses.items():
+            told = network.answer(images)
+            fine &= told.sure
+            for way, poses in told.poses.items():
                 for name, values in poses.items():
                     whole = found.setdefault(way, {}).setdefault(name, np.full(len(contacts.files), np.nan))
                     whole[start : start + len(files)] = np.where(fine, values, np.nan)[: len(files)]
+            for way, there in told.pins.items():
+                whole = pins.setdefault(way, np.full((len(contacts.files), *there.shape[1:]), np.nan))
+                whole[start : start + len(files)] = np.where(fine[:, None, None], there, np.nan)[: len(files)]
             progress.advance(len(files))
     if not found:
         raise UserError(f"{model} holds no trained PoseNet: what it reads off recordings is what is scored")
-    return found
+    return found, pins
 
 
 def _of(poses: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
@@ -169,9 +221,14 @@ def _errors(aligned: dict[str, Aligned], poses: dict[str, np.ndarray], labels: n
     fine = np.isfinite(next(iter(poses.values())))
     if not fine.any():
         return dict.fromkeys(aligned, float("nan"))
-    found = {name: each(_of(poses, fine)) for name, each in aligned.items()}
-    true = {name: labels[fine, RECORDED[name][1]] for name in aligned}
-    return {name: float(error.mean()) for name, error in pose_errors(found, true).items()}
+    return _errors_between({name: each(_of(poses, fine)) for name, each in aligned.items()}, labels[fine])
+
+
+def _errors_between(found: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:
+    """Mean absolute errors of what could be read."""
+    fine = np.isfinite(next(iter(found.values())))
+    true = {name: labels[fine, RECORDED[name][1]] for name in found}
+    return {name: float(error.mean()) for name, error in pose_errors(_of(found, fine), true).items()}
 
 
 def _recovery(mae: dict[str, dict[str, float]]) -> dict[str, float | None]:

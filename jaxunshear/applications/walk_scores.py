@@ -11,15 +11,15 @@ from jaxunshear.applications.servo import CLOSED, ENDS, LATE, Walks
 def walk_rows(walks: Walks, line: Outline, stimulus: str) -> list[dict[str, Any]]:
     """A row for each way of perceiving: means over its walks, distances over all of their steps.
 
-    `mean_mm`, `p95_mm` and `largest_mm`: of the trajectory, which the controller holds to the edge, from the outline; `seen_*`: of
-    where the edge was perceived to be, from the outline. A walk that was lost counts until there.
+    `mean_mm`, `p95_mm` and `largest_mm`: of the trajectory, which the controller holds to the edge, from the outline; `walk_mm` its
+    mean walk by walk; `seen_*`: of where the edge was perceived to be, from the outline. A walk that was lost counts until there.
     """
     rows = []
     for way in dict.fromkeys(walks.way.tolist()):
         mine = np.flatnonzero(walks.way == way)
-        track = np.concatenate([walks.point[w, ~np.isnan(walks.point[w, :, 0]), :2] for w in mine])
+        tracks = [off(line, walks.point[w, ~np.isnan(walks.point[w, :, 0]), :2]) for w in mine]
         edge = np.concatenate([seen_edge(walks, int(w)) for w in mine])
-        apart, seen = off(line, track), off(line, edge)
+        apart, seen = np.concatenate(tracks), off(line, edge)
         ends = {ENDS[end]: int(np.sum(walks.end[mine] == end)) for end in range(CLOSED, LATE + 1)}
         taken = np.sum(~np.isnan(walks.seen[mine, :, 0]))
         rows.append(
@@ -31,6 +31,7 @@ def walk_rows(walks: Walks, line: Outline, stimulus: str) -> list[dict[str, Any]
                 "completed": float(np.mean(np.clip(walks.way_mm[mine] / line.length, 0, 1))),
                 "closed": ends[ENDS[CLOSED]],
                 "mean_mm": float(apart.mean()),
+                "walk_mm": [float(track.mean()) for track in tracks],
                 "p95_mm": float(np.percentile(apart, 95)),
                 "largest_mm": float(apart.max()),
                 "seen_mean_mm": float(seen.mean()),

@@ -86,18 +86,23 @@ def _prepared(experiment: Experiment, run_dir: Path, contacts: Contacts, setting
 
 
 def table(results: dict[str, Any]) -> str:
-    """What a person wants to know at once: errors of pose by what was looked at."""
+    """What a person wants to know at once: errors of pose by what was looked at, PoseNet's and, where there are others, theirs."""
     names = [target["name"] for target in results["targets"]]
-    ways = [way for way in ("tap", "sheared", "unsheared", "sheared_learnt") if way in results["pose_mae"]]
-    lines = [f"{'error':<16}" + "".join(f"{name:>10}" for name in names)]
-    for way in ways:
-        lines.append(f"{way:<16}" + "".join(f"{results['pose_mae'][way][name]:>10.3f}" for name in names))
+    lines = _errors("error", results["pose_mae"], names)
     recovery = results["pose_recovery"].get("unsheared")
     if recovery:
         shown = ("      none" if recovery[name] is None else f"{recovery[name]:>10.2f}" for name in names)
         lines.append(f"{'recovery':<16}" + "".join(shown))
+    for reader, errors in results.get("readers", {}).items():
+        lines += _errors(f"reader {reader}", errors, names)
     counts = results["counts"]
     lines.append(
         f"{counts['test_taps']} taps, {counts['test_poses']} slides, {counts['test_unsure']} of them with unsure pins"
     )
     return "\n".join(lines)
+
+
+def _errors(told: str, errors: dict[str, dict[str, float]], names: list[str]) -> list[str]:
+    ways = [way for way in ("tap", "sheared", "unsheared", "sheared_learnt") if way in errors]
+    rows = [f"{way:<16}" + "".join(f"{errors[way][name]:>10.3f}" for name in names) for way in ways]
+    return [f"{told:<16}" + "".join(f"{name:>10}" for name in names), *rows]

@@ -69,6 +69,7 @@ def test_files(results):
     assert "friction" in (out / "calibration.txt").read_text()
 
 
+@pytest.mark.long
 def test_unlabelled_images_tell_framing_and_pins_only(simulated, tmp_path):
     """And so do labels that belong to other images."""
     (tmp_path / "bare").mkdir()

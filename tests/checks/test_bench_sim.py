@@ -78,6 +78,7 @@ def test_a_row_says_all_there_is_to_say():
     assert bench_figure.work_precision(rows)[:4] == b"\x89PNG"
 
 
+@pytest.mark.long
 def test_a_solver_that_does_not_converge_fails_and_is_shown():
     impatient = Setting(
         "impatient", "auto", replace(LEVELS["auto"], limit=5, tolerance=1e-3), 2, "projected gradient", kinds=("slide",)

@@ -40,6 +40,7 @@ def test_a_contact_that_is_solved():
     assert row.float_px <= stability.PRECISION_PX and row.nodes > 0 and row.iterations > 0 and row.ms > 0
 
 
+@pytest.mark.long
 def test_nodes_that_stand_there_twice_change_nothing():
     (case,) = [case for case in cases.all_cases() if case.name.startswith("contact nodes that stand there twice")]
     row = stability.examine(case)

@@ -198,6 +198,7 @@ def test_a_switch_is_flagged_and_one_sided(special, special_found, special_model
     assert min(np.abs(slope - less).max(), np.abs(slope - more).max()) < 1e-3 * np.abs(more).max()
 
 
+@pytest.mark.long
 def test_going_on_from_a_skin(paths):
     slides = Paths(paths.stimulus[:2], paths.friction[:2], paths.points[:2, :3])
     pressed = Paths(slides.stimulus, slides.friction, slides.points[:, :2])

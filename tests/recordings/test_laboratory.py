@@ -158,6 +158,7 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     assert "Labels of 40% of the training slides teach" in told and "posenet_sheared</code> reads off them" in told
 
 
+@pytest.mark.long
 def test_images_take_the_same_road(command, recording, place, tmp_path):
     small = (
         *("--paired.preprocess.size", "32", "--unshear.size", "32", "--posenet.size", "32", "--unshear.widths", "4,4"),

@@ -25,6 +25,7 @@ def laboratory(tmp_path_factory):
     return place
 
 
+@pytest.mark.long
 def test_every_command_of_the_page_works_in_its_order(command, laboratory, monkeypatch):
     monkeypatch.chdir(laboratory)
     done = []

@@ -25,6 +25,8 @@ from jaxunshear.sweep.summary import reproducible
 from jaxunshear.sweep.table import table
 from jaxunshear.sweep.tasks import LOCK, TASK
 
+WEIGHTS = Path(__file__).resolve().parents[2] / "jaxunshear" / "weights"
+
 
 def rows(tmp_path: Path) -> dict[str, dict]:
     return {path.parent.name: read_json(path) for path in (tmp_path / "small" / "rows").glob("*/row.json")}
@@ -58,8 +60,11 @@ def test_a_second_time_nothing_is_done(stand_in, swept, steps, tmp_path):
 
 
 def test_weights_that_may_know_the_test_are_refused_before_any_row(stand_in, swept, steps, tmp_path):
-    axis = ("train.start", ("", "standard"))
-    with pytest.raises(UserError, match=r"standard/disentangled learnt from tactip_paired 2\.4\.0 of seed 0"):
+    older = shutil.copytree(WEIGHTS / "standard" / "disentangled", tmp_path / "older" / "disentangled")
+    model = json.loads((older / "model.json").read_text())
+    (older / "model.json").write_text(json.dumps(model | {"origin": model["origin"] | {"version": "2.4.0"}}))
+    axis = ("train.start", ("", str(older.parent)))
+    with pytest.raises(UserError, match=r"older/disentangled learnt from tactip_paired 2\.4\.0 of seed 0"):
         swept(replace(stand_in.SWEEP, grid=(axis,), seeds=(0,)))
     assert not steps() and not rows(tmp_path)
 

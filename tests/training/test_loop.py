@@ -124,9 +124,9 @@ def test_stopped_and_resumed_gives_the_same_bits(straight, tmp_path, at):
     assert losses_of(tmp_path) == losses_of(straight[0])
 
 
-def test_killed_processes_end_as_an_undisturbed_one(straight, tmp_path):
+def test_killed_processes_end_as_an_undisturbed_one(straight, light, tmp_path):
     """kill -9 at several moments, from the first checkpoint's writing on, then to the end."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = os.environ | light | {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, str(Path(__file__).with_name("small.py")), str(tmp_path), "0.05"]
     for sight, wait in (("checkpoints/*", 0.0), ("checkpoints/00000008*", 0.02)):
         process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
