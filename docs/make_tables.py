@@ -256,7 +256,7 @@ WALKED = {
     "sheared": "sheared, tap PoseNet",
     "entangled": "entangled",
     "disentangled": "disentangled",
-    "sheared_learnt": "sheared, PoseNet that learnt slides",
+    "learnt": "sheared, PoseNet that learnt slides",
 }
 
 
@@ -341,7 +341,7 @@ TABLES = {
     "README.md": (real_skin, transfer, demo, standard_first),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
-    "docs/applications.md": (geometry,),
+    "docs/applications.md": (geometry, servo, objects),
     "docs/model.md": (standard, recoveries, other_readers, readings, tenth),
 }
 
