@@ -2,8 +2,8 @@
 
     jaxunshear run experiments/paper_short.py
 
-Not measured since data version 3.0.0 and the sensor fitted to recordings; before them it took two cores an hour and a quarter, of which
-the disentangled network took 34 minutes. The sensor and the shapes are those of experiments/standard.py at twice the resolution. Slides
+Expected on two cores: an hour and a quarter, of which the disentangled network takes 34 minutes. Its tables have not been measured since
+data version 3.0.0 and the sensor fitted to recordings. The sensor and the shapes are those of experiments/standard.py at twice the resolution. Slides
 are paired with taps of their own depth; against taps that miss it by up to 1 mm, as the paper pairs them, stands a test of its own.
 """
 
