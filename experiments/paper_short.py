@@ -3,8 +3,9 @@
     jaxunshear run experiments/paper_short.py
 
 Expected on two cores: an hour and a quarter, of which the disentangled network takes 34 minutes. Its tables have not been measured since
-data version 3.0.0 and the sensor fitted to recordings. The sensor and the shapes are those of experiments/standard.py at twice the resolution. Slides
-are paired with taps of their own depth; against taps that miss it by up to 1 mm, as the paper pairs them, stands a test of its own.
+data version 3.0.0 and the sensor fitted to recordings. Sensor and shapes are those of experiments/standard.py at twice the resolution.
+Slides are paired with taps of their own depth; against taps that miss it by up to 1 mm, as the paper pairs them, stands a test of its
+own.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
