@@ -158,6 +158,7 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
     assert (tmp_path / "images" / "000000.png").read_bytes() == kept
 
 
+@pytest.mark.long
 def test_geometry_scores_and_draws(command, tmp_path, model):
     answer = command("geometry", "--model", model, "--contacts", 6, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err

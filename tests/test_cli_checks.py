@@ -50,6 +50,7 @@ def test_what_cannot_be_is_refused_in_one_line(words, said, capsys):
     assert said in line and "\n" not in line
 
 
+@pytest.mark.long
 def test_rows_are_written_with_command_and_machine(tmp_path, capsys):
     file = tmp_path / "plan.json"
     assert main(["plan", "--stimulus", "disk", "--pose", "-5,0,10,1.5", "--move", "0.5,0", "--json", str(file)]) == 0

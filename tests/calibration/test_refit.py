@@ -95,6 +95,7 @@ def test_values_and_frame_are_found_within_bounds(monkeypatch):
         assert bound or np.allclose(frames[0], TRUE, atol=0.1)
 
 
+@pytest.mark.long
 def test_it_explains_more_of_contacts_it_never_saw(found):
     for kind in ("tap", "slide"):
         gain = _value(found.results, f"gain.r2.{kind}.all")
@@ -110,6 +111,7 @@ def test_it_explains_more_of_contacts_it_never_saw(found):
     assert all(name in text for name in (*UNITS, "frame", "r2 gained, slides"))
 
 
+@pytest.mark.long
 def test_its_file_is_a_calibration_that_scores_the_same(found, simulated):
     known = read_calibration(found.file)
     assert value_of(known, "friction") == _value(found.results, "after.friction")

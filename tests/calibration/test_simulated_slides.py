@@ -51,6 +51,7 @@ def view(taps, lattice):
     return view_of(taps, lattice, 128, KNOWN)
 
 
+@pytest.mark.long
 def test_a_slide_to_a_tap_is_the_one_that_the_simulator_knows(taps, view):
     assert view.frame.surface_mm == pytest.approx(SURFACE_MM, abs=0.1)
     generator = np.random.default_rng(1)
@@ -63,11 +64,13 @@ def test_a_slide_to_a_tap_is_the_one_that_the_simulator_knows(taps, view):
     assert np.sqrt(np.mean((motion - true) ** 2)) < 0.15 * np.sqrt(np.mean(true**2))
 
 
+@pytest.mark.long
 def test_no_slide_drags_nothing(taps, view):
     motion, fine = shear(view, taps.pose[:3], np.zeros((3, 6)), np.full(3, 0.3))
     assert fine.all() and not motion.any()
 
 
+@pytest.mark.long
 def test_what_tells_too_little_is_refused(taps, lattice):
     with pytest.raises(UserError, match="10 taps have a label and all pins"):
         view_of(taps.take(np.arange(10)), lattice, 128, KNOWN)

@@ -53,7 +53,7 @@ def test_posenet_s_multiplications_are_those_of_its_layers():
 @pytest.mark.parametrize(
     "bench",
     [
-        lambda: bench_networks.bench_train(32, 2, 1),
+        pytest.param(lambda: bench_networks.bench_train(32, 2, 1), marks=pytest.mark.long),
         lambda: bench_networks.bench_infer(32, 2, 1),
         lambda: bench_networks.bench_stream(32, 1),
     ],

@@ -141,6 +141,7 @@ def test_the_papers_start_is_that_of_its_experiment():
         assert getattr(ours, field) == getattr(paper.train, field)
 
 
+@pytest.mark.long
 def test_kernels_that_outweigh_the_loss_are_told():
     heavy = judge.examine(steps_case("l1 1", SHALLOW, replace(network_trainings.TRAINING, l1=1.0)))
     assert heavy.holds and heavy.said.startswith("l1 and l2 weigh") and "kernels shrink first" in heavy.said

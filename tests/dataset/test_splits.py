@@ -12,7 +12,9 @@ DRAWN = (5, 7, 24, 60)
 SIZES = (5, 6, 7, 8, 9, 10, 11, 13, 24, 36, 60, 150)
 
 
-@pytest.mark.parametrize("seed", [0, 7, 2**31 - 1])
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(7, marks=pytest.mark.long), pytest.param(2**31 - 1, marks=pytest.mark.long)]
+)
 def test_no_pose_is_in_two_splits_of_sets_of_one_seed(seed):
     """Of any two sizes, slides, stimuli and kinds of set: the very poses are compared, not their numbers."""
     seen: dict[tuple, set[str]] = {}

@@ -119,6 +119,7 @@ def test_it_is_compiled_once_and_kept_until_it_is_damaged(tmp_path):
     assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_size == size
 
 
+@pytest.mark.long
 @compiled
 def test_any_number_of_threads_gives_the_same_bits(tmp_path):
     code = (

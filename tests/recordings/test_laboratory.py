@@ -129,6 +129,7 @@ def test_weights_are_released_and_used_without_the_recordings(command, pins_run,
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
 
 
+@pytest.mark.long
 def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp_path):
     """Here with slides that have no label, whose poses are read."""
     folders = ("--taps", recording / "tap", "--slides", recording / "shear")
