@@ -5,7 +5,7 @@
 The disentangled network alone, at 256 px, of the sensor, camera and friction that were fitted to recordings: 200 poses of each of
 three shapes with 5 taps and 15 slides, and the paper's 100 epochs with its drops of the learning rate. Expected,
 docs/results/paper_tenth.json: MS-SSIM 0.93 against taps of the slide's own depth (sheared 0.59, best translation 0.81), 0.89 against
-taps that miss it by up to 1 mm, as the paper pairs them. Three minutes and a half on an H100; on a CPU core nine hours.
+taps that miss it by up to 1 mm, as the paper pairs them. Five minutes on an H100; on a CPU core nine hours.
 """
 
 from dataclasses import replace
