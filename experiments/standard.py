@@ -5,8 +5,8 @@
 The sensor, its camera and its friction are those fitted to recordings. Expected (docs/results/standard.json): MS-SSIM 0.970 (sheared
 0.565), edge distance to 0.31 mm (taps 0.23, sheared 0.48). On two cores half an hour for the networks of a seed and five minutes for
 their evaluation, beside seven for the data, which all seeds share; on an H100, three seeds beside each other, eight minutes for the
-networks of a seed, most of them compilation. Images of 128 px, camera noise and drift on. Tests of their own: the four shapes that no network has seen, and taps whose depth misses the slide's by up to
-1 mm, as the paper pairs them.
+networks of a seed, most of them compilation. Images of 128 px, camera noise and drift on. Tests of their own: the four shapes that no
+network has seen, and taps whose depth misses the slide's by up to 1 mm, as the paper pairs them.
 """
 
 from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
