@@ -11,7 +11,6 @@ in common with the networks, and with the simulator that they learnt in.
 """
 
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,15 +24,14 @@ from jaxunshear.dataset.recordings import read_image
 from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import rounded
-from jaxunshear.evaluation.readers import places
-from jaxunshear.evaluation.ridge import answers, fitted
+from jaxunshear.evaluation.readers import PIN_PLACES, PoseReader, places, read, reader_of
 from jaxunshear.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.image.understood import ENOUGH, plausibility
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.metrics.pose import pose_errors
 from jaxunshear.progress import Progress
-from jaxunshear.targets import RECORDED, STILL
+from jaxunshear.targets import RECORDED, STILL, names_of, of_labels
 
 BATCH = 32
 SEED = 0  # of the taps that tell how readings and labels go together
@@ -80,13 +78,16 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
     mae = {way: _errors(aligned, poses, labels) for way, (poses, labels) in ways.items()}
     readers = {}
     if tap_pins:
-        reader = learnt(tap_pins[AS_RECORDED][told], taps.pose[told], tuple(aligned))
+        sure = told & np.isfinite(tap_pins[AS_RECORDED]).all(axis=(1, 2))
+        targets = of_labels(tuple(aligned), taps.pose[sure])
+        reader = reader_of(places(tap_pins[AS_RECORDED][sure]), {"pose": taps.pose[sure]}, targets)
         seen = {
             "tap": (tap_pins[AS_RECORDED][~told], taps.pose[~told]),
             "sheared": (slide_pins[AS_RECORDED], slides.pose),
             "unsheared": (slide_pins[UNSHEARED], slides.pose),
         }
-        readers["pins"] = {way: _errors_between(reader(pins), labels) for way, (pins, labels) in seen.items()}
+        if reader:
+            readers[PIN_PLACES] = {way: _errors_of(reader, pins, labels) for way, (pins, labels) in seen.items()}
     unread = [int(np.isnan(next(iter(of[AS_RECORDED].values()))).sum()) for of in (of_taps, of_slides)]
     results = {
         "experiment": experiment.name,
@@ -117,34 +118,6 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
         "command": command,
     }
     return rounded(results)
-
-
-def learnt(
-    pins: np.ndarray, labels: np.ndarray, names: tuple[str, ...]
-) -> Callable[[np.ndarray], dict[str, np.ndarray]]:
-    """Pins (N, P, 2) px -> the labels by name, (N,) each, NaN where a pin is not known; learnt from such pins with labels (N, 6)."""
-    sure = np.isfinite(pins).all(axis=(1, 2))
-    values = {name: labels[sure, RECORDED[name][1]] for name in names}
-    spread = {name: float(value.std()) for name, value in values.items()}
-    columns = []
-    for name, value in values.items():
-        turn = np.radians(value)
-        columns += [np.cos(turn), np.sin(turn)] if name.endswith("_deg") else [value / spread[name]]
-    ridge = fitted(places(pins[sure]), np.stack(columns, axis=1))
-
-    def read(others: np.ndarray) -> dict[str, np.ndarray]:
-        known = np.isfinite(others).all(axis=(1, 2))
-        found = np.full((len(others), len(columns)), np.nan)
-        found[known] = answers(ridge, places(others[known]))
-        rest = iter(found.T)
-        return {
-            name: np.degrees(np.arctan2(*(next(rest), next(rest))[::-1]))
-            if name.endswith("_deg")
-            else next(rest) * spread[name]
-            for name in names
-        }
-
-    return read
 
 
 def scored(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:
@@ -221,14 +194,20 @@ def _errors(aligned: dict[str, Aligned], poses: dict[str, np.ndarray], labels: n
     fine = np.isfinite(next(iter(poses.values())))
     if not fine.any():
         return dict.fromkeys(aligned, float("nan"))
-    return _errors_between({name: each(_of(poses, fine)) for name, each in aligned.items()}, labels[fine])
+    return _mean_errors({name: each(_of(poses, fine)) for name, each in aligned.items()}, labels[fine])
 
 
-def _errors_between(found: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:
-    """Mean absolute errors of what could be read."""
-    fine = np.isfinite(next(iter(found.values())))
-    true = {name: labels[fine, RECORDED[name][1]] for name in found}
-    return {name: float(error.mean()) for name, error in pose_errors(_of(found, fine), true).items()}
+def _errors_of(reader: PoseReader, pins: np.ndarray, labels: np.ndarray) -> dict[str, float]:
+    """Of the contacts whose pins (N, P, 2) px are known."""
+    sure = np.isfinite(pins).all(axis=(1, 2))
+    if not sure.any():
+        return dict.fromkeys(names_of(reader.targets), float("nan"))
+    return _mean_errors(read(reader, places(pins[sure])), labels[sure])
+
+
+def _mean_errors(found: dict[str, np.ndarray], labels: np.ndarray) -> dict[str, float]:
+    true = {name: labels[:, RECORDED[name][1]] for name in found}
+    return {name: float(error.mean()) for name, error in pose_errors(found, true).items()}
 
 
 def _recovery(mae: dict[str, dict[str, float]]) -> dict[str, float | None]:

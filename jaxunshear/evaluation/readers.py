@@ -66,14 +66,19 @@ def learnt(name: str, taps: Reader, targets: Targets) -> PoseReader | None:
     """PIXELS or PIN_PLACES from training taps alone; None where there are too few."""
     count = taps.length("train")
     rows = np.linspace(0, count - 1, min(MOST_TAPS, count)).round().astype(int)
-    if len(rows) < FEWEST or not targets:
+    fields = fields_of(targets)
+    batch = taps.take("train", rows, (FIELD[name], *fields))
+    return reader_of(FEATURES[name](batch[FIELD[name]]), {field: batch[field] for field in fields}, targets)
+
+
+def reader_of(features: np.ndarray, labels: Mapping[str, np.ndarray], targets: Targets) -> PoseReader | None:
+    """From features (N, F), NaN where nothing is seen, and the labels by field, (N, columns) each; None where there are too few."""
+    if len(features) < FEWEST or not targets:
         return None
-    batch = taps.take("train", rows, (FIELD[name], *fields_of(targets)))
-    features = FEATURES[name](batch[FIELD[name]])
     seen = np.isfinite(features)
     mean = np.where(seen, features, 0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-    outputs = np.asarray(pose_targets({field: batch[field] for field in fields_of(targets)}, targets))
-    return PoseReader(fitted(np.where(seen, features, mean), outputs), targets, len(rows))
+    outputs = np.asarray(pose_targets(labels, targets))
+    return PoseReader(fitted(np.where(seen, features, mean), outputs), targets, len(features))
 
 
 def read(reader: PoseReader, features: np.ndarray) -> Poses:

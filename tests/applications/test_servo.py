@@ -38,6 +38,7 @@ def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(short,
     row = walk_rows(walks, line, "disk")[0]
     assert row["name"] == "disk/true" and row["closed"] == 0 and row["ends"] == {"took too long": 2}
     assert row["completed"] == pytest.approx(7.5 / line.length, rel=0.15)
+    assert len(row["walk_mm"]) == 2 and min(row["walk_mm"]) <= row["mean_mm"] <= max(row["walk_mm"])
     np.testing.assert_allclose(seen_edge(walks, 0)[-1], line.points[line.at(walks.arc_mm[0])], atol=0.3)
 
 

@@ -11,10 +11,11 @@ import pytest
 from jaxunshear import targets
 from jaxunshear.applications import transfer
 from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, _between
-from jaxunshear.applications.transfer import aligned_with, learnt, score_transfer, scored
+from jaxunshear.applications.transfer import aligned_with, score_transfer, scored
 from jaxunshear.config import to_json
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.unseen import table
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.understood import expected_of
@@ -90,7 +91,13 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path, monkeyp
             angle = -(pose[:, 5] + 10 * error) + 40
             return {"edge_mm": -(pose[:, 1] + error), "depth_mm": pose[:, 2] + 7, "edge_deg": 180 - (180 - angle) % 360}
 
-        return Answers(None, {AS_RECORDED: read(off), UNSHEARED: read(off / 2)}, np.ones(len(images), bool), {})
+        def pins(error):
+            turn = np.radians(pose[:, 5])
+            shown = np.stack([pose[:, 1] + error, pose[:, 2], np.cos(turn), np.sin(turn)], -1)
+            return np.repeat(shown[:, :, None], 2, axis=2)
+
+        poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2)}
+        return Answers(None, poses, np.ones(len(images), bool), {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
 
     expected = expected_of(made.rest_px(), made.SIZE)
     preprocess = Preprocess(size=made.SIZE)
@@ -108,6 +115,10 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path, monkeyp
     assert mae["sheared"] == pytest.approx({"y_mm": 1, "z_mm": 0, "Rz_deg": 10}, abs=1e-3)
     assert mae["unsheared"] == pytest.approx({"y_mm": 0.5, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
     assert results["pose_recovery"]["unsheared"]["y_mm"] == pytest.approx(0.5)
+    reader = results["readers"]["pins"]
+    assert [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")] == pytest.approx([0, 1, 0.5], abs=0.05)
+    assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
+    assert "reader pins" in table(results)
     counts = results["counts"]
     assert counts["told_taps"] + counts["test_taps"] == 60 and counts["test_poses"] == 40 and counts["test_unsure"] == 0
     json.dumps(results)
@@ -191,18 +202,3 @@ def test_what_perceives_images_refuses_networks_over_pins(command, weights, tmp_
     answer = command(name, "--model", weights, "--out", tmp_path / "out")
     assert answer.code == 2 and "reads pins: name another --model" in answer.err
     assert not (tmp_path / "out").exists()
-
-
-def test_a_ridge_reads_what_it_learnt_from_pins_and_leaves_out_what_is_not_known():
-    labels = np.zeros((300, 6))
-    labels[:, 1], labels[:, 5] = RNG.uniform(-6, 6, 300), RNG.uniform(-180, 180, 300)
-    turn = np.radians(labels[:, 5])
-    shown = np.stack([labels[:, 1], np.cos(turn), np.sin(turn), 0.1 * labels[:, 1]], -1)
-    pins = (shown @ RNG.normal(size=(4, 20))).reshape(300, 10, 2)
-    pins[7, 3] = np.nan
-    found = learnt(pins[:200], labels[:200], ("y_mm", "Rz_deg"))(pins[150:])
-    np.testing.assert_allclose(found["y_mm"], labels[150:, 1], atol=0.02)
-    apart = (found["Rz_deg"] - labels[150:, 5] + 180) % 360 - 180
-    assert np.abs(apart).max() < 1
-    unknown = learnt(pins[:200], labels[:200], ("y_mm",))(pins[:10])["y_mm"]
-    assert np.flatnonzero(np.isnan(unknown)).tolist() == [7]
