@@ -148,6 +148,7 @@ def _parser() -> _Parser:
     command = commands.add_parser("ablate", help=text, description=text)
     command.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
     command.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+    command.add_argument("--leakage", action="store_true", help="what each code holds that it should not, by probes")
     _add_json(command)
 
     text = "make weights with a model card of a finished run, for `unshear` and `pose`"
@@ -365,7 +366,7 @@ def _report(run: Path) -> None:
 
 def _ablate(arguments: argparse.Namespace, command: str) -> None:
     from jaxunshear.config import from_json
-    from jaxunshear.evaluation import ablation
+    from jaxunshear.evaluation import ablation, leakage
     from jaxunshear.storage import read_json, write_json
 
     settings = arguments.run / "experiment.json"
@@ -374,9 +375,19 @@ def _ablate(arguments: argparse.Namespace, command: str) -> None:
             f"{arguments.run} holds no experiment.json: name the folder of a finished run, such as runs/demo"
         )
     experiment = from_json(read_json(settings), str(settings))
-    results = ablation.ablate(experiment, arguments.run, arguments.data, command)
-    print(ablation.table(results["rows"]))
-    print(arguments.run / "ablation.png")
+    if arguments.leakage:
+        from jaxunshear.report.leakage_figure import leakage_figure
+        from jaxunshear.storage import write_bytes
+
+        results = leakage.leakage(experiment, arguments.run, arguments.data, command)
+        exchanged = leakage.exchanged(experiment, arguments.run, arguments.data)
+        write_bytes(arguments.run / "leakage.png", leakage_figure(results, exchanged))
+        print(leakage.table(results))
+        print(arguments.run / "leakage.png")
+    else:
+        results = ablation.ablate(experiment, arguments.run, arguments.data, command)
+        print(ablation.table(results["rows"]))
+        print(arguments.run / "ablation.png")
     if arguments.json:
         write_json(arguments.json, results)
 

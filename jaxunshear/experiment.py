@@ -26,6 +26,8 @@ PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "crops",
     "crop_px",
     "reconstruction_weight",
+    "swap_weight",
+    "agreement_weight",
     "pose_weight",
     "pose_target",
     "label_weight",

@@ -140,6 +140,7 @@ def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
         "train_teacher.start",
         "leave it empty: what marks a network must not teach it",
     )
+    yield from _exchange(experiment)
     for name in _posenets(experiment):
         yield from _training(getattr(experiment, name), name, taps)
         yield from _without_pair_losses(getattr(experiment, name), name)
@@ -152,6 +153,22 @@ def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
             experiment.train_pins.pose_target in POSE_TARGETS,
             "train_pins.pose_target",
             f"use {' or '.join(POSE_TARGETS)}",
+        )
+
+
+def _exchange(experiment: Experiment) -> Iterator[Rule]:
+    """What learning from exchanged codes takes."""
+    paired = experiment.paired
+    shared = isinstance(paired, PairedData) and paired.poses_a_slide > 1 and paired.slides > 1
+    for field in ("swap_weight", "agreement_weight"):
+        value = getattr(experiment.train_pins, field)
+        yield value >= 0, f"train_pins.{field}", "must not be below zero"
+        yield not getattr(experiment.train, field), f"train.{field}", "is for networks over pins: leave it at 0"
+        yield (
+            not value or (shared and experiment.pins.shear_code > 0 and not experiment.pins.turned),
+            f"train_pins.{field}",
+            "takes simulated slides that poses share, two at least, and a shear code: raise paired.poses_a_slide, paired.slides and "
+            "pins.shear_code, with pins.turned at 0",
         )
 
 
@@ -283,6 +300,7 @@ def _data(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[R
 def _paired(data: PairedData, sensor: Sensor) -> Iterator[Rule]:
     yield from _data(data, "paired", sensor)
     yield data.taps >= 1, "paired.taps", "use at least 1: a sheared image needs a tap to pair with"
+    yield data.poses_a_slide >= 1, "paired.poses_a_slide", "use at least 1: a slide belongs to one pose at least"
     yield data.slides >= 1, "paired.slides", "use at least 1: without slides there is nothing to unshear"
     yield data.taps <= data.slides, "paired.taps", f"exceeds paired.slides ({data.slides}): some would never be paired"
     yield from _jitter(data, sensor)
@@ -414,6 +432,7 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
         "unshear.shear_channels",
         "must not be below zero; 0 builds no shear code",
     )
+    yield 0 <= pins.code_noise < 1, "pins.code_noise", "use a number from 0 to below 1: codes lie in (-1, 1)"
     for field in ("hidden", "layers", "pose_code"):
         yield getattr(pins, field) >= 1, f"pins.{field}", "must be at least 1"
     yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"

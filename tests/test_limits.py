@@ -141,3 +141,26 @@ def test_turned_touches_keep_distance_direction_and_depth_alone():
     assert "edge_deg, edge_mm" in refusal(" ".join([*words, "--targets", "edge_mm,yaw_deg"]))
     validate(override(PLAIN, [*words, "--targets", "edge_mm,edge_deg:circle,depth_mm"]))
     assert refusal("--pins.turned 1 --targets edge_mm").startswith("--pins.turned ")
+
+
+@pytest.mark.parametrize("field", ["swap_weight", "agreement_weight"])
+def test_exchanged_codes_take_slides_that_poses_share(field):
+    pins = "--unshear.input pins --networks disentangled,posenet"
+    shared = f"{pins} --paired.poses_a_slide 2"
+    validate(override(PLAIN, f"{shared} --train_pins.{field} 1".split()))
+    for words in (pins, f"{shared} --paired.slides 1", f"{shared} --pins.shear_code 0"):
+        assert refusal(f"{words} --train_pins.{field} 1").startswith(f"--train_pins.{field} 1.0: ")
+    assert "below zero" in refusal(f"{shared} --train_pins.{field} -1")
+    assert "over pins" in refusal(f"--paired.poses_a_slide 2 --train.{field} 1")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--paired.poses_a_slide 0", "a slide belongs to one pose at least"),
+        ("--unshear.input pins --pins.code_noise 1", "codes lie in"),
+        ("--unshear.input pins --pins.code_noise -0.1", "codes lie in"),
+    ],
+)
+def test_codes_and_slides_within_their_limits(words, line):
+    assert line in refusal(words)

@@ -76,6 +76,16 @@ def test_the_report_stands_alone(finished):
     assert "data:image/png;base64," in page and "http://" not in page and "https://" not in page
 
 
+def test_leakage_of_networks_over_images(finished, command):
+    run = finished / "runs" / "tiny"
+    answer = command("ablate", run, "--leakage", "--data", finished / "datasets", "--json", finished / "leakage.json")
+    assert answer.code == 0, answer.err
+    found = json.loads((run / "leakage.json").read_text())
+    assert found == json.loads((finished / "leakage.json").read_text()) and found["swapped"] is None
+    assert len(found["rows"]) == 8 and found["slides"] == {"learnt": 36, "tested": 12}
+    assert (run / "leakage.png").stat().st_size > 10_000 and "slide from z_p" in answer.out
+
+
 def test_a_second_run_keeps_all_work_and_all_numbers(finished):
     before = reproducible(results(finished))
     trained = {path: path.stat().st_mtime_ns for path in (finished / "runs" / "tiny").glob("*/summary.json")}

@@ -23,6 +23,7 @@ NOT_STORED = (
     "labelled",
     "unlabelled",
 )  # of `Recorded`: where it lies, and what is made of it
+LATER = {"poses_a_slide": 1}  # fields that came after sets were made, and what these have: they are described as before
 Settings = PairedData | PoseData | Recorded
 
 FITTED: dict[str, Any] = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share
@@ -42,6 +43,7 @@ PAIRED = {
     "standard": PairedData(config="standard", poses=1200, **FITTED),
     "best": PairedData(config="best", poses=9000, **FITTED),
     "skin": PairedData(config="skin", poses=750, **SKIN),
+    "parted": PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
     "paper_short": PairedData(
         config="paper_short",
         poses=1200,
@@ -71,6 +73,7 @@ POSE = {
     "standard": PoseData(config="standard", poses=3000, **FITTED),
     "best": PoseData(config="best", poses=18000, **FITTED),
     "skin": PoseData(config="skin", poses=1000, **SKIN),
+    "parted": PoseData(config="parted", poses=1600, **FITTED),
     "paper_short": PoseData(
         config="paper_short",
         poses=3000,
@@ -112,6 +115,7 @@ def describe(settings: Settings, sensor: Sensor) -> dict:
     fields = dataclasses.asdict(settings)
     for name in NOT_STORED if isinstance(settings, Recorded) else ("config",):  # a name only
         del fields[name]
+    fields = {name: value for name, value in fields.items() if LATER.get(name) != value}
     version = version_of(settings)
     whole = {"set": set_name(settings), "version": version, "sensor": dataclasses.asdict(sensor), "settings": fields}
     return json.loads(json.dumps(whole))

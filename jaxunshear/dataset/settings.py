@@ -28,6 +28,9 @@ class PairedData:
     poses: int = 600  # per stimulus
     taps: int = 1
     slides: int = 2
+    poses_a_slide: int = (
+        1  # of one split, that share their slides as the sensor feels them: from 2 on, "this pose, that slide" is known
+    )
     tap_depth_jitter_mm: float = 0.0  # the paper: 1.0
     seed: int = 0
     friction: float | None = None  # of all stimuli; None: that of each one's material

@@ -11,9 +11,9 @@ import numpy as np
 
 from jaxunshear.dataset.configs import config_name, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData
-from jaxunshear.dataset.splits import BLOCK, splits_of
+from jaxunshear.dataset.splits import BLOCK, SPLITS, splits_of
 from jaxunshear.errors import UserError
-from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, edge_labels, make_scenes
+from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, edge_labels, make_scenes, turned
 from jaxunshear.scene.stimuli import stimulus_named
 
 LEAST_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
@@ -54,6 +54,8 @@ def check(settings: PairedData | PoseData) -> None:
     if isinstance(settings, PairedData):
         if settings.taps < 1 or settings.slides < 1:
             raise UserError(f"{name}: taps = {settings.taps} and slides = {settings.slides}: need at least one of each")
+        if settings.poses_a_slide < 1:
+            raise UserError(f"{name}: poses_a_slide = {settings.poses_a_slide}: a slide belongs to one pose at least")
         if settings.taps > settings.slides:
             raise UserError(
                 f"{name}: taps = {settings.taps} exceeds slides = {settings.slides}: some would never be paired"
@@ -92,13 +94,25 @@ def draw_paired(settings: PairedData) -> Shots:
         moves = np.zeros((settings.poses, shots, 2))
         drawn = draw_moves(
             _generator(settings.seed, name, "move"), settings.poses * settings.slides, settings.ranges.move_mm
-        )
-        moves[:, slid] = drawn.reshape(settings.poses, settings.slides, 2)
+        ).reshape(settings.poses, settings.slides, 2)
+        leader = slide_leaders(settings, name)
+        yaw = poses[:, 0, 2]
+        moves[:, slid] = turned(drawn[leader], (yaw - yaw[leader])[:, None])
         pose.append(poses.reshape(-1, 4))
         move.append(moves.reshape(-1, 2))
     each = settings.poses * len(settings.stimuli)
     instance = np.where(slid, np.arange(shots) - settings.taps, np.arange(shots))
     return _shots(settings, np.concatenate(pose), np.concatenate(move), np.tile(instance, each), np.tile(slid, each))
+
+
+def slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
+    """(poses,) number of the pose whose slides each pose has: its own, or that of the first of `poses_a_slide` of its split."""
+    split = splits_of(settings.seed, stimulus, settings.poses)
+    leader = np.arange(settings.poses)
+    for index in range(len(SPLITS)):
+        inside = np.flatnonzero(split == index)
+        leader[inside] = inside[np.arange(len(inside)) // settings.poses_a_slide * settings.poses_a_slide]
+    return leader
 
 
 def draw_pose(settings: PoseData) -> Shots:

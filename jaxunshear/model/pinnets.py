@@ -9,7 +9,7 @@ Ours, not the paper's, whose networks read images. A pin that is not seen is NaN
 `rest` and `spread` scale what goes in and what comes out; they are constants that the variables carry.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import flax.linen as nn
 import jax
@@ -22,6 +22,7 @@ from jaxunshear.model.parts import check_sheared, holds
 from jaxunshear.model.settings import PinNet, PinPoseNet, PinRenderer, PinUnshear
 
 Variables = dict[str, Any]
+LEAST_VARIANCE = 1e-3  # of a code: one that tells nothing yet is not to agree at any cost
 
 
 class Trunk(nn.Module):
@@ -59,13 +60,20 @@ class Codes(nn.Module):
         self.E, self.pose, self.DC = Trunk(net), nn.Dense(net.pose_code), Dense(net, self.motions)
         if net.shear_code:
             self.shear, self.DS = nn.Dense(net.shear_code), Dense(net, self.motions)
+            self.ES = Trunk(net) if net.apart else None
 
     def pose_code(self, x: Array) -> Array:
-        return self.pose(self.E(x))
+        return self._bound(self.pose(self.E(x)))
 
     def encode(self, x: Array) -> tuple[Array, Array | None]:
         z = self.E(x)
-        return self.pose(z), self.shear(z) if self.net.shear_code else None
+        z_p = self._bound(self.pose(z))
+        if not self.net.shear_code:
+            return z_p, None
+        return z_p, self._bound(self.shear(z if self.ES is None else self.ES(x)))
+
+    def _bound(self, code: Array) -> Array:
+        return jnp.tanh(code) if self.net.code_noise else code
 
     def decode_canonical(self, z_p: Array) -> Array:
         return self.DC(z_p)
@@ -111,10 +119,46 @@ def decode_sheared(net: PinUnshear, variables: Variables, z_p: Array, z_s: Array
     return _places(variables, _codes(net, variables, "decode_sheared", z_p, z_s))
 
 
-def reconstruct(net: PinUnshear, variables: Variables, pins: Array, key: Array) -> tuple[Array, Array | None]:
-    """The training pass over sheared pins, spoilt a little: canonical and sheared ones (None without DS), (B, P, 2) px."""
-    z_p, z_s = encode(net, variables, spoilt(net, pins, key))
-    return decode_canonical(net, variables, z_p), None if z_s is None else decode_sheared(net, variables, z_p, z_s)
+class Decoded(NamedTuple):
+    """Of a training pass over slides, and where they have partners, over these; (B, P, 2) px, or None where there is none."""
+
+    canonical: Array
+    sheared: Array | None
+    swapped: Array | None  # DS of the slide's pose code and the partner's shear code
+    disagreement: Array | None  # (B,) see `disagreement`
+
+
+def reconstruct(
+    net: PinUnshear,
+    variables: Variables,
+    pins: Array,
+    key: Array | None = None,
+    other: Array | None = None,
+    swapped: Array | None = None,
+) -> Decoded:
+    """Both decoders over sheared pins (B, P, 2) px; in training a `key` spoils pins and codes a little. `other`: of another pose after
+    another slide; `swapped`: of the same pose after that other slide."""
+    partners = [] if other is None or swapped is None else [other, swapped]
+    seen = jnp.concatenate([pins, *partners])
+    codes = encode(net, variables, seen if key is None else spoilt(net, seen, key))
+    (own_p, own_s), (z_p, z_s) = codes, _blurred(net, codes, key)
+    first, second, third = (slice(i * len(pins), (i + 1) * len(pins)) for i in range(3))
+    canonical = decode_canonical(net, variables, z_p[first])
+    if z_s is None or own_s is None:
+        return Decoded(canonical, None, None, None)
+    held = jax.lax.stop_gradient(z_p[first]) if net.apart else z_p[first]
+    sheared = decode_sheared(net, variables, held, z_s[first])
+    if not partners:
+        return Decoded(canonical, sheared, None, None)
+    exchanged = decode_sheared(net, variables, held, z_s[second])
+    apart = disagreement(own_p[first], own_p[third]) + disagreement(own_s[second], own_s[third])
+    return Decoded(canonical, sheared, exchanged, apart)
+
+
+def disagreement(one: Array, other: Array) -> Array:
+    """(B,) mean square difference of codes (B, F) that should be equal, over their mean variance in the batch."""
+    variance = jnp.mean(jnp.var(jnp.concatenate([one, other]), axis=0))
+    return jnp.mean(jnp.square(one - other), -1) / (variance + LEAST_VARIANCE)
 
 
 def predict(net: PinPoseNet, variables: Variables, pins: Array, radians: ArrayLike = 0.0) -> Array:
@@ -142,6 +186,17 @@ def distance(pins: Array, target: Array, variables: Variables) -> Array:
 def spoilt(net: PinNet, pins: Array, key: Array) -> Array:
     """Pins with the noise of a training example."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
+
+
+def _blurred(net: PinUnshear, codes: tuple[Array, Array | None], key: Array | None) -> tuple[Array, Array | None]:
+    """Codes with the noise of training examples."""
+    if key is None or not net.code_noise:
+        return codes
+    keys = jax.random.split(jax.random.fold_in(key, 1))
+    z_p, z_s = (
+        c if c is None else c + net.code_noise * jax.random.normal(k, c.shape) for c, k in zip(codes, keys, strict=True)
+    )
+    return z_p, z_s  # type: ignore[return-value]
 
 
 def _module(net: PinNet, motions: int, outputs: int) -> nn.Module:

@@ -49,6 +49,13 @@ def draw_moves(generator: np.random.Generator, count: int, move_mm: float) -> np
     return np.where(axis[:, None] == [1, 0], 0, offset)
 
 
+def turned(move: np.ndarray, degrees: np.ndarray) -> np.ndarray:
+    """Offsets (..., 2) turned by angles (...). By minus the yaw: from the target frame to the sensor's, as the sensor feels them."""
+    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    x, y = np.moveaxis(move, -1, 0)
+    return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+
+
 def make_scenes(
     names: tuple[str, ...], stimulus: np.ndarray, pose: np.ndarray, move: np.ndarray, mu: float | None = None
 ) -> Scenes:

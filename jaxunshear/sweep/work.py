@@ -17,7 +17,7 @@ from typing import Any
 
 from jaxunshear.config import from_json
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.experiment import Experiment, over_pins
 from jaxunshear.locks import locked
 from jaxunshear.memory import keep_freed_memory, restart_with_large_pages
 from jaxunshear.run import run_stages
@@ -101,14 +101,22 @@ def _row(task: dict[str, Any], folder: Path) -> dict[str, Any]:
     experiment = _begun(task, folder)
     stages, data = (*task["networks"], "evaluate"), Path(task["data"])
     results = run_stages(experiment, stages, folder.parent, data, task["command"])
-    spoilt = None
-    if task["ablation"]:
-        from jaxunshear.evaluation.ablation import ablate
-
-        spoilt = ablate(experiment, folder, data, task["command"])["rows"]
+    spoilt = _spoilt(experiment, folder, data, task["command"]) if task["ablation"] else None
     device = results["machine"]["device"]
     made = {"results": results, "ablation": spoilt, "device": device, "ms_per_image": results["ms_per_image"]}
     return made | _trained(task, folder)
+
+
+def _spoilt(experiment: Experiment, folder: Path, data: Path, command: str) -> list[dict[str, Any]]:
+    """What decoders make of exchanged codes, and what each code holds that it should not."""
+    from jaxunshear.evaluation.ablation import ablate
+    from jaxunshear.evaluation.leakage import for_sweep, leakage
+
+    over = over_pins(experiment)
+    rows = [] if over else ablate(experiment, folder, data, command)["rows"]
+    if experiment.pins.shear_code if over else experiment.unshear.shear_channels:
+        rows += for_sweep(leakage(experiment, folder, data, command, leaks_alone=not over))
+    return rows
 
 
 def _begun(task: dict[str, Any], folder: Path) -> Experiment:

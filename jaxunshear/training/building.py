@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained, training_of
 from jaxunshear.model import pinnets, posenet
@@ -30,7 +31,7 @@ from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.drawing import drawing_of
 from jaxunshear.training.examples import Examples, spread_of
 from jaxunshear.training.origin import check_origin
-from jaxunshear.training.settings import labelled
+from jaxunshear.training.settings import exchanged, labelled
 from jaxunshear.training.tasks import Task
 from jaxunshear.training.turning import Turns, sense_of, turns_of
 
@@ -71,7 +72,8 @@ def _over_pins(
         return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
     codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
     teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
-    named = ("canonical_pins", "sheared_pins", *sure, *weighed, *(labels if labelled(training) else ()))
+    partners = (OTHER, SWAPPED) if network == "disentangled" and exchanged(training) else ()
+    named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
     return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
 
 

@@ -13,12 +13,15 @@ import jax
 import numpy as np
 
 from jaxunshear.dataset import configs
-from jaxunshear.dataset.reading import Reader, open_set
+from jaxunshear.dataset.factorial import FactorialReader
+from jaxunshear.dataset.making import read_metadata
+from jaxunshear.dataset.reading import Reader, SetReader, open_set
 from jaxunshear.dataset.recorded_reading import Drag, Read, RecordedSet, Render, open_recorded
 from jaxunshear.dataset.settings import RENDERED, PairedData, PoseData
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import RENDERER, TEACHER, Experiment, learnt_from, over_pins, recorded_of
 from jaxunshear.model import pinnets, posenet
+from jaxunshear.scene.sensor import Sensor
 from jaxunshear.targets import RECORDED, Targets, of_ranges
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
@@ -107,7 +110,7 @@ def _mean_place(reader: Reader, field: str) -> np.ndarray:
 def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples:
     settings = learnt_from(experiment, network)
     assert isinstance(settings, PairedData | PoseData)
-    reader = open_set(configs.set_name(settings), settings, data_dir, experiment.sensor)
+    reader = open_simulated(settings, experiment.sensor, data_dir)
     size, camera = settings.preprocess.size, settings.camera
     rest = np.zeros((0, 2), np.float32)
     if over_pins(experiment):
@@ -115,6 +118,15 @@ def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples
     radius = experiment.sensor.pin_radius_mm * size / camera.mm_across
     targets = of_ranges(experiment.targets, settings.ranges)
     return Examples(reader, targets, Pins(rest, radius, size), reader.length("train"))
+
+
+def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> SetReader:
+    """Raises UserError where the set is missing or was made with other settings."""
+    if isinstance(settings, PairedData) and settings.poses_a_slide > 1:
+        return FactorialReader(
+            settings, configs.set_folder(settings, sensor, data_dir), read_metadata(settings, sensor, data_dir)
+        )
+    return open_set(configs.set_name(settings), settings, data_dir, sensor)
 
 
 def _render(folder: Path) -> Render:

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
@@ -30,7 +31,8 @@ def pin_unshear_task(
     spread: float,
     teacher: Callable[[Array], Array] | None = None,
 ) -> Task:
-    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px.
+    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px, and where codes are exchanged {"other_pins",
+    "swapped_pins"}, see `dataset.factorial`.
 
     `teacher` is a trained PinPoseNet, pins (B, P, 2) px -> outputs (B, K), needed for `pose_weight` alone: what it reads off the
     unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
@@ -46,23 +48,29 @@ def pin_unshear_task(
         wanted = posenet.pose_targets(batch, targets) if by_label else teacher(batch["canonical_pins"])
         return {"pose": losses.absolute_pose(teacher(canonical), wanted, posenet.output_weights(targets))}
 
-    def named_of(variables, batch, canonical, sheared):
-        named = {"supervised": pinnets.distance(canonical, batch["canonical_pins"], variables)}
-        named |= watched(canonical, batch)
-        if sheared is not None:
-            named["reconstruction"] = pinnets.distance(sheared, batch["sheared_pins"], variables)
+    def named_of(variables, batch, found):
+        named = {"supervised": pinnets.distance(found.canonical, batch["canonical_pins"], variables)}
+        named |= watched(found.canonical, batch)
+        if found.sheared is not None:
+            named["reconstruction"] = pinnets.distance(found.sheared, batch["sheared_pins"], variables)
+        if found.swapped is not None:
+            named |= {
+                "swap": pinnets.distance(found.swapped, batch[SWAPPED], variables),
+                "agreement": found.disagreement,
+            }
         return weighed(named, batch)
 
+    def decoded(variables, batch, key=None):
+        return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, batch.get(OTHER), batch.get(SWAPPED))
+
     def terms(variables, batch, key):
-        canonical, sheared = pinnets.reconstruct(net, variables, batch["sheared_pins"], key)
-        return named_of(variables, batch, canonical, sheared), variables["batch_stats"]
+        return named_of(variables, batch, decoded(variables, batch, key)), variables["batch_stats"]
 
     def validate(variables, batch):
-        z_p, z_s = pinnets.encode(net, variables, batch["sheared_pins"])
-        sheared = None if z_s is None else pinnets.decode_sheared(net, variables, z_p, z_s)
-        return named_of(variables, batch, pinnets.decode_canonical(net, variables, z_p), sheared)
+        return named_of(variables, batch, decoded(variables, batch))
 
     weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight, "pose": training.pose_weight}
+    weights |= {"swap": training.swap_weight, "agreement": training.agreement_weight}
     init = partial(pinnets.init, net, rest, spread)
     return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised")
 

@@ -24,6 +24,10 @@ class Training:
     crops: int = 100
     crop_px: int = 20
     reconstruction_weight: float = 1.0
+    # of codes that do not leak, over pins, where poses share slides (`paired.poses_a_slide`): that the pose code of one slide with the
+    # shear code of another draws the simulated contact of just that pose and slide; that equal poses, and equal slides, have equal codes
+    swap_weight: float = 0.0
+    agreement_weight: float = 0.0
     pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
     pose_target: str = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
     label_weight: float = 0.0  # of the pose that a head reads off z_p, against the true one; 0 builds no head
@@ -33,6 +37,11 @@ class Training:
     start: str = ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones
     validate_every: int = 100  # steps; also when a checkpoint is written
     validation_images: int = 256  # at most, the first of the validation split
+
+
+def exchanged(training: Training) -> bool:
+    """Whether a network that unshears learns from exchanged codes."""
+    return training.swap_weight > 0 or training.agreement_weight > 0
 
 
 def labelled(training: Training) -> bool:

@@ -102,3 +102,61 @@ def test_spoiling_adds_its_noise():
     pins = jnp.asarray(np.tile(REST, (400, 1, 1)))
     spoilt = pinnets.spoilt(net, pins, jax.random.key(3))
     assert np.std(spoilt - pins) == pytest.approx(0.5, rel=0.05)
+
+
+def test_without_noise_the_codes_are_what_they_always_were():
+    net, variables = made(PinUnshear)
+    decoded = pinnets.reconstruct(net, variables, moved())
+    z_p, z_s = pinnets.encode(net, variables, moved())
+    np.testing.assert_array_equal(decoded.canonical, pinnets.decode_canonical(net, variables, z_p))
+    np.testing.assert_array_equal(decoded.sheared, pinnets.decode_sheared(net, variables, z_p, z_s))
+    assert decoded.swapped is None and decoded.disagreement is None
+
+
+def test_noisy_codes_lie_within_one_and_are_noisy_in_training_alone():
+    net, variables = made(PinUnshear, code_noise=0.2, noise_px=0.0)
+    large = jax.tree.map(lambda leaf: 50 * leaf, variables["params"])
+    for code in pinnets.encode(net, variables | {"params": large}, moved()):
+        assert np.abs(code).max() <= 1
+    plain, noisy, other = (
+        pinnets.reconstruct(net, variables, moved(), *key) for key in ((), (jax.random.key(1),), (jax.random.key(2),))
+    )
+    assert not np.array_equal(plain.canonical, noisy.canonical) and not np.array_equal(noisy.sheared, other.sheared)
+    np.testing.assert_array_equal(plain.canonical, pinnets.unshear(net, variables, moved()))
+
+
+def test_apart_the_sheared_pins_do_not_teach_the_pose_code():
+    """By gradients that are exactly zero, of what was exchanged, too."""
+    for apart, untaught in ((True, {"E", "pose", "DC"}), (False, {"DC"})):
+        net, variables = made(PinUnshear, apart=apart)
+
+        def total(params, net=net, variables=variables):
+            partners = moved(2), moved(3)
+            decoded = pinnets.reconstruct(net, variables | {"params": params}, moved(), jax.random.key(0), *partners)
+            return decoded.sheared.sum() + decoded.swapped.sum()
+
+        slopes = jax.grad(total)(variables["params"])
+        still = {part for part, slope in slopes.items() if all(np.all(leaf == 0) for leaf in jax.tree.leaves(slope))}
+        assert still == untaught
+
+
+def test_exchanged_codes_are_those_they_are_called():
+    net, variables = made(PinUnshear, apart=True)
+    own, other, swapped = moved(1), moved(2), moved(3)
+    decoded = pinnets.reconstruct(net, variables, own, None, other, swapped)
+    (z_p, _), (_, z_s) = (pinnets.encode(net, variables, pins) for pins in (own, other))
+    np.testing.assert_allclose(decoded.swapped, pinnets.decode_sheared(net, variables, z_p, z_s), rtol=1e-5)
+
+
+def test_disagreement_is_zero_of_equal_codes_and_does_not_depend_on_their_scale():
+    one, other = jax.random.normal(jax.random.key(0), (2, 40, 3))
+    assert np.all(pinnets.disagreement(one, one) == 0)
+    plain = pinnets.disagreement(10 * one, 10 * other)
+    np.testing.assert_allclose(pinnets.disagreement(1000 * one, 1000 * other), plain, rtol=1e-3)
+    assert float(plain.mean()) == pytest.approx(2, rel=0.15)  # unrelated codes
+
+
+def test_released_weights_of_codes_apart_give_the_pose_code():
+    net, variables = made(PinUnshear, apart=True, code_noise=0.1)
+    released = variables | {"params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS", "ES")}}
+    np.testing.assert_array_equal(pinnets.unshear(net, released, moved()), pinnets.unshear(net, variables, moved()))

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
 from jaxunshear.model.pinnets import predict
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
@@ -122,3 +123,22 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
         for _ in range(200):
             params, state, last = step(params, state)
         assert float(last) < 0.05 * float(first)
+
+
+def test_exchanged_codes_are_taught_where_partners_are_given():
+    training = Training(swap_weight=2.0, agreement_weight=0.5)
+    task = pin_unshear_task(PinUnshear(**SMALL, apart=True, code_noise=0.1), training, TARGETS, REST, 1.0)
+    variables, given = task.init(KEY), batch()
+    partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
+    assert set(task.terms(variables, given, KEY)[0]) == {"supervised", "reconstruction"}
+    terms = task.terms(variables, given | partners, KEY)[0]
+    assert set(terms) == {"supervised", "reconstruction", "swap", "agreement"}
+    assert all(value.shape == (6,) for value in terms.values())
+    assert (task.weights["swap"], task.weights["agreement"]) == (2.0, 0.5)
+    still = task.validate(variables, given | partners)
+    np.testing.assert_array_equal(still["swap"], task.validate(variables, given | partners)["swap"])
+    assert np.all(still["agreement"] > 0)
+    same = {OTHER: given["sheared_pins"], SWAPPED: given["sheared_pins"]}
+    alike = task.validate(variables, given | same)
+    np.testing.assert_allclose(alike["swap"], alike["reconstruction"], rtol=1e-5)
+    assert np.all(alike["agreement"] == 0)

@@ -1,0 +1,52 @@
+"""Claim: a simulator that shows the same pose after several slides, and the same slide at several poses, parts the codes that the paper's
+losses leave mixed.
+
+    jaxunshear sweep experiments/parted.py
+
+Over pins, of the sensor that was fitted to recordings. Four poses share four slides, as the sensor feels them. `parted` learns that the
+pose code of one slide with the shear code of another draws the contact of just that pose after just that slide, and that equal
+poses, and equal slides, have equal codes. Its codes are noisy, so that nothing is hidden in their last digits, and DS does not teach
+the pose code. Each other row leaves one of these out; `the paper's losses` has none.
+
+Expected: docs/results/parted.json; half an hour on two cores. `jaxunshear ablate runs/sweeps/parted/rows/ROW --leakage` for a whole table.
+"""
+
+from dataclasses import replace
+
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.experiment import PINS, Experiment
+from jaxunshear.model.settings import PinNet, UnshearNet
+from jaxunshear.sweep.settings import Sweep
+
+ROWS = {
+    "parted": (),
+    "no exchanged codes": (("train_pins.swap_weight", 0.0),),
+    "no agreement": (("train_pins.agreement_weight", 0.0),),
+    "no noise": (("pins.code_noise", 0.0),),
+    "DS teaches the pose code": (("pins.apart", False),),
+    "the paper's losses": (
+        (("train_pins.swap_weight", "train_pins.agreement_weight"), (0.0, 0.0)),
+        (("pins.code_noise", "pins.apart"), (0.0, False)),
+    ),
+}
+
+sweep = Sweep(
+    name="parted",
+    claim="Exchanged codes, held to the simulated contact of that pose after that slide, part pose and shear.",
+    base=Experiment(
+        name="parted",
+        claim="Codes that hold what they should, and nothing else.",
+        networks=("disentangled", "posenet"),
+        targets=("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle"),
+        sensor=sensor_of("parted"),
+        paired=PAIRED["parted"],
+        pose=POSE["parted"],
+        unshear=UnshearNet(input="pins"),
+        pins=PinNet(shear_code=2, apart=True, code_noise=0.1),
+        train_pins=replace(PINS, epochs=50, pose_weight=0.0, swap_weight=1.0, agreement_weight=0.05),
+    ),
+    rows=tuple(ROWS.values()),
+    labels=tuple(ROWS),
+    seeds=(0, 1, 2),
+    ablation=True,
+)

@@ -1,0 +1,107 @@
+"""Slides that several poses share, so that "the pose of this one, after the slide of that one" can be looked up: what a simulator alone can
+give. For sets made with `paired.poses_a_slide` of two or more.
+
+>>> reader = FactorialReader(settings, folder, metadata)
+>>> batch = next(reader.train_batches(64, seed, 0.0, ("sheared_pins", "other_pins", "swapped_pins"))(0))
+
+`other_pins` are of another pose after another slide; `swapped_pins` of the example's own pose after that other slide. Where a contact
+was dropped, both are the example's own.
+"""
+
+import functools
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset.reading import Batch, SetReader
+from jaxunshear.dataset.settings import PairedData
+from jaxunshear.dataset.shots import slide_leaders
+
+OTHER, SWAPPED = "other_pins", "swapped_pins"
+FEEDS = "sheared_pins"  # the field that both are taken from
+
+
+class Shared(NamedTuple):
+    """Which rows of a split share a pose, and which a slide."""
+
+    group: np.ndarray  # (N,) of poses that share their slides
+    place: np.ndarray  # (N,) of the pose in its group
+    slide: np.ndarray  # (N,)
+    row: np.ndarray  # (groups, places, slides), -1 where there is none
+    places: np.ndarray  # (groups,) how many poses each has
+
+    def partners(self, rows: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """For rows (B,) those, drawn, of another pose after another slide, and of the same pose after that slide: (B,) each."""
+        group, place, slide = self.group[rows], self.place[rows], self.slide[rows]
+        elsewhere = (place + _step(generator, self.places[group])) % self.places[group]
+        slides = np.full(len(rows), self.row.shape[2])
+        after = (slide + _step(generator, slides)) % slides
+        other, swapped = self.row[group, elsewhere, after], self.row[group, place, after]
+        known = (other >= 0) & (swapped >= 0)
+        return np.where(known, other, rows), np.where(known, swapped, rows)
+
+
+def shared_of(rows: Batch, settings: PairedData) -> Shared:
+    """Of a split's rows: `stimulus`, `pose_id`, `slide_id` (N,)."""
+    leaders = np.stack([slide_leaders(settings, name) for name in settings.stimuli])
+    leader = leaders[rows["stimulus"], rows["pose_id"]]
+    group = np.unique(np.stack([rows["stimulus"], leader], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+    pose, first = np.unique(np.stack([group, rows["pose_id"]], axis=1), axis=0, return_inverse=True)
+    starts = np.searchsorted(pose[:, 0], np.arange(group.max(initial=-1) + 1))
+    place = first.reshape(-1) - starts[group]
+    places = np.bincount(pose[:, 0])
+    row = np.full((len(places), settings.poses_a_slide, settings.slides), -1)
+    row[group, place, rows["slide_id"]] = np.arange(len(group))
+    return Shared(group, place, rows["slide_id"], row, places)
+
+
+class FactorialReader(SetReader):
+    """A `SetReader` with the two fields more. Partners are drawn by seed and step; in evaluation once and for all."""
+
+    def __init__(self, settings: PairedData, folder: Path, metadata: dict) -> None:
+        super().__init__(settings, folder, metadata)
+        self.shared = functools.cache(lambda split: shared_of(self.rows(split), settings))
+
+    def split(self, name: str, batch: int, fields: Sequence[str] | None = None) -> Iterator[Batch]:
+        for start in range(0, self.length(name), batch):
+            rows = np.arange(start, min(start + batch, self.length(name)))
+            yield self.take(name, rows, fields or tuple(self.rows(name)))
+
+    def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
+        return self._with_partners(name, super().take(name, rows, _stored(fields)), fields, rows, 0)
+
+    def train_batches(
+        self, batch: int, seed: int, shift: float, fields: Sequence[str] | None = None
+    ) -> Callable[[int], Iterator[Batch]]:
+        wanted = fields or tuple(self.rows("train"))
+        plain = super().train_batches(batch, seed, shift, _stored(wanted))
+
+        def from_step(start_step: int = 0) -> Iterator[Batch]:
+            for step, examples in zip(itertools.count(start_step), plain(start_step)):
+                yield self._with_partners("train", examples, wanted, examples["row"], seed, step)
+
+        return from_step
+
+    def _load(self, split: str) -> Batch:
+        rows = super()._load(split)
+        return rows | {"row": np.arange(len(rows["pose_id"]))}
+
+    def _with_partners(self, split: str, batch: Batch, fields: Sequence[str], rows: np.ndarray, *seed: int) -> Batch:
+        found = {name: batch[name] for name in fields if name in batch}
+        if OTHER in fields or SWAPPED in fields:
+            other, swapped = self.shared(split).partners(rows, np.random.default_rng(seed))
+            pins = self.rows(split)[FEEDS]
+            found |= {name: pins[row] for name, row in ((OTHER, other), (SWAPPED, swapped)) if name in fields}
+        return found
+
+
+def _stored(fields: Sequence[str]) -> tuple[str, ...]:
+    return (*(name for name in fields if name not in (OTHER, SWAPPED)), "row")
+
+
+def _step(generator: np.random.Generator, counts: np.ndarray) -> np.ndarray:
+    """(B,) from 1 to count - 1; 0 where there is but one."""
+    return np.where(counts > 1, 1 + generator.integers(np.maximum(counts - 1, 1)), 0)

@@ -1,0 +1,313 @@
+"""What each code holds that it should not: pose in the shear code, slide in the pose code, asked by probes on held-out poses.
+
+    results = leakage(experiment, Path("runs/demo"), Path("datasets"), command)
+
+A probe learns from codes of training slides and answers for those of test slides; R2 is 1 where it tells all, 0 where nothing. Beside it
+stand a ceiling (the same probe on the network's own input), a floor (labels shuffled among training slides) and the codes of an
+untrained network. A slide is told as the sensor feels it, in its own frame.
+"""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader
+from jaxunshear.dataset.reading import Batch, Reader
+from jaxunshear.dataset.settings import PairedData
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.probes import PROBES
+from jaxunshear.evaluation.readers import pixels, places
+from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
+from jaxunshear.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.metrics.independence import hsic, r2
+from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.model import pinnets, unshearnet
+from jaxunshear.model.settings import PinUnshear, UnshearNet
+from jaxunshear.scene.scene import turned
+from jaxunshear.storage import write_json
+from jaxunshear.targets import RECORDED, SIMULATED, STILL, Target, of_labels, of_ranges
+from jaxunshear.training.checkpoint import check_finished, load_best, read_net
+from jaxunshear.training.examples import open_examples, stored_of
+from jaxunshear.training.origin import check_origin
+
+MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen
+MOST_COMPARED = 500  # poses, in the criterion of independence
+AT_ONCE = 64
+SEED = 0
+CODES = ("z_s", "z_p")
+LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what should not be there; the rest should
+LABELS = ("pose", "move", "stimulus", "pose_id")
+
+Told = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
+
+
+def leakage(
+    experiment: Experiment, run_dir: Path, data_dir: Path, command: str, leaks_alone: bool = False
+) -> dict[str, Any]:
+    """Probes the disentangled network in `run_dir`, over images or pins; writes leakage.json there. `leaks_alone`: not what should be in
+    each code, and neither ceiling, floor nor an untrained network beside it.
+
+    Raises `UserError` where the network or the data set is missing or damaged, there is no shear code, or the network learnt from other
+    data or is not trained to the end.
+    """
+    folder = Path(run_dir) / "disentangled"
+    check_finished(folder)
+    net, variables = read_net(folder), load_best(folder)
+    check_origin(experiment, "disentangled", run_dir)
+    encode = _encoder(net, variables)
+    if encode is None:
+        raise UserError(f"{folder} holds no network with a shear code: there is nothing to leak from")
+    reader = open_examples(experiment, "disentangled", data_dir, run_dir).reader
+    seen = "sheared_pins" if over_pins(experiment) else "sheared"
+    learnt, tested = (
+        _taken(experiment, reader, split, seen, most) for split, most in (("train", MOST_LEARNT), ("test", MOST_TESTED))
+    )
+    told = [_told(experiment, batch, data_dir) for batch in (learnt, tested)]
+    groups, poses = (numbered_poses(batch["stimulus"], batch["pose_id"]) for batch in (learnt, tested))
+    codes = [encode(batch[seen]) for batch in (learnt, tested)]
+    others: dict[str, list[Mapping[str, np.ndarray]]] = {}
+    if not leaks_alone:
+        fresh = _encoder(net, _untrained(net, variables))
+        assert fresh is not None
+        features = places if over_pins(experiment) else pixels
+        inputs = [np.nan_to_num(features(batch[seen])) for batch in (learnt, tested)]
+        others = {
+            "untrained": [fresh(batch[seen]) for batch in (learnt, tested)],
+            "input": [dict.fromkeys(CODES, values) for values in inputs],
+        }
+    rows = []
+    shuffled = np.random.default_rng(SEED).permutation(len(groups))
+    for what in ("pose", "slide"):
+        known, true = (each[what] for each in told)
+        for code in (code for code in CODES if not leaks_alone or (what, code) in LEAKS):
+            for probe in PROBES:
+
+                def asked(pair, probe=probe, code=code, known=known, true=true, order=slice(None)):
+                    return _scores(
+                        probe, pair[0][code], {n: v[order] for n, v in known.items()}, pair[1][code], true, groups
+                    )
+
+                each, (low, high) = _with_interval(asked(codes), poses)
+                row = {"name": f"{what} from {code}", "probe": probe, "leak": (what, code) in LEAKS}
+                row |= {"r2": float(np.mean(list(each.values()))), "r2 interval": [low, high], "each": each}
+                row |= {name: _mean_r2(asked(pair)) for name, pair in others.items()}
+                row |= {} if leaks_alone else {"shuffled": _mean_r2(asked(codes, order=shuffled))}
+                rows.append(row)
+    results = {
+        "experiment": experiment.name,
+        "simulated": recorded_of(experiment) is None,
+        "metric": f"R2 on test poses, mean over the quantities named in 'each'; brackets: 95 % over {OVER}",
+        "rows": rows,
+        "independence": [_independence(what, code, codes[1][code], told[1][what], poses) for what, code in LEAKS],
+        "swapped": _swapped(net, variables, reader),
+        "slides": {"learnt": len(groups), "tested": len(poses)},
+        "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
+        "command": command,
+        "machine": machine(),
+        "versions": versions(),
+    }
+    write_json(Path(run_dir) / "leakage.json", results)
+    return results
+
+
+class Exchanged(NamedTuple):
+    """Poses and slides of one group, exchanged: pins (poses, slides, P, 2) px. Column j has the shear code of slide j at pose j, row i the
+    pose code of pose i after slide i: off the diagonal DS draws a contact that it was never given."""
+
+    drawn: np.ndarray
+    true: np.ndarray
+
+
+def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchanged | None:
+    """Of the first group of test poses that is whole; None where poses share no slides, or the network reads images."""
+    folder = Path(run_dir) / "disentangled"
+    net, variables = read_net(folder), load_best(folder)
+    reader = open_examples(experiment, "disentangled", data_dir, run_dir).reader
+    if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
+        return None
+    table = reader.shared("test").row
+    side = min(table.shape[1:])
+    whole = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
+    if not whole:
+        return None
+    true = reader.take("test", whole[0].reshape(-1), (FEEDS,))[FEEDS].reshape(side, side, -1, 2)
+    z_p, z_s = pinnets.encode(net, variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
+    assert z_s is not None
+    every = np.indices((side, side)).reshape(2, -1)
+    drawn = pinnets.decode_sheared(net, variables, z_p[every[0]], z_s[every[1]])
+    return Exchanged(np.asarray(drawn).reshape(true.shape), true)
+
+
+def for_sweep(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Rows of a sweep's ablation."""
+    swapped = results["swapped"]
+    drawn = (
+        [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in swapped["drawn"].items()]
+        if swapped
+        else []
+    )
+    return drawn + [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
+
+
+def table(results: Mapping[str, Any]) -> str:
+    """For people."""
+    lines = [f"{'R2 of':16}  probe   code [95 %]              untrained  input   shuffled"]
+    for row in results["rows"]:
+        low, high = row["r2 interval"]
+        more = "  ".join(f"{row[name]:8.3f}" for name in ("untrained", "input", "shuffled") if name in row)
+        mark = "  a leak" if row["leak"] else ""
+        lines.append(f"{row['name']:16}  {row['probe']:6}  {row['r2']:6.3f} [{low:.3f}, {high:.3f}]   {more}{mark}")
+    for row in results["independence"]:
+        lines.append(
+            f"{row['name']}: HSIC {row['hsic']:.4f} of 1, p = {row['p']:.3f} of independence, {row['poses']} poses"
+        )
+    for name, row in (results["swapped"] or {"drawn": {}})["drawn"].items():
+        low, high = row["interval"]
+        lines.append(
+            f"DS, codes {name}: {row['rms_px']:.3f} [{low:.3f}, {high:.3f}] px from the contact of that pose and that slide"
+        )
+    return "\n".join([*lines, results["metric"]])
+
+
+def _encoder(net: Any, variables: Any) -> Callable[[np.ndarray], dict[str, np.ndarray]] | None:
+    """Inputs -> codes (N, F) by name; None without a shear code."""
+    if isinstance(net, PinUnshear):
+        run = jax.jit(lambda weights, pins: pinnets.encode(net, weights, pins))
+        held = bool(net.shear_code)
+    elif isinstance(net, UnshearNet) and net.disentangled:
+        run = jax.jit(lambda weights, images: unshearnet.encode(net, weights, images.astype(jnp.float32) / 255))
+        held = bool(net.shear_channels)
+    else:
+        return None
+    if not held:
+        return None
+
+    def encode(seen: np.ndarray) -> dict[str, np.ndarray]:
+        parts = []
+        for start in range(0, len(seen), AT_ONCE):
+            rows = np.arange(start, start + AT_ONCE) % len(seen)
+            parts.append(jax.device_get(run(variables, seen[rows])))
+        joined = [np.concatenate(part)[: len(seen)] for part in zip(*parts, strict=True)]
+        return {name: code.reshape(len(seen), -1) for name, code in zip(("z_p", "z_s"), joined, strict=True)}
+
+    return encode
+
+
+def _untrained(net: Any, variables: Any) -> Any:
+    key = jax.random.key(SEED)
+    if isinstance(net, PinUnshear):
+        constants = variables["batch_stats"]
+        return pinnets.init(net, constants["rest"], constants["spread"], key)
+    return unshearnet.init(net, key)
+
+
+def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: int) -> Batch:
+    """Evenly chosen slides with labels, those whose pins are sure."""
+    sure = ("sure",) if recorded_of(experiment) else ()
+    batch = reader.take(split, np.arange(reader.length(split)), (*LABELS, *sure))
+    kept = np.isfinite(batch["pose"]).all(axis=1) & np.isfinite(batch["move"]).all(axis=1)
+    rows = np.flatnonzero(kept & (batch["sure"] == 1) if sure else kept)
+    if not len(rows):
+        raise UserError(f"no {split} slide has labels of its pose and its slide: there is nothing to probe for")
+    rows = rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int)]
+    edge = () if recorded_of(experiment) else ("edge",)
+    return reader.take(split, rows, (seen, *LABELS, *edge))
+
+
+def _told(experiment: Experiment, batch: Batch, data_dir: Path) -> dict[str, Told]:
+    """What there is to tell of each slide: all of its pose and of its slide that the data vary, scaled to about 1."""
+    if isinstance(experiment.paired, PairedData):
+        ranges = experiment.paired.ranges
+        pose = [_varied(name, ranges) for name in SIMULATED]
+        felt = turned(batch["move"], -batch["pose"][:, 2]) / (ranges.move_mm or 1)
+        slide = {"slide_x_mm": felt[:, :1], "slide_y_mm": felt[:, 1:]}
+        return {"pose": _values([target for each in pose for target in each], batch), "slide": slide}
+    known = stored_of(experiment, data_dir).stored.rows("train")
+    moved = known["move"][np.isfinite(known["move"]).all(axis=1) & (known["slid"] == 1)]
+    spread = moved.std(axis=0)
+    slide = {f"slide_{name}": batch["move"][:, [i]] / spread[i] for i, name in enumerate(RECORDED) if spread[i] > STILL}
+    return {"pose": _values(list(of_labels((), known["pose"])), batch), "slide": slide}
+
+
+def _varied(name: str, ranges: Any) -> tuple[Target, ...]:
+    try:
+        return of_ranges((name,), ranges)
+    except UserError:  # it does not vary
+        return ()
+
+
+def _values(targets: list[Target], batch: Batch) -> Told:
+    values = {}
+    for target in targets:
+        value = batch[target.field][:, target.column].astype(np.float64)
+        angle = np.radians(value)
+        scaled = [np.cos(angle), np.sin(angle)] if target.circle else [(value - target.middle) / target.reach]
+        values[target.name] = np.stack(scaled, axis=-1)
+    return values
+
+
+def _scores(
+    probe: str, codes: np.ndarray, known: Told, asked: np.ndarray, true: Told, groups: np.ndarray
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """By quantity, of each test slide: its squared error, and its squared distance from the mean."""
+    answers = PROBES[probe](codes, np.concatenate(list(known.values()), axis=1), asked, groups)
+    found, column = {}, 0
+    for name, value in true.items():
+        answer = answers[:, column : column + value.shape[1]]
+        column += value.shape[1]
+        error, scatter = (np.sum(np.square(value - other), axis=1) for other in (answer, value.mean(axis=0)))
+        found[name] = (error, scatter)
+    return found
+
+
+def _mean_r2(scores: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> float:
+    return float(np.mean([r2(*pair) for pair in scores.values()]))
+
+
+def _with_interval(
+    scores: Mapping[str, tuple[np.ndarray, np.ndarray]], poses: np.ndarray
+) -> tuple[dict[str, float], list[float]]:
+    values = {f"{name}/{i}": part for name, pair in scores.items() for i, part in enumerate(pair)}
+    means = redrawn_means(values, poses, SEED)
+    redrawn = np.mean([1 - means[f"{name}/0"] / means[f"{name}/1"] for name in scores], axis=0)
+    return {name: r2(*pair) for name, pair in scores.items()}, interval(redrawn)
+
+
+def _swapped(net: Any, variables: Any, reader: Reader) -> dict[str, Any] | None:
+    """How far, px (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and slide; None
+    where poses share no slides, or the network reads images."""
+    if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
+        return None
+    count = reader.length("test")
+    rows = np.linspace(0, count - 1, min(MOST_TESTED, count)).round().astype(int)
+    batch = reader.take("test", rows, (FEEDS, OTHER, SWAPPED, "stimulus", "pose_id"))
+    own, other, wanted = (batch[name] for name in (FEEDS, OTHER, SWAPPED))
+    changed = np.any(own != wanted, axis=(1, 2))
+
+    @jax.jit
+    def drawn(weights, own, other, wanted):
+        codes: list[Any] = [pinnets.encode(net, weights, pins) for pins in (own, other, wanted)]
+        pairs = {"exchanged": (0, 1), "both of its own": (2, 2), "shear code not exchanged": (0, 0)}
+        return {n: pinnets.decode_sheared(net, weights, codes[p][0], codes[s][1]) for n, (p, s) in pairs.items()}
+
+    found = drawn(variables, own, other, wanted)
+    poses = numbered_poses(batch["stimulus"], batch["pose_id"])[changed]
+    squares = {n: np.sum(np.square(np.asarray(pins) - wanted), -1).mean(axis=1)[changed] for n, pins in found.items()}
+    means = redrawn_means(squares, poses, SEED)
+    rms = {name: float(np.sqrt(value.mean())) for name, value in squares.items()}
+    drawn_rows = {name: {"rms_px": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms}
+    ratios = np.sqrt(means["exchanged"] / means["both of its own"])
+    return {"drawn": drawn_rows, "ratio": rms["exchanged"] / rms["both of its own"], "ratio interval": interval(ratios)}
+
+
+def _independence(what: str, code: str, codes: np.ndarray, told: Told, poses: np.ndarray) -> dict[str, Any]:
+    """Of one slide at each pose: rows are independent draws."""
+    first = np.unique(poses, return_index=True)[1]
+    rows = first[np.linspace(0, len(first) - 1, min(MOST_COMPARED, len(first))).round().astype(int)]
+    scaled = (codes - codes.mean(axis=0)) / np.maximum(codes.std(axis=0), 1e-12)
+    statistic, p = hsic(scaled[rows], np.concatenate(list(told.values()), axis=1)[rows], SEED)
+    return {"name": f"{what} and {code}", "hsic": statistic, "p": p, "poses": len(rows)}

@@ -1,0 +1,111 @@
+"""Probes: what a linear map and a small network can tell of a quantity from a code, learnt on some contacts, asked on others.
+
+>>> answers = PROBES["mlp"](codes, wanted, others, groups)  # (N, F), (N, K), (M, F) -> (M, K)
+
+Both scale each number of the code by its own spread, so that what is whispered counts as what is shouted.
+"""
+
+from collections.abc import Callable
+from functools import partial
+
+import flax.linen as nn
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from scipy import linalg
+
+HIDDEN, LAYERS = 128, 2
+STEPS, BATCH, RATE, DECAY = 1000, 128, 2e-3, 1e-3
+LOOKS = 20  # at the fifth that is kept out of fitting
+RIDGES = (1e-6, 1e-4, 1e-2, 1.0)  # times the number of examples
+LEAST = 1e-12  # spread of a number that does not vary
+
+
+class MLP(nn.Module):
+    outputs: int
+
+    @nn.compact
+    def __call__(self, x):
+        for _ in range(LAYERS):
+            x = nn.gelu(nn.Dense(HIDDEN)(x))
+        return nn.Dense(self.outputs, kernel_init=nn.initializers.zeros)(x)  # at first it knows the mean alone
+
+
+def linear(codes: np.ndarray, wanted: np.ndarray, others: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Ridge regression, its ridge the one that does best on the groups (N,) kept out."""
+    x, y, z, back = _scaled(codes, wanted, others)
+    kept_out = _kept_out(groups)
+    errors = [np.mean((x[kept_out] @ _solved(x[~kept_out], y[~kept_out], r) - y[kept_out]) ** 2) for r in RIDGES]
+    return back(z @ _solved(x, y, RIDGES[int(np.argmin(errors))]))
+
+
+def mlp(codes: np.ndarray, wanted: np.ndarray, others: np.ndarray, groups: np.ndarray) -> np.ndarray:
+    """Two hidden layers, trained by AdamW; the state that does best on the groups (N,) kept out."""
+    x, y, z, back = _scaled(codes, wanted, others)
+    kept_out = _kept_out(groups)
+    answers = _trained(
+        *(jnp.asarray(a, jnp.float32) for a in (x[~kept_out], y[~kept_out], x[kept_out], y[kept_out], z))
+    )
+    return back(np.asarray(answers, np.float64))
+
+
+PROBES: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]] = {
+    "linear": linear,
+    "mlp": mlp,
+}
+
+
+def _scaled(codes: np.ndarray, wanted: np.ndarray, others: np.ndarray):
+    middle, spread = codes.mean(axis=0, dtype=np.float64), codes.std(axis=0, dtype=np.float64)
+    spread = np.where(spread > LEAST, spread, 1)
+    centre, reach = wanted.mean(axis=0, dtype=np.float64), wanted.std(axis=0, dtype=np.float64)
+    reach = np.where(reach > LEAST, reach, 1)
+    return (
+        (codes - middle) / spread,
+        (wanted - centre) / reach,
+        (others - middle) / spread,
+        lambda y: centre + reach * y,
+    )
+
+
+def _kept_out(groups: np.ndarray) -> np.ndarray:
+    """(N,) every fifth group, whole."""
+    return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
+
+
+def _solved(x: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
+    """(F, K): by the smaller of the two systems."""
+    if len(x) < x.shape[1]:
+        return x.T @ linalg.solve(x @ x.T + ridge * len(x) * np.eye(len(x)), y, assume_a="pos")
+    return linalg.solve(x.T @ x + ridge * len(x) * np.eye(x.shape[1]), x.T @ y, assume_a="pos")
+
+
+@jax.jit
+def _trained(x, y, x_out, y_out, others):
+    """What the network, trained on (x, y), says of `others`."""
+    net = MLP(y.shape[1])
+    key = jax.random.key(0)
+    params = net.init(key, x[:1])
+    optimiser = optax.adamw(optax.cosine_decay_schedule(RATE, STEPS), weight_decay=DECAY)
+
+    def loss(params, rows):
+        return jnp.mean((net.apply(params, x[rows]) - y[rows]) ** 2)
+
+    def step(state, step_key):
+        params, opt_state = state
+        rows = jax.random.randint(step_key, (min(BATCH, len(x)),), 0, len(x))
+        updates, opt_state = optimiser.update(jax.grad(loss)(params, rows), opt_state, params)
+        return (optax.apply_updates(params, updates), opt_state), None
+
+    def look(carry, keys):
+        state, best, chosen = carry
+        state, _ = jax.lax.scan(step, state, keys)
+        error = jnp.mean((net.apply(state[0], x_out) - y_out) ** 2)
+        chosen = jax.tree.map(partial(jnp.where, error < best), state[0], chosen)
+        return (state, jnp.minimum(error, best), chosen), None
+
+    keys = jax.random.split(jax.random.fold_in(key, 1), (LOOKS, STEPS // LOOKS))
+    carry = ((params, optimiser.init(params)), jnp.mean(y_out**2), params)
+    (_, _, chosen), _ = jax.lax.scan(look, carry, keys)
+    return net.apply(chosen, others)

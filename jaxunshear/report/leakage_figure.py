@@ -1,0 +1,73 @@
+"""What each code holds, as bars; and where poses share slides, what DS draws of exchanged codes, beside the contacts of just these."""
+
+import io
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from jaxunshear.evaluation.leakage import Exchanged
+
+BARS = {
+    "r2": "code",
+    "untrained": "code of an untrained network",
+    "input": "the network's input",
+    "shuffled": "shuffled labels",
+}
+PROBE = "mlp"  # the one that finds more
+
+
+def leakage_figure(results: Mapping[str, Any], exchanged: "Exchanged | None") -> bytes:
+    """PNG."""
+    from matplotlib.figure import Figure
+
+    side = 0 if exchanged is None else len(exchanged.true)
+    figure = Figure(figsize=(6 + 1.5 * side, 1.2 + max(3.2, 1.6 * side)), layout="constrained", dpi=110)
+    parts: Any = figure.subfigures(1, 2, width_ratios=(6, 1.6 * side)) if side else (figure,)
+    _bars(parts[0], results)
+    if exchanged is not None:
+        _matrix(parts[1], exchanged)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png")
+    return stream.getvalue()
+
+
+def _bars(figure: Any, results: Mapping[str, Any]) -> None:
+    rows = [row for row in results["rows"] if row["probe"] == PROBE]
+    axes = figure.subplots()
+    shown = [name for name in BARS if name in rows[0]]
+    height = 0.8 / len(shown)
+    for index, name in enumerate(shown):
+        place = np.arange(len(rows)) + (index - (len(shown) - 1) / 2) * height
+        axes.barh(place, [row[name] for row in rows], height, label=BARS[name])
+        if name == "r2":
+            off = np.array([[row[name] - row["r2 interval"][0], row["r2 interval"][1] - row[name]] for row in rows]).T
+            axes.errorbar([row[name] for row in rows], place, xerr=np.maximum(off, 0), fmt="none", color="black", lw=1)
+    axes.set_yticks(np.arange(len(rows)), [row["name"] + (" (a leak)" if row["leak"] else "") for row in rows])
+    axes.set(xlabel=f"R2 on test poses ({PROBE} probe)", xlim=(min(-0.1, *(row["r2"] for row in rows)), 1.05))
+    axes.invert_yaxis()
+    axes.axvline(0, color="black", lw=0.8)
+    figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=2)
+
+
+def _matrix(figure: Any, exchanged: "Exchanged") -> None:
+    side = len(exchanged.true)
+    panels = figure.subplots(side, side, squeeze=False)
+    middle, reach = exchanged.true.mean(axis=(0, 1, 2)), 1.05 * np.ptp(exchanged.true, axis=(0, 1, 2)).max() / 2
+    for i, row in enumerate(panels):
+        for j, axes in enumerate(row):
+            true, drawn = exchanged.true[i, j], exchanged.drawn[i, j]
+            axes.scatter(*true.T, s=5, facecolors="none", edgecolors="0.5", lw=0.6)
+            axes.scatter(*drawn.T, s=1.2, color="tab:blue" if i == j else "tab:red")
+            axes.set(xticks=[], yticks=[], aspect="equal")
+            axes.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] + reach, middle[1] - reach))
+            rms = float(np.sqrt(np.mean(np.sum((true - drawn) ** 2, axis=-1))))
+            axes.set_title(f"{rms:.2f} px", fontsize=7, pad=2)
+            if j == 0:
+                axes.set_ylabel(f"z_p of pose {i + 1}", fontsize=7)
+            if i == side - 1:
+                axes.set_xlabel(f"z_s of slide {j + 1}", fontsize=7)
+    figure.suptitle(
+        "DS of exchanged codes (red), of a contact's own (blue);\ncircles: the simulated contact", fontsize=8
+    )

@@ -1,0 +1,147 @@
+"""Leakage of codes, on a toy skin whose pins tell pose and slide by a known, linear law."""
+
+import dataclasses
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.chunks import Engine
+from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.settings import PairedData, PoseData
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation import leakage
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.settings import Preprocess
+from jaxunshear.model.settings import PinNet, UnshearNet
+from jaxunshear.report.leakage_figure import leakage_figure
+from jaxunshear.run import run_stages
+from jaxunshear.scene.scene import turned
+from jaxunshear.scene.sensor import Sensor
+from jaxunshear.sweep.rows import row_digest
+from jaxunshear.training.settings import Training
+
+SENSOR = Sensor(name="small", rings=2)
+SIZE = 32
+DROPPED = 17  # this contact does not converge
+EXPERIMENT = Experiment(
+    name="toy",
+    claim="none",
+    networks=("disentangled",),
+    sensor=SENSOR,
+    paired=PairedData(
+        config="tiny", stimuli=("disk",), poses=60, slides=2, poses_a_slide=2, preprocess=Preprocess(size=SIZE)
+    ),
+    pose=PoseData(config="tiny", stimuli=("disk",), poses=10, preprocess=Preprocess(size=SIZE)),
+    unshear=UnshearNet(size=SIZE, widths=(4, 4), input="pins"),
+    pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, apart=True, code_noise=0.1),
+    train_pins=Training(epochs=2, batch=8, shift=0.0, patch_weight=0.0, swap_weight=1.0, agreement_weight=0.1),
+)
+
+
+def simulate(sensor, names, scenes):
+    """Pins that move by x and y of the pose and by the slide as the sensor feels it, each its own way."""
+    rng = np.random.default_rng(0)
+    given = np.concatenate([scenes.pose[:, :2] / 5, 3 * turned(scenes.move, -scenes.pose[:, 2]) / 2.5], axis=1)
+    tips = (given @ rng.normal(size=(4, 2 * sensor.pins))).reshape(len(scenes), sensor.pins, 2)
+    converged = np.arange(len(scenes)) != (DROPPED if len(scenes) > DROPPED else -1)
+    count = np.zeros(len(scenes), int)
+    return SimpleNamespace(
+        pins=np.concatenate([tips, tips[..., :1]], axis=-1).astype(np.float32),
+        residual_mm=np.zeros(len(scenes), np.float32),
+        converged=converged,
+        retried=np.zeros(len(scenes), bool),
+        **dict.fromkeys(("iterations", "stuck", "slipping", "free"), count),
+    )
+
+
+def look(settings, sensor, tips, number, age):
+    rest = np.random.default_rng(1).uniform(5, SIZE - 5, (1, sensor.pins, 2))
+    images = np.random.default_rng(2).random((len(tips), SIZE, SIZE)) < 0.3
+    return images.astype(np.uint8) * np.uint8(255), (rest + tips[..., :2]).astype(np.float32)
+
+
+ENGINE = Engine(lambda sensor, names, scenes: [np.arange(len(scenes))], simulate, look)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Data sets and a trained network of the toy."""
+    folder = tmp_path_factory.mktemp("toy")
+    for settings in (EXPERIMENT.paired, EXPERIMENT.pose):
+        make_set(settings, SENSOR, folder / "data", ENGINE)
+    run_stages(EXPERIMENT, ("disentangled",), folder / "runs", folder / "data", "none")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def found(folder):
+    return leakage.leakage(EXPERIMENT, folder / "runs" / "toy", folder / "data", "none")
+
+
+def test_every_quantity_is_asked_of_every_code_by_every_probe(found, folder):
+    asked = {(row["name"], row["probe"]) for row in found["rows"]}
+    assert asked == {
+        (f"{what} from {z}", p) for what in ("pose", "slide") for z in ("z_s", "z_p") for p in ("linear", "mlp")
+    }
+    assert {row["name"] for row in found["rows"] if row["leak"]} == {"pose from z_s", "slide from z_p"}
+    assert json.loads((folder / "runs" / "toy" / "leakage.json").read_text())["sizes"] == {"z_p": 3, "z_s": 2}
+    for row in found["rows"]:
+        low, high = row["r2 interval"]
+        assert low - 1e-9 <= row["r2"] <= high + 1e-9
+        assert row["r2"] == pytest.approx(np.mean(list(row["each"].values())))
+
+
+def test_ceiling_and_floor_are_where_they_must_be(found):
+    """The input tells the slide by a linear law; of the pose x and y alone. Shuffled labels tell nothing."""
+    for row in (row for row in found["rows"] if row["probe"] == "linear"):
+        assert row["shuffled"] < 0.3
+        if row["name"].startswith("slide"):
+            assert row["input"] > 0.95
+            assert set(row["each"]) == {"slide_x_mm", "slide_y_mm"}
+        else:
+            assert set(row["each"]) == {"x_mm", "y_mm", "yaw_deg", "depth_mm", "edge_mm", "edge_deg"}
+    assert found["independence"][0]["poses"] == 12
+
+
+def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, folder):
+    drawn = found["swapped"]["drawn"]
+    assert set(drawn) == {"both of its own", "exchanged", "shear code not exchanged"}
+    assert found["swapped"]["ratio"] == pytest.approx(drawn["exchanged"]["rms_px"] / drawn["both of its own"]["rms_px"])
+    exchanged = leakage.exchanged(EXPERIMENT, folder / "runs" / "toy", folder / "data")
+    assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SENSOR.pins, 2)
+    # the toy's law: what two slides differ in at one pose they differ in at another
+    np.testing.assert_allclose(
+        exchanged.true[0, 0] - exchanged.true[0, 1], exchanged.true[1, 0] - exchanged.true[1, 1], atol=1e-3
+    )
+    assert leakage_figure(found, exchanged)[:4] == leakage_figure(found, None)[:4] == b"\x89PNG"
+    assert "a leak" in leakage.table(found) and "codes exchanged" in leakage.table(found)
+
+
+def test_a_sweep_gets_the_figures_and_can_ask_for_the_leaks_alone(found, folder):
+    names = {row["name"] for row in leakage.for_sweep(found)}
+    assert {"pose from z_s (mlp)", "slide from z_p (linear)", "DS, codes exchanged"} <= names
+    fewer = leakage.leakage(EXPERIMENT, folder / "runs" / "toy", folder / "data", "none", leaks_alone=True)
+    assert {row["name"] for row in fewer["rows"]} == {"pose from z_s", "slide from z_p"}
+    whole = {(row["name"], row["probe"]): row["r2"] for row in found["rows"]}
+    assert all(whole[row["name"], row["probe"]] == row["r2"] for row in fewer["rows"])  # the same bits
+    assert not any("untrained" in row for row in fewer["rows"])
+
+
+def test_a_dropped_contact_is_nobodys_partner(folder):
+    reader = leakage.open_examples(EXPERIMENT, "disentangled", folder / "data", folder / "runs" / "toy").reader
+    assert sum(reader.length(split) for split in ("train", "validation", "test")) == 119
+
+
+def test_what_has_no_shear_code_is_refused(tmp_path, folder):
+    plain = dataclasses.replace(
+        EXPERIMENT,
+        name="plain",
+        pins=dataclasses.replace(EXPERIMENT.pins, shear_code=0),
+        train_pins=dataclasses.replace(EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0),
+    )
+    run_stages(plain, ("disentangled",), tmp_path, folder / "data", "none")
+    with pytest.raises(UserError, match="no network with a shear code"):
+        leakage.leakage(plain, tmp_path / "plain", folder / "data", "none")
+    assert row_digest(plain, False) != row_digest(EXPERIMENT, False)

@@ -1,0 +1,59 @@
+"""Probes find what is in a code, however faint, and nothing where nothing is."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.evaluation.probes import PROBES
+from jaxunshear.metrics.independence import r2
+
+
+def told(probe, codes, wanted, groups=None):
+    """R2 on the last third, learnt from the first two."""
+    cut = 2 * len(codes) // 3
+    groups = np.arange(cut) if groups is None else groups[:cut]
+    answers = PROBES[probe](codes[:cut], wanted[:cut], codes[cut:], groups)
+    true = wanted[cut:]
+    assert answers.shape == true.shape
+    return r2(np.square(answers - true), np.square(true - true.mean(axis=0)))
+
+
+@pytest.fixture
+def codes():
+    return np.random.default_rng(1).normal(size=(900, 4))
+
+
+def test_a_linear_map_is_found_by_both_and_a_bent_one_by_the_network(codes):
+    straight = codes @ np.random.default_rng(2).normal(size=(4, 2)) + 5
+    assert told("linear", codes, straight) > 0.999
+    assert told("mlp", codes, straight) > 0.98
+    bent = np.abs(codes[:, :1])
+    assert told("linear", codes, bent) < 0.05
+    assert told("mlp", codes, bent) > 0.9
+
+
+@pytest.mark.parametrize("probe", PROBES)
+def test_a_whisper_counts_as_much_as_a_shout(probe, codes):
+    wanted = codes[:, :1] + codes[:, 1:2]
+    whispered = codes * [1e-6, 1, 1, 1] + [1e3, 0, 0, 0]
+    assert told(probe, whispered, wanted) > 0.98
+    assert told(probe, np.concatenate([codes, np.full((900, 1), 3.0)], axis=1), wanted) > 0.98  # what never varies
+
+
+@pytest.mark.parametrize("probe", PROBES)
+def test_nothing_is_found_where_nothing_is(probe, codes):
+    foreign = np.random.default_rng(3).normal(size=(900, 1))
+    assert -0.1 < told(probe, codes, foreign) < 0.05
+
+
+def test_more_numbers_than_examples():
+    rng = np.random.default_rng(4)
+    codes = rng.normal(size=(150, 400))
+    codes[:, 0] *= 1
+    wanted = codes[:, :40].sum(axis=1, keepdims=True)
+    assert -0.2 < told("linear", codes, wanted) < 1
+
+
+def test_the_same_bits_again(codes):
+    wanted = np.sin(codes[:, :1])
+    first, again = (PROBES["mlp"](codes[:600], wanted[:600], codes[600:], np.arange(600)) for _ in range(2))
+    np.testing.assert_array_equal(first, again)
