@@ -432,7 +432,7 @@ def _networks(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> I
         "unshear.shear_channels",
         "must not be below zero; 0 builds no shear code",
     )
-    yield 0 <= pins.code_noise < 1, "pins.code_noise", "use a number from 0 to below 1: codes lie in (-1, 1)"
+    yield 0 <= pins.shear_noise < 1, "pins.shear_noise", "use a number from 0 to below 1: z_s lies in (-1, 1)"
     for field in ("hidden", "layers", "pose_code"):
         yield getattr(pins, field) >= 1, f"pins.{field}", "must be at least 1"
     yield pins.shear_code >= 0, "pins.shear_code", "must not be below zero; 0 builds no shear code"

@@ -97,6 +97,16 @@ def card(results: dict[str, Any], name: str) -> str:
     return _simulated_card(results, name) if results.get("simulated", True) else _recorded_card(results, name)
 
 
+def _made_on(results: dict[str, Any]) -> list[str]:
+    """Machines and versions; those that trained are named where they are others than the one that measured."""
+    others = {json.dumps(machine) for machine in results.get("trained_on", {}).values()} - {
+        json.dumps(results["machine"])
+    }
+    told = [*(("Trained on", machine) for machine in sorted(others)), ("Machine", json.dumps(results["machine"]))]
+    lines = [line for name, machine in told for line in ("", f"{name}: {machine}")]
+    return [*lines, "", f"Versions: {json.dumps(results['versions'])}", ""]
+
+
 def _slides_of(results: dict[str, Any]) -> str:
     recordings = results["recordings"]
     if results["pairing"]["way"] == "simulated":
@@ -133,8 +143,7 @@ def _recorded_card(results: dict[str, Any], name: str) -> str:
     ]
     for way, errors in results["pose_mae"].items():
         lines.append(f"| {way} | " + " | ".join(f"{errors[target]:.3g}" for target in targets) + " |")
-    machine, versions = (json.dumps(results[what]) for what in ("machine", "versions"))
-    return "\n".join([*lines, "", f"Machine: {machine}", "", f"Versions: {versions}", ""])
+    return "\n".join([*lines, *_made_on(results)])
 
 
 def _simulated_card(results: dict[str, Any], name: str) -> str:
@@ -192,5 +201,4 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
     for test, found in results["tests"].items():
         likeness = found["ms_ssim"]["disentangled"]["overall"]
         lines += ["", f"Test `{test}` ({', '.join(found['stimuli'])}): {metric['ms_ssim']} {likeness:.3f}."]
-    machine, versions = (json.dumps(results[what]) for what in ("machine", "versions"))
-    return "\n".join([*lines, "", f"Machine: {machine}", "", f"Versions: {versions}", ""])
+    return "\n".join([*lines, *_made_on(results)])

@@ -158,8 +158,8 @@ def test_exchanged_codes_take_slides_that_poses_share(field):
     ("words", "line"),
     [
         ("--paired.poses_a_slide 0", "a slide belongs to one pose at least"),
-        ("--unshear.input pins --pins.code_noise 1", "codes lie in"),
-        ("--unshear.input pins --pins.code_noise -0.1", "codes lie in"),
+        ("--unshear.input pins --pins.shear_noise 1", "z_s lies in"),
+        ("--unshear.input pins --pins.shear_noise -0.1", "z_s lies in"),
     ],
 )
 def test_codes_and_slides_within_their_limits(words, line):

@@ -18,7 +18,7 @@ from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
-from jaxunshear.release import release
+from jaxunshear.release import card, release
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
@@ -81,6 +81,14 @@ def image_in(folder):
     dots = (np.random.default_rng(0).random((SIZE, SIZE)) < 0.3).astype(np.uint8) * 255
     Image.fromarray(dots).save(folder / "a.png")
     return folder
+
+
+def test_a_card_names_the_machine_that_trained_where_another_one_measured():
+    own = RESULTS | {"trained_on": {"disentangled": RESULTS["machine"]}}
+    assert "Trained on" not in card(RESULTS, "mine") and "Trained on" not in card(own, "mine")
+    other = {"device": "gpu: one"}
+    text = card(RESULTS | {"trained_on": {"disentangled": other, "posenet": other}}, "mine")
+    assert text.count("Trained on: ") == 1 and '"gpu: one"' in text
 
 
 @pytest.mark.parametrize("head", [False, True])

@@ -72,6 +72,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         "ms_per_image": ms_per_image(run_dir, experiment.networks, experiment.train.precision),
         "time_s": (read_json_if_sound(run_dir / "times.json") or {}) | {"evaluate": time.perf_counter() - started},
         "machine": machine(),
+        "trained_on": _trained_on(experiment, run_dir),
         "versions": versions(),
         "command": command,
     }
@@ -84,6 +85,12 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         write_bytes(run_dir / f"scores-{name}.npz", every_score(found))
     write_json(run_dir / "results.json", results)
     return results
+
+
+def _trained_on(experiment: Experiment, run_dir: Path) -> dict[str, Any]:
+    """The machine that trained each network, of those that say so."""
+    told = {name: read_json_if_sound(run_dir / name / "summary.json") for name in experiment.networks}
+    return {name: summary["trained_on"] for name, summary in told.items() if summary and summary.get("trained_on")}
 
 
 def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:

@@ -54,9 +54,8 @@ def _of_readers(results: dict[str, Any], metrics: dict[str, Any], prefix: str) -
 
 def reproducible(results: dict[str, Any]) -> dict[str, Any]:
     """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
-    return {
-        name: value for name, value in results.items() if name not in ("time_s", "ms_per_image", "machine", "command")
-    }
+    places = ("time_s", "ms_per_image", "machine", "trained_on", "command")
+    return {name: value for name, value in results.items() if name not in places}
 
 
 def _row(name: str, value: float | None, unit: str, metric: str) -> dict[str, Any]:

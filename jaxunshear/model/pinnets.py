@@ -63,17 +63,14 @@ class Codes(nn.Module):
             self.ES = Trunk(net) if net.apart else None
 
     def pose_code(self, x: Array) -> Array:
-        return self._bound(self.pose(self.E(x)))
+        return self.pose(self.E(x))
 
     def encode(self, x: Array) -> tuple[Array, Array | None]:
         z = self.E(x)
-        z_p = self._bound(self.pose(z))
         if not self.net.shear_code:
-            return z_p, None
-        return z_p, self._bound(self.shear(z if self.ES is None else self.ES(x)))
-
-    def _bound(self, code: Array) -> Array:
-        return jnp.tanh(code) if self.net.code_noise else code
+            return self.pose(z), None
+        z_s = self.shear(z if self.ES is None else self.ES(x))
+        return self.pose(z), jnp.tanh(z_s) if self.net.shear_noise else z_s
 
     def decode_canonical(self, z_p: Array) -> Array:
         return self.DC(z_p)
@@ -140,18 +137,20 @@ def reconstruct(
     another slide; `swapped`: of the same pose after that other slide."""
     partners = [] if other is None or swapped is None else [other, swapped]
     seen = jnp.concatenate([pins, *partners])
-    codes = encode(net, variables, seen if key is None else spoilt(net, seen, key))
-    (own_p, own_s), (z_p, z_s) = codes, _blurred(net, codes, key)
+    z_p, own_s = encode(net, variables, seen if key is None else spoilt(net, seen, key))
     first, second, third = (slice(i * len(pins), (i + 1) * len(pins)) for i in range(3))
     canonical = decode_canonical(net, variables, z_p[first])
-    if z_s is None or own_s is None:
+    if own_s is None:
         return Decoded(canonical, None, None, None)
+    z_s = own_s
+    if key is not None and net.shear_noise:
+        z_s += net.shear_noise * jax.random.normal(jax.random.fold_in(key, 1), z_s.shape)
     held = jax.lax.stop_gradient(z_p[first]) if net.apart else z_p[first]
     sheared = decode_sheared(net, variables, held, z_s[first])
     if not partners:
         return Decoded(canonical, sheared, None, None)
     exchanged = decode_sheared(net, variables, held, z_s[second])
-    apart = disagreement(own_p[first], own_p[third]) + disagreement(own_s[second], own_s[third])
+    apart = disagreement(z_p[first], z_p[third]) + disagreement(own_s[second], own_s[third])
     return Decoded(canonical, sheared, exchanged, apart)
 
 
@@ -186,17 +185,6 @@ def distance(pins: Array, target: Array, variables: Variables) -> Array:
 def spoilt(net: PinNet, pins: Array, key: Array) -> Array:
     """Pins with the noise of a training example."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
-
-
-def _blurred(net: PinUnshear, codes: tuple[Array, Array | None], key: Array | None) -> tuple[Array, Array | None]:
-    """Codes with the noise of training examples."""
-    if key is None or not net.code_noise:
-        return codes
-    keys = jax.random.split(jax.random.fold_in(key, 1))
-    z_p, z_s = (
-        c if c is None else c + net.code_noise * jax.random.normal(k, c.shape) for c, k in zip(codes, keys, strict=True)
-    )
-    return z_p, z_s  # type: ignore[return-value]
 
 
 def _module(net: PinNet, motions: int, outputs: int) -> nn.Module:

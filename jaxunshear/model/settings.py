@@ -56,10 +56,12 @@ class PinNet:
     pose_code: int = 16  # numbers in z_p
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
     apart: bool = False  # z_s comes from a trunk of its own, and DS, which reads z_p too, does not teach it
-    code_noise: float = 0.0  # added to the codes of training examples, which then lie in (-1, 1): what is whispered is lost; 0: free codes
+    shear_noise: float = (
+        0.0  # added to z_s of training examples, which then lies in (-1, 1): what is whispered is lost; 0: a free code
+    )
 
 
-PIN_CODES = ("pose_code", "shear_code", "apart", "code_noise")  # what PinUnshear alone reads
+PIN_CODES = ("pose_code", "shear_code", "apart", "shear_noise")  # what PinUnshear alone reads
 
 
 def without_pin_codes(net: PinNet) -> PinNet:

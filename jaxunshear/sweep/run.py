@@ -123,4 +123,11 @@ def _made_with(measured: dict[tuple[str, int], Measured], command: str) -> dict[
         name: [found for found, _ in itertools.groupby(sorted((result[name] for result in results), key=str))]
         for name in ("machine", "versions")
     }
-    return {"command": command, "machines": distinct["machine"], "versions": distinct["versions"]}
+    trained = (machine for result in results for machine in result.get("trained_on", {}).values())
+    trained_on = [found for found, _ in itertools.groupby(sorted(trained, key=str))]
+    return {
+        "command": command,
+        "machines": distinct["machine"],
+        "trained_on": trained_on,
+        "versions": distinct["versions"],
+    }

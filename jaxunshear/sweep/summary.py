@@ -71,9 +71,9 @@ def summarise(
 def reproducible(summary: dict[str, Any]) -> dict[str, Any]:
     """What must come out equal, bit for bit, from the same sweep on the same machine: all but times, memory and places."""
     cells = [{name: value for name, value in cell.items() if name != "costs"} for cell in summary["cells"]]
-    return {name: value for name, value in summary.items() if name not in ("command", "machines", "efficient")} | {
-        "cells": cells
-    }
+    return {
+        name: value for name, value in summary.items() if name not in ("command", "machines", "trained_on", "efficient")
+    } | {"cells": cells}
 
 
 def _cell(

@@ -13,7 +13,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from jax import Array
 from jaxunshear import storage
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
+from jaxunshear.metrics.machine import machine
 from jaxunshear.progress import Progress
 from jaxunshear.targets import to_json
 from jaxunshear.training import checkpoint
@@ -51,6 +52,10 @@ class Summary:
     train_seconds: float  # steps and their data, without compilation, validation and checkpoints
     compile_seconds: float
     images_per_second: float
+    trained_on: dict[str, Any] = field(default_factory=dict)  # the machine that ended it; of earlier versions unknown
+
+
+SUMMED = tuple(each.name for each in dataclasses.fields(Summary) if each.name != "trained_on")
 
 
 def train(
@@ -155,6 +160,7 @@ def train(
         train_seconds=seconds,
         compile_seconds=compile_seconds,
         images_per_second=steps * batch_size / seconds,
+        trained_on=machine(),
     )
     storage.write_json(folder / checkpoint.SUMMARY, asdict(summary))
     return summary
@@ -198,6 +204,7 @@ def _write_log(folder: Path, history: list[dict[str, Any]]) -> None:
 def _summary(path: Path) -> Summary:
     stored = storage.read_json(path)
     try:
-        return Summary(**{field.name: stored[field.name] for field in dataclasses.fields(Summary)})
+        known = {name: stored[name] for name in SUMMED}
+        return Summary(**known, trained_on=stored.get("trained_on", {}))
     except (KeyError, TypeError) as error:
         raise UserError(f"{path} lacks {error}: delete it to go on from the latest checkpoint") from error

@@ -35,7 +35,7 @@ EXPERIMENT = Experiment(
     ),
     pose=PoseData(config="tiny", stimuli=("disk",), poses=10, preprocess=Preprocess(size=SIZE)),
     unshear=UnshearNet(size=SIZE, widths=(4, 4), input="pins"),
-    pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, apart=True, code_noise=0.1),
+    pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, apart=True, shear_noise=0.1),
     train_pins=Training(epochs=2, batch=8, shift=0.0, patch_weight=0.0, swap_weight=1.0, agreement_weight=0.1),
 )
 

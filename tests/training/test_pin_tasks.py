@@ -127,7 +127,7 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
 
 def test_exchanged_codes_are_taught_where_partners_are_given():
     training = Training(swap_weight=2.0, agreement_weight=0.5)
-    task = pin_unshear_task(PinUnshear(**SMALL, apart=True, code_noise=0.1), training, TARGETS, REST, 1.0)
+    task = pin_unshear_task(PinUnshear(**SMALL, apart=True, shear_noise=0.1), training, TARGETS, REST, 1.0)
     variables, given = task.init(KEY), batch()
     partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
     assert set(task.terms(variables, given, KEY)[0]) == {"supervised", "reconstruction"}
