@@ -366,7 +366,7 @@ def _report(run: Path) -> None:
 
 def _ablate(arguments: argparse.Namespace, command: str) -> None:
     from jaxunshear.config import from_json
-    from jaxunshear.evaluation import ablation, leakage
+    from jaxunshear.evaluation import ablation, exchange, leakage
     from jaxunshear.storage import read_json, write_json
 
     settings = arguments.run / "experiment.json"
@@ -380,8 +380,8 @@ def _ablate(arguments: argparse.Namespace, command: str) -> None:
         from jaxunshear.storage import write_bytes
 
         results = leakage.leakage(experiment, arguments.run, arguments.data, command)
-        exchanged = leakage.exchanged(experiment, arguments.run, arguments.data)
-        write_bytes(arguments.run / "leakage.png", leakage_figure(results, exchanged))
+        drawn = exchange.exchanged(experiment, arguments.run, arguments.data)
+        write_bytes(arguments.run / "leakage.png", leakage_figure(results, drawn))
         print(leakage.table(results))
         print(arguments.run / "leakage.png")
     else:

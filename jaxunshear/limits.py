@@ -157,19 +157,22 @@ def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
 
 
 def _exchange(experiment: Experiment) -> Iterator[Rule]:
-    """What learning from exchanged codes takes."""
-    paired = experiment.paired
+    """What learning codes that do not leak takes."""
+    paired, training = experiment.paired, experiment.train_pins
     shared = isinstance(paired, PairedData) and paired.poses_a_slide > 1 and paired.slides > 1
     for field in ("swap_weight", "agreement_weight"):
-        value = getattr(experiment.train_pins, field)
-        yield value >= 0, f"train_pins.{field}", "must not be below zero"
+        yield getattr(training, field) >= 0, f"train_pins.{field}", "must not be below zero"
         yield not getattr(experiment.train, field), f"train.{field}", "is for networks over pins: leave it at 0"
         yield (
-            not value or (shared and experiment.pins.shear_code > 0 and not experiment.pins.turned),
+            not getattr(training, field) or (experiment.pins.shear_code > 0 and not experiment.pins.turned),
             f"train_pins.{field}",
-            "takes simulated slides that poses share, two at least, and a shear code: raise paired.poses_a_slide, paired.slides and "
-            "pins.shear_code, with pins.turned at 0",
+            "takes a shear code, and pins as they are: raise pins.shear_code, leave pins.turned at 0",
         )
+    yield (
+        not training.swap_weight or shared,
+        "train_pins.swap_weight",
+        "takes simulated slides that poses share, two at least: raise paired.poses_a_slide and paired.slides",
+    )
 
 
 def _posenets(experiment: Experiment) -> list[str]:

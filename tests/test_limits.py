@@ -144,14 +144,22 @@ def test_turned_touches_keep_distance_direction_and_depth_alone():
 
 
 @pytest.mark.parametrize("field", ["swap_weight", "agreement_weight"])
-def test_exchanged_codes_take_slides_that_poses_share(field):
+def test_what_codes_that_do_not_leak_take(field):
     pins = "--unshear.input pins --networks disentangled,posenet"
     shared = f"{pins} --paired.poses_a_slide 2"
     validate(override(PLAIN, f"{shared} --train_pins.{field} 1".split()))
-    for words in (pins, f"{shared} --paired.slides 1", f"{shared} --pins.shear_code 0"):
-        assert refusal(f"{words} --train_pins.{field} 1").startswith(f"--train_pins.{field} 1.0: ")
+    assert "raise pins.shear_code" in refusal(f"{shared} --pins.shear_code 0 --train_pins.{field} 1")
     assert "below zero" in refusal(f"{shared} --train_pins.{field} -1")
     assert "over pins" in refusal(f"--paired.poses_a_slide 2 --train.{field} 1")
+
+
+def test_exchanged_codes_take_slides_that_poses_share():
+    pins = "--unshear.input pins --networks disentangled,posenet"
+    for words in (pins, f"{pins} --paired.poses_a_slide 2 --paired.slides 1"):
+        assert refusal(f"{words} --train_pins.swap_weight 1").startswith(
+            "--train_pins.swap_weight 1.0: takes simulated"
+        )
+    validate(override(PLAIN, f"{pins} --train_pins.agreement_weight 1".split()))
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ class PairedData:
     taps: int = 1
     slides: int = 2
     poses_a_slide: int = (
-        1  # of one split, that share their slides as the sensor feels them: from 2 on, "this pose, that slide" is known
+        1  # so many poses of a split share their slides, as the sensor feels them: see `dataset/factorial.py`
     )
     tap_depth_jitter_mm: float = 0.0  # the paper: 1.0
     seed: int = 0

@@ -8,17 +8,19 @@ untrained network. A slide is told as the sensor feels it, in its own frame.
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader
 from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.exchange import errors_of
 from jaxunshear.evaluation.probes import PROBES
 from jaxunshear.evaluation.readers import pixels, places
 from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
@@ -74,36 +76,34 @@ def leakage(
         fresh = _encoder(net, _untrained(net, variables))
         assert fresh is not None
         features = places if over_pins(experiment) else pixels
-        inputs = [np.nan_to_num(features(batch[seen])) for batch in (learnt, tested)]
+        inputs = [features(batch[seen]) for batch in (learnt, tested)]
+        mean = np.nanmean(inputs[0], axis=0)  # a pin that is not seen counts as it is on average
         others = {
             "untrained": [fresh(batch[seen]) for batch in (learnt, tested)],
-            "input": [dict.fromkeys(CODES, values) for values in inputs],
+            "input": [dict.fromkeys(CODES, np.where(np.isfinite(values), values, mean)) for values in inputs],
         }
-    rows = []
     shuffled = np.random.default_rng(SEED).permutation(len(groups))
-    for what in ("pose", "slide"):
+    rows = []
+    for what, code, probe in product(("pose", "slide"), CODES, PROBES):
+        if leaks_alone and (what, code) not in LEAKS:
+            continue
         known, true = (each[what] for each in told)
-        for code in (code for code in CODES if not leaks_alone or (what, code) in LEAKS):
-            for probe in PROBES:
-
-                def asked(pair, probe=probe, code=code, known=known, true=true, order=slice(None)):
-                    return _scores(
-                        probe, pair[0][code], {n: v[order] for n, v in known.items()}, pair[1][code], true, groups
-                    )
-
-                each, (low, high) = _with_interval(asked(codes), poses)
-                row = {"name": f"{what} from {code}", "probe": probe, "leak": (what, code) in LEAKS}
-                row |= {"r2": float(np.mean(list(each.values()))), "r2 interval": [low, high], "each": each}
-                row |= {name: _mean_r2(asked(pair)) for name, pair in others.items()}
-                row |= {} if leaks_alone else {"shuffled": _mean_r2(asked(codes, order=shuffled))}
-                rows.append(row)
+        asked = partial(_scores, probe, true=true, groups=groups)
+        own = (codes[0][code], codes[1][code])
+        each, band = _with_interval(asked(known, *own), poses)
+        row = {"name": f"{what} from {code}", "probe": probe, "leak": (what, code) in LEAKS}
+        row |= {"r2": float(np.mean(list(each.values()))), "r2 interval": band, "each": each}
+        row |= {name: _mean_r2(asked(known, pair[0][code], pair[1][code])) for name, pair in others.items()}
+        if not leaks_alone:
+            row["shuffled"] = _mean_r2(asked({name: value[shuffled] for name, value in known.items()}, *own))
+        rows.append(row)
     results = {
         "experiment": experiment.name,
         "simulated": recorded_of(experiment) is None,
         "metric": f"R2 on test poses, mean over the quantities named in 'each'; brackets: 95 % over {OVER}",
         "rows": rows,
         "independence": [_independence(what, code, codes[1][code], told[1][what], poses) for what, code in LEAKS],
-        "swapped": _swapped(net, variables, reader),
+        "exchanged": errors_of(net, variables, reader),
         "slides": {"learnt": len(groups), "tested": len(poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
         "command": command,
@@ -114,43 +114,11 @@ def leakage(
     return results
 
 
-class Exchanged(NamedTuple):
-    """Poses and slides of one group, exchanged: pins (poses, slides, P, 2) px. Column j has the shear code of slide j at pose j, row i the
-    pose code of pose i after slide i: off the diagonal DS draws a contact that it was never given."""
-
-    drawn: np.ndarray
-    true: np.ndarray
-
-
-def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchanged | None:
-    """Of the first group of test poses that is whole; None where poses share no slides, or the network reads images."""
-    folder = Path(run_dir) / "disentangled"
-    net, variables = read_net(folder), load_best(folder)
-    reader = open_examples(experiment, "disentangled", data_dir, run_dir).reader
-    if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
-        return None
-    table = reader.shared("test").row
-    side = min(table.shape[1:])
-    whole = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
-    if not whole:
-        return None
-    true = reader.take("test", whole[0].reshape(-1), (FEEDS,))[FEEDS].reshape(side, side, -1, 2)
-    z_p, z_s = pinnets.encode(net, variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
-    assert z_s is not None
-    every = np.indices((side, side)).reshape(2, -1)
-    drawn = pinnets.decode_sheared(net, variables, z_p[every[0]], z_s[every[1]])
-    return Exchanged(np.asarray(drawn).reshape(true.shape), true)
-
-
 def for_sweep(results: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Rows of a sweep's ablation."""
-    swapped = results["swapped"]
-    drawn = (
-        [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in swapped["drawn"].items()]
-        if swapped
-        else []
-    )
-    return drawn + [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
+    drawn = (results["exchanged"] or {"drawn": {}})["drawn"]
+    told = [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in drawn.items()]
+    return told + [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
 
 
 def table(results: Mapping[str, Any]) -> str:
@@ -165,7 +133,7 @@ def table(results: Mapping[str, Any]) -> str:
         lines.append(
             f"{row['name']}: HSIC {row['hsic']:.4f} of 1, p = {row['p']:.3f} of independence, {row['poses']} poses"
         )
-    for name, row in (results["swapped"] or {"drawn": {}})["drawn"].items():
+    for name, row in (results["exchanged"] or {"drawn": {}})["drawn"].items():
         low, high = row["interval"]
         lines.append(
             f"DS, codes {name}: {row['rms_px']:.3f} [{low:.3f}, {high:.3f}] px from the contact of that pose and that slide"
@@ -251,7 +219,7 @@ def _values(targets: list[Target], batch: Batch) -> Told:
 
 
 def _scores(
-    probe: str, codes: np.ndarray, known: Told, asked: np.ndarray, true: Told, groups: np.ndarray
+    probe: str, known: Told, codes: np.ndarray, asked: np.ndarray, true: Told, groups: np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """By quantity, of each test slide: its squared error, and its squared distance from the mean."""
     answers = PROBES[probe](codes, np.concatenate(list(known.values()), axis=1), asked, groups)
@@ -275,33 +243,6 @@ def _with_interval(
     means = redrawn_means(values, poses, SEED)
     redrawn = np.mean([1 - means[f"{name}/0"] / means[f"{name}/1"] for name in scores], axis=0)
     return {name: r2(*pair) for name, pair in scores.items()}, interval(redrawn)
-
-
-def _swapped(net: Any, variables: Any, reader: Reader) -> dict[str, Any] | None:
-    """How far, px (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and slide; None
-    where poses share no slides, or the network reads images."""
-    if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
-        return None
-    count = reader.length("test")
-    rows = np.linspace(0, count - 1, min(MOST_TESTED, count)).round().astype(int)
-    batch = reader.take("test", rows, (FEEDS, OTHER, SWAPPED, "stimulus", "pose_id"))
-    own, other, wanted = (batch[name] for name in (FEEDS, OTHER, SWAPPED))
-    changed = np.any(own != wanted, axis=(1, 2))
-
-    @jax.jit
-    def drawn(weights, own, other, wanted):
-        codes: list[Any] = [pinnets.encode(net, weights, pins) for pins in (own, other, wanted)]
-        pairs = {"exchanged": (0, 1), "both of its own": (2, 2), "shear code not exchanged": (0, 0)}
-        return {n: pinnets.decode_sheared(net, weights, codes[p][0], codes[s][1]) for n, (p, s) in pairs.items()}
-
-    found = drawn(variables, own, other, wanted)
-    poses = numbered_poses(batch["stimulus"], batch["pose_id"])[changed]
-    squares = {n: np.sum(np.square(np.asarray(pins) - wanted), -1).mean(axis=1)[changed] for n, pins in found.items()}
-    means = redrawn_means(squares, poses, SEED)
-    rms = {name: float(np.sqrt(value.mean())) for name, value in squares.items()}
-    drawn_rows = {name: {"rms_px": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms}
-    ratios = np.sqrt(means["exchanged"] / means["both of its own"])
-    return {"drawn": drawn_rows, "ratio": rms["exchanged"] / rms["both of its own"], "ratio interval": interval(ratios)}
 
 
 def _independence(what: str, code: str, codes: np.ndarray, told: Told, poses: np.ndarray) -> dict[str, Any]:

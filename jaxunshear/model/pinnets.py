@@ -117,11 +117,11 @@ def decode_sheared(net: PinUnshear, variables: Variables, z_p: Array, z_s: Array
 
 
 class Decoded(NamedTuple):
-    """Of a training pass over slides, and where they have partners, over these; (B, P, 2) px, or None where there is none."""
+    """What both decoders make of slides; (B, P, 2) px, or None where there is none."""
 
     canonical: Array
     sheared: Array | None
-    swapped: Array | None  # DS of the slide's pose code and the partner's shear code
+    exchanged: Array | None  # DS of the slide's pose code and the other's shear code
     disagreement: Array | None  # (B,) see `disagreement`
 
 
@@ -130,12 +130,12 @@ def reconstruct(
     variables: Variables,
     pins: Array,
     key: Array | None = None,
-    other: Array | None = None,
-    swapped: Array | None = None,
+    same_pose: Array | None = None,
+    same_slide: Array | None = None,
 ) -> Decoded:
-    """Both decoders over sheared pins (B, P, 2) px; in training a `key` spoils pins and codes a little. `other`: of another pose after
-    another slide; `swapped`: of the same pose after that other slide."""
-    partners = [] if other is None or swapped is None else [other, swapped]
+    """Both decoders over sheared pins (B, P, 2) px; in training a `key` spoils pins and codes a little. `same_pose`: a tap there, or
+    the pins after another slide; `same_slide`: of another pose after that other slide."""
+    partners = [each for each in (same_pose, same_slide) if each is not None]
     seen = jnp.concatenate([pins, *partners])
     z_p, own_s = encode(net, variables, seen if key is None else spoilt(net, seen, key))
     first, second, third = (slice(i * len(pins), (i + 1) * len(pins)) for i in range(3))
@@ -147,11 +147,13 @@ def reconstruct(
         z_s += net.shear_noise * jax.random.normal(jax.random.fold_in(key, 1), z_s.shape)
     held = jax.lax.stop_gradient(z_p[first]) if net.apart else z_p[first]
     sheared = decode_sheared(net, variables, held, z_s[first])
-    if not partners:
+    if same_pose is None:
         return Decoded(canonical, sheared, None, None)
-    exchanged = decode_sheared(net, variables, held, z_s[second])
-    apart = disagreement(z_p[first], z_p[third]) + disagreement(own_s[second], own_s[third])
-    return Decoded(canonical, sheared, exchanged, apart)
+    apart = disagreement(z_p[first], z_p[second])
+    if same_slide is None:
+        return Decoded(canonical, sheared, None, apart)
+    exchanged = decode_sheared(net, variables, held, z_s[third])
+    return Decoded(canonical, sheared, exchanged, apart + disagreement(own_s[second], own_s[third]))
 
 
 def disagreement(one: Array, other: Array) -> Array:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxunshear.evaluation.leakage import Exchanged
+    from jaxunshear.evaluation.exchange import Exchanged
 
 BARS = {
     "r2": "code",

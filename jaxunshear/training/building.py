@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
+from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained, training_of
 from jaxunshear.model import pinnets, posenet
@@ -72,7 +73,8 @@ def _over_pins(
         return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
     codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
     teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
-    partners = (OTHER, SWAPPED) if network == "disentangled" and exchanged(training) else ()
+    shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
+    partners = (OTHER, SWAPPED) if shared and network == "disentangled" and exchanged(training) else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
     return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
 

@@ -31,8 +31,8 @@ def pin_unshear_task(
     spread: float,
     teacher: Callable[[Array], Array] | None = None,
 ) -> Task:
-    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px, and where codes are exchanged {"other_pins",
-    "swapped_pins"}, see `dataset.factorial`.
+    """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px, and where poses share slides {"other_pins",
+    "swapped_pins"}, see `dataset.factorial`; where they don't, the pose code of a slide is to agree with its tap's alone.
 
     `teacher` is a trained PinPoseNet, pins (B, P, 2) px -> outputs (B, K), needed for `pose_weight` alone: what it reads off the
     unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
@@ -53,15 +53,16 @@ def pin_unshear_task(
         named |= watched(found.canonical, batch)
         if found.sheared is not None:
             named["reconstruction"] = pinnets.distance(found.sheared, batch["sheared_pins"], variables)
-        if found.swapped is not None:
-            named |= {
-                "swap": pinnets.distance(found.swapped, batch[SWAPPED], variables),
-                "agreement": found.disagreement,
-            }
+        if found.exchanged is not None:
+            named["swap"] = pinnets.distance(found.exchanged, batch[SWAPPED], variables)
+        if found.disagreement is not None:
+            named["agreement"] = found.disagreement
         return weighed(named, batch)
 
     def decoded(variables, batch, key=None):
-        return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, batch.get(OTHER), batch.get(SWAPPED))
+        tap = batch["canonical_pins"] if training.agreement_weight else None
+        partners = batch.get(SWAPPED, tap), batch.get(OTHER)
+        return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, *partners)
 
     def terms(variables, batch, key):
         return named_of(variables, batch, decoded(variables, batch, key)), variables["batch_stats"]

@@ -24,8 +24,9 @@ class Training:
     crops: int = 100
     crop_px: int = 20
     reconstruction_weight: float = 1.0
-    # of codes that do not leak, over pins, where poses share slides (`paired.poses_a_slide`): that the pose code of one slide with the
-    # shear code of another draws the simulated contact of just that pose and slide; that equal poses, and equal slides, have equal codes
+    # of codes that do not leak, over pins: that the pose code of one slide with the shear code of another draws the contact of just that
+    # pose and slide, where poses share slides (`paired.poses_a_slide`); that equal poses, a slide's and its tap's too, and equal slides
+    # have equal codes
     swap_weight: float = 0.0
     agreement_weight: float = 0.0
     pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`

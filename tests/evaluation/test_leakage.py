@@ -11,7 +11,7 @@ from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import leakage
+from jaxunshear.evaluation import exchange, leakage
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.model.settings import PinNet, UnshearNet
@@ -106,10 +106,12 @@ def test_ceiling_and_floor_are_where_they_must_be(found):
 
 
 def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, folder):
-    drawn = found["swapped"]["drawn"]
+    drawn = found["exchanged"]["drawn"]
     assert set(drawn) == {"both of its own", "exchanged", "shear code not exchanged"}
-    assert found["swapped"]["ratio"] == pytest.approx(drawn["exchanged"]["rms_px"] / drawn["both of its own"]["rms_px"])
-    exchanged = leakage.exchanged(EXPERIMENT, folder / "runs" / "toy", folder / "data")
+    assert found["exchanged"]["ratio"] == pytest.approx(
+        drawn["exchanged"]["rms_px"] / drawn["both of its own"]["rms_px"]
+    )
+    exchanged = exchange.exchanged(EXPERIMENT, folder / "runs" / "toy", folder / "data")
     assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SENSOR.pins, 2)
     # the toy's law: what two slides differ in at one pose they differ in at another
     np.testing.assert_allclose(

@@ -110,7 +110,7 @@ def test_without_noise_the_codes_are_what_they_always_were():
     z_p, z_s = pinnets.encode(net, variables, moved())
     np.testing.assert_array_equal(decoded.canonical, pinnets.decode_canonical(net, variables, z_p))
     np.testing.assert_array_equal(decoded.sheared, pinnets.decode_sheared(net, variables, z_p, z_s))
-    assert decoded.swapped is None and decoded.disagreement is None
+    assert decoded.exchanged is None and decoded.disagreement is None
 
 
 def test_a_noisy_shear_code_lies_within_one_and_is_noisy_in_training_alone():
@@ -131,7 +131,7 @@ def test_apart_the_sheared_pins_do_not_teach_the_pose_code():
         def total(params, net=net, variables=variables):
             partners = moved(2), moved(3)
             decoded = pinnets.reconstruct(net, variables | {"params": params}, moved(), jax.random.key(0), *partners)
-            return decoded.sheared.sum() + decoded.swapped.sum()
+            return decoded.sheared.sum() + decoded.exchanged.sum()
 
         slopes = jax.grad(total)(variables["params"])
         still = {part for part, slope in slopes.items() if all(np.all(leaf == 0) for leaf in jax.tree.leaves(slope))}
@@ -140,10 +140,15 @@ def test_apart_the_sheared_pins_do_not_teach_the_pose_code():
 
 def test_exchanged_codes_are_those_they_are_called():
     net, variables = made(PinUnshear, apart=True)
-    own, other, swapped = moved(1), moved(2), moved(3)
-    decoded = pinnets.reconstruct(net, variables, own, None, other, swapped)
-    (z_p, _), (_, z_s) = (pinnets.encode(net, variables, pins) for pins in (own, other))
-    np.testing.assert_allclose(decoded.swapped, pinnets.decode_sheared(net, variables, z_p, z_s), rtol=1e-5)
+    own, same_pose, same_slide = moved(1), moved(2), moved(3)
+    decoded = pinnets.reconstruct(net, variables, own, None, same_pose, same_slide)
+    (z_p, _), (_, z_s) = (pinnets.encode(net, variables, pins) for pins in (own, same_slide))
+    np.testing.assert_allclose(decoded.exchanged, pinnets.decode_sheared(net, variables, z_p, z_s), rtol=1e-5)
+    assert np.all(pinnets.reconstruct(net, variables, own, None, own).disagreement == 0)
+    assert np.all(pinnets.reconstruct(net, variables, own, None, own, own).disagreement == 0)
+    assert np.all(
+        pinnets.reconstruct(net, variables, own, None, own, same_slide).disagreement > 0
+    )  # of the shear codes
 
 
 def test_disagreement_is_zero_of_equal_codes_and_does_not_depend_on_their_scale():

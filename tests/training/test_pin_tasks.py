@@ -130,7 +130,10 @@ def test_exchanged_codes_are_taught_where_partners_are_given():
     task = pin_unshear_task(PinUnshear(**SMALL, apart=True, shear_noise=0.1), training, TARGETS, REST, 1.0)
     variables, given = task.init(KEY), batch()
     partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
-    assert set(task.terms(variables, given, KEY)[0]) == {"supervised", "reconstruction"}
+    # without partners a slide's pose code is to agree with its tap's
+    assert set(task.terms(variables, given, KEY)[0]) == {"supervised", "reconstruction", "agreement"}
+    tap = task.validate(variables, given | {"sheared_pins": given["canonical_pins"]})
+    assert np.all(tap["agreement"] == 0)
     terms = task.terms(variables, given | partners, KEY)[0]
     assert set(terms) == {"supervised", "reconstruction", "swap", "agreement"}
     assert all(value.shape == (6,) for value in terms.values())

@@ -1,0 +1,78 @@
+"""Codes exchanged: what DS draws of the pose code of one slide and the shear code of another, beside the simulated contact of just these.
+
+For networks over pins, of data sets whose poses share slides.
+"""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader
+from jaxunshear.dataset.reading import Reader
+from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
+from jaxunshear.experiment import Experiment
+from jaxunshear.model import pinnets
+from jaxunshear.model.settings import PinUnshear
+from jaxunshear.training.checkpoint import load_best, read_net
+from jaxunshear.training.examples import open_examples
+
+MOST = 2000  # slides, evenly chosen
+SEED = 0
+
+
+class Exchanged(NamedTuple):
+    """Poses and slides of one group, exchanged: pins (poses, slides, P, 2) px. Column j has the shear code of slide j at pose j, row i the
+    pose code of pose i after slide i: off the diagonal DS draws a contact that it was never given."""
+
+    drawn: np.ndarray
+    true: np.ndarray
+
+
+def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchanged | None:
+    """Of the first group of test poses that is whole; None where poses share no slides, or the network reads images."""
+    folder = Path(run_dir) / "disentangled"
+    net, variables = read_net(folder), load_best(folder)
+    reader = open_examples(experiment, "disentangled", data_dir, run_dir).reader
+    if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
+        return None
+    table = reader.shared("test").row
+    side = min(table.shape[1:])
+    whole = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
+    if not whole:
+        return None
+    true = reader.take("test", whole[0].reshape(-1), (FEEDS,))[FEEDS].reshape(side, side, -1, 2)
+    z_p, z_s = pinnets.encode(net, variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
+    assert z_s is not None
+    every = np.indices((side, side)).reshape(2, -1)
+    drawn = pinnets.decode_sheared(net, variables, z_p[every[0]], z_s[every[1]])
+    return Exchanged(np.asarray(drawn).reshape(true.shape), true)
+
+
+def errors_of(net: Any, variables: Any, reader: Reader) -> dict[str, Any] | None:
+    """How far, px (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and slide; None
+    where poses share no slides, or the network reads images."""
+    if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
+        return None
+    count = reader.length("test")
+    rows = np.linspace(0, count - 1, min(MOST, count)).round().astype(int)
+    batch = reader.take("test", rows, (FEEDS, OTHER, SWAPPED, "stimulus", "pose_id"))
+    own, other, wanted = (batch[name] for name in (FEEDS, OTHER, SWAPPED))
+    changed = np.any(own != wanted, axis=(1, 2))
+
+    @jax.jit
+    def drawn(weights, own, other, wanted):
+        codes: list[Any] = [pinnets.encode(net, weights, pins) for pins in (own, other, wanted)]
+        pairs = {"exchanged": (0, 1), "both of its own": (2, 2), "shear code not exchanged": (0, 0)}
+        return {n: pinnets.decode_sheared(net, weights, codes[p][0], codes[s][1]) for n, (p, s) in pairs.items()}
+
+    found = drawn(variables, own, other, wanted)
+    poses = numbered_poses(batch["stimulus"], batch["pose_id"])[changed]
+    squares = {n: np.sum(np.square(np.asarray(pins) - wanted), -1).mean(axis=1)[changed] for n, pins in found.items()}
+    means = redrawn_means(squares, poses, SEED)
+    rms = {name: float(np.sqrt(value.mean())) for name, value in squares.items()}
+    drawn_rows = {name: {"rms_px": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms}
+    ratios = np.sqrt(means["exchanged"] / means["both of its own"])
+    return {"drawn": drawn_rows, "ratio": rms["exchanged"] / rms["both of its own"], "ratio interval": interval(ratios)}
