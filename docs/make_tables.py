@@ -319,6 +319,44 @@ def readings() -> str:
     return "\n".join(lines)
 
 
+def parted() -> str:
+    """What each code holds of the other's, and what that costs, by what is left out: means over seeds, the leaks with least and most."""
+    leaks = {"pose from z_s": "pose from z_s (mlp)", "slide from z_p": "slide from z_p (mlp)"}
+    kept = {"pose from z_p": "pose from z_p (mlp)", "slide from z_s": "slide from z_s (mlp)"}
+    lines = [
+        f"| R2 of an MLP probe | {' | '.join(f'{name} (a leak)' for name in leaks)} | {' | '.join(kept)} |",
+        "|---|" + "---|" * (len(leaks) + len(kept)),
+    ]
+    for cell in _cells("parted"):
+        spoilt = cell["ablation"]
+        cells = [_of_values(list(spoilt[key]["per_seed"].values()), 2) for key in leaks.values()]
+        lines.append(_line(cell["label"], [*cells, *(f"{spoilt[key]['mean']:.2f}" for key in kept.values())]))
+    return "\n".join(lines)
+
+
+def parted_pins() -> str:
+    """Likeness, pins and edge errors of the same networks; what DS draws of exchanged codes and of a contact's own."""
+    drawn = ("DS, codes exchanged", "DS, codes both of its own")
+    lines = [
+        "| | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg | DS, codes exchanged, px | of its own, px |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    cells = _cells("parted")
+    found = cells[0]["metrics"]
+    for kind in ("tap", "sheared"):
+        likeness = _cell(found["ms_ssim/sheared"], 3) if kind == "sheared" else "1"
+        pins = _cell(found["pins/sheared"], 2) if kind == "sheared" else "0"
+        errors = [_cell(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
+        lines.append(_line(kind, [likeness, pins, *errors, "", ""]))
+    for cell in cells:
+        found, spoilt = cell["metrics"], cell["ablation"]
+        likeness, pins = _cell(found["ms_ssim/disentangled"], 3), _cell(found["pins/disentangled"], 2)
+        errors = [_cell(found[f"pose/disentangled/{name}"], digits) for name, digits in QUANTITIES[2:]]
+        told = [_of_values(list(spoilt[name]["per_seed"].values()), 2) for name in drawn]
+        lines.append(_line(cell["label"], [likeness, pins, *errors, *told]))
+    return "\n".join(lines)
+
+
 def _of_values(values: list[float], digits: int) -> str:
     """Mean [least, most]."""
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
@@ -342,6 +380,7 @@ TABLES = {
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
     "docs/applications.md": (geometry, servo, objects),
+    "docs/codes.md": (parted, parted_pins),
     "docs/model.md": (standard, recoveries, other_readers, readings, tenth),
 }
 
