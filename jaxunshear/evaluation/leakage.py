@@ -7,7 +7,7 @@ stand a ceiling (the same probe on the network's own input), a floor (labels shu
 untrained network. A slide is told as the sensor feels it, in its own frame.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -21,8 +21,9 @@ from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.exchange import errors_of
-from jaxunshear.evaluation.probes import PROBES
+from jaxunshear.evaluation.probes import LEAST, PROBES
 from jaxunshear.evaluation.readers import pixels, places
+from jaxunshear.evaluation.slide import slides_read, slipping
 from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
 from jaxunshear.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.metrics.independence import hsic, r2
@@ -42,9 +43,11 @@ AT_ONCE = 64
 SEED = 0
 CODES = ("z_s", "z_p")
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what should not be there; the rest should
+SLIDE = ("mae", "rmse", "coverage")
 LABELS = ("pose", "move", "stimulus", "pose_id")
 
 Told = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
+Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F) by name
 
 
 def leakage(
@@ -104,6 +107,7 @@ def leakage(
         "rows": rows,
         "independence": [_independence(what, code, codes[1][code], told[1][what], poses) for what, code in LEAKS],
         "exchanged": errors_of(net, variables, reader),
+        "slide": [] if leaks_alone else _slide(experiment, reader, seen, encode, (learnt, tested), data_dir),
         "slides": {"learnt": len(groups), "tested": len(poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
         "command": command,
@@ -114,11 +118,26 @@ def leakage(
     return results
 
 
+def _slide(
+    experiment: Experiment, reader: Reader, seen: str, encode: Encode, batches: Sequence[Batch], data_dir: Path
+) -> list[dict[str, Any]]:
+    """What both codes together tell of the slide, in mm and deg, and how surely; nothing where no validation slide has labels."""
+    learnt, tested = batches
+    between = _taken(experiment, reader, "validation", seen, MOST_TESTED)
+    codes = [np.concatenate(list(encode(batch[seen]).values()), axis=1) for batch in (learnt, between, tested)]
+    told = [_slides(experiment, batch, data_dir) for batch in (learnt, between, tested)]
+    groups, poses = (numbered_poses(batch["stimulus"], batch["pose_id"]) for batch in (learnt, tested))
+    slipped = slipping(tested["stuck"], tested["slipping"]) if "stuck" in tested else None
+    return slides_read(codes, told, groups, poses, slipped)
+
+
 def for_sweep(results: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Rows of a sweep's ablation."""
     drawn = (results["exchanged"] or {"drawn": {}})["drawn"]
     told = [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in drawn.items()]
-    return told + [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
+    told += [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
+    read = ({"name": f"{row['name']}, {row['part']}"} | {n: row[n] for n in SLIDE} for row in results["slide"])
+    return [*told, *read]
 
 
 def table(results: Mapping[str, Any]) -> str:
@@ -138,10 +157,17 @@ def table(results: Mapping[str, Any]) -> str:
         lines.append(
             f"DS, codes {name}: {row['rms_px']:.3f} [{low:.3f}, {high:.3f}] px from the contact of that pose and that slide"
         )
+    for row in results["slide"]:
+        mae, coverage = (
+            "{:.3g} [{:.3g}, {:.3g}]".format(row[name], *row[f"{name} interval"]) for name in ("mae", "coverage")
+        )
+        lines.append(
+            f"{row['name']} from both codes, {row['part']} ({row['slides']}): error {mae}; 95 % intervals hold {coverage}"
+        )
     return "\n".join([*lines, results["metric"]])
 
 
-def _encoder(net: Any, variables: Any) -> Callable[[np.ndarray], dict[str, np.ndarray]] | None:
+def _encoder(net: Any, variables: Any) -> Encode | None:
     """Inputs -> codes (N, F) by name; None without a shear code."""
     if isinstance(net, PinUnshear):
         run = jax.jit(lambda weights, pins: pinnets.encode(net, weights, pins))
@@ -182,23 +208,28 @@ def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: 
     if not len(rows):
         raise UserError(f"no {split} slide has labels of its pose and its slide: there is nothing to probe for")
     rows = rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int)]
-    edge = () if recorded_of(experiment) else ("edge",)
-    return reader.take(split, rows, (seen, *LABELS, *edge))
+    more = () if recorded_of(experiment) else ("edge", "stuck", "slipping")
+    return reader.take(split, rows, (seen, *LABELS, *more))
 
 
 def _told(experiment: Experiment, batch: Batch, data_dir: Path) -> dict[str, Told]:
-    """What there is to tell of each slide: all of its pose and of its slide that the data vary, scaled to about 1."""
+    """What there is to tell of each slide: all of its pose and of its slide that the data vary."""
+    slide = _slides(experiment, batch, data_dir)
     if isinstance(experiment.paired, PairedData):
-        ranges = experiment.paired.ranges
-        pose = [_varied(name, ranges) for name in SIMULATED]
-        felt = turned(batch["move"], -batch["pose"][:, 2]) / (ranges.move_mm or 1)
-        slide = {"slide_x_mm": felt[:, :1], "slide_y_mm": felt[:, 1:]}
-        return {"pose": _values([target for each in pose for target in each], batch), "slide": slide}
+        pose = [target for name in SIMULATED for target in _varied(name, experiment.paired.ranges)]
+    else:
+        pose = list(of_labels((), stored_of(experiment, data_dir).stored.rows("train")["pose"]))
+    return {"pose": _values(pose, batch), "slide": slide}
+
+
+def _slides(experiment: Experiment, batch: Batch, data_dir: Path) -> Told:
+    """The slide in mm and deg: as the sensor feels it; of recordings as it is labelled, what training slides vary of it."""
+    if isinstance(experiment.paired, PairedData):
+        felt = turned(batch["move"], -batch["pose"][:, 2])
+        return {"slide_x_mm": felt[:, :1], "slide_y_mm": felt[:, 1:]}
     known = stored_of(experiment, data_dir).stored.rows("train")
-    moved = known["move"][np.isfinite(known["move"]).all(axis=1) & (known["slid"] == 1)]
-    spread = moved.std(axis=0)
-    slide = {f"slide_{name}": batch["move"][:, [i]] / spread[i] for i, name in enumerate(RECORDED) if spread[i] > STILL}
-    return {"pose": _values(list(of_labels((), known["pose"])), batch), "slide": slide}
+    spread = known["move"][np.isfinite(known["move"]).all(axis=1) & (known["slid"] == 1)].std(axis=0)
+    return {f"slide_{name}": batch["move"][:, [i]] for i, name in enumerate(RECORDED) if spread[i] > STILL}
 
 
 def _varied(name: str, ranges: Any) -> tuple[Target, ...]:
@@ -249,6 +280,7 @@ def _independence(what: str, code: str, codes: np.ndarray, told: Told, poses: np
     """Of one slide at each pose: rows are independent draws."""
     first = np.unique(poses, return_index=True)[1]
     rows = first[np.linspace(0, len(first) - 1, min(MOST_COMPARED, len(first))).round().astype(int)]
-    scaled = (codes - codes.mean(axis=0)) / np.maximum(codes.std(axis=0), 1e-12)
-    statistic, p = hsic(scaled[rows], np.concatenate(list(told.values()), axis=1)[rows], SEED)
+    known = np.concatenate(list(told.values()), axis=1)
+    one, other = ((x - x.mean(axis=0)) / np.maximum(x.std(axis=0), LEAST) for x in (codes, known))
+    statistic, p = hsic(one[rows], other[rows], SEED)
     return {"name": f"{what} and {code}", "hsic": statistic, "p": p, "poses": len(rows)}

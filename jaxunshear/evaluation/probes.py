@@ -1,6 +1,7 @@
 """Probes: what a linear map and a small network can tell of a quantity from a code, learnt on some contacts, asked on others.
 
->>> answers = PROBES["mlp"](codes, wanted, others, groups)  # (N, F), (N, K), (M, F) -> (M, K)
+>>> answers = PROBES["mlp"](codes, wanted, others, groups)    # (N, F), (N, K), (M, F) -> (M, K)
+>>> mean, deviation = gaussian(codes, wanted, others, groups)  # the same network, that tells how sure it is: (M, K) each
 
 Both scale each number of the code by its own spread, so that what is whispered counts as what is shouted.
 """
@@ -19,6 +20,7 @@ HIDDEN, LAYERS = 128, 2
 STEPS, BATCH, RATE, DECAY = 1000, 128, 2e-3, 1e-3
 LOOKS = 20  # at the fifth that is kept out of fitting
 RIDGES = (1e-6, 1e-4, 1e-2, 1.0)  # times the number of examples
+LOG_DEVIATIONS = (-6.0, 2.0)  # least and most, of what is scaled to a deviation of one
 LEAST = 1e-12  # spread of a number that does not vary
 
 
@@ -44,10 +46,17 @@ def mlp(codes: np.ndarray, wanted: np.ndarray, others: np.ndarray, groups: np.nd
     """Two hidden layers, trained by AdamW; the state that does best on the groups (N,) kept out."""
     x, y, z, back = _scaled(codes, wanted, others)
     kept_out = _kept_out(groups)
-    answers = _trained(
-        *(jnp.asarray(a, jnp.float32) for a in (x[~kept_out], y[~kept_out], x[kept_out], y[kept_out], z))
-    )
-    return back(np.asarray(answers, np.float64))
+    return back(_answers(x, y, z, kept_out, False))
+
+
+def gaussian(
+    codes: np.ndarray, wanted: np.ndarray, others: np.ndarray, groups: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and standard deviation of a normal distribution, by its likelihood; the deviation is not calibrated."""
+    x, y, z, back = _scaled(codes, wanted, others)
+    answers = _answers(x, y, z, _kept_out(groups), True)
+    mean, log_deviation = np.split(answers, 2, axis=1)
+    return back(mean), np.abs(back(np.exp(log_deviation)) - back(0.0))
 
 
 PROBES: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]] = {
@@ -74,6 +83,11 @@ def _kept_out(groups: np.ndarray) -> np.ndarray:
     return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
 
 
+def _answers(x: np.ndarray, y: np.ndarray, z: np.ndarray, kept_out: np.ndarray, gaussian: bool) -> np.ndarray:
+    parts = (x[~kept_out], y[~kept_out], x[kept_out], y[kept_out], z)
+    return np.asarray(_trained(*(jnp.asarray(part, jnp.float32) for part in parts), gaussian=gaussian), np.float64)
+
+
 def _solved(x: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
     """(F, K): by the smaller of the two systems."""
     if len(x) < x.shape[1]:
@@ -81,16 +95,29 @@ def _solved(x: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
     return linalg.solve(x.T @ x + ridge * len(x) * np.eye(x.shape[1]), x.T @ y, assume_a="pos")
 
 
-@jax.jit
-def _trained(x, y, x_out, y_out, others):
-    """What the network, trained on (x, y), says of `others`."""
-    net = MLP(y.shape[1])
+@partial(jax.jit, static_argnames="gaussian")
+def _trained(x, y, x_out, y_out, others, gaussian):
+    """What the network, trained on (x, y), says of `others`: (M, K), or (M, 2 K), mean and the deviation's logarithm."""
+    net = MLP(y.shape[1] * (2 if gaussian else 1))
     key = jax.random.key(0)
     params = net.init(key, x[:1])
     optimiser = optax.adamw(optax.cosine_decay_schedule(RATE, STEPS), weight_decay=DECAY)
 
+    def says(params, x):
+        answer = jnp.asarray(net.apply(params, x))
+        if not gaussian:
+            return answer
+        mean, log_deviation = jnp.split(answer, 2, axis=-1)
+        return jnp.concatenate([mean, jnp.clip(log_deviation, *LOG_DEVIATIONS)], -1)
+
+    def error(params, x, y):
+        if not gaussian:
+            return jnp.mean((says(params, x) - y) ** 2)
+        mean, log_deviation = jnp.split(says(params, x), 2, axis=-1)
+        return jnp.mean(0.5 * ((y - mean) / jnp.exp(log_deviation)) ** 2 + log_deviation)
+
     def loss(params, rows):
-        return jnp.mean((net.apply(params, x[rows]) - y[rows]) ** 2)
+        return error(params, x[rows], y[rows])
 
     def step(state, step_key):
         params, opt_state = state
@@ -101,11 +128,11 @@ def _trained(x, y, x_out, y_out, others):
     def look(carry, keys):
         state, best, chosen = carry
         state, _ = jax.lax.scan(step, state, keys)
-        error = jnp.mean((net.apply(state[0], x_out) - y_out) ** 2)
-        chosen = jax.tree.map(partial(jnp.where, error < best), state[0], chosen)
-        return (state, jnp.minimum(error, best), chosen), None
+        off = error(state[0], x_out, y_out)
+        chosen = jax.tree.map(partial(jnp.where, off < best), state[0], chosen)
+        return (state, jnp.minimum(off, best), chosen), None
 
     keys = jax.random.split(jax.random.fold_in(key, 1), (LOOKS, STEPS // LOOKS))
-    carry = ((params, optimiser.init(params)), jnp.mean(y_out**2), params)
+    carry = ((params, optimiser.init(params)), error(params, x_out, y_out), params)
     (_, _, chosen), _ = jax.lax.scan(look, carry, keys)
-    return net.apply(chosen, others)
+    return says(chosen, others)

@@ -105,6 +105,14 @@ def test_ceiling_and_floor_are_where_they_must_be(found):
     assert found["independence"][0]["poses"] == 12
 
 
+def test_the_slide_is_read_with_an_interval(found):
+    assert [(row["name"], row["part"]) for row in found["slide"]] == [
+        (f"slide_{axis}_mm", part) for axis in "xy" for part in ("all", "sticking")
+    ]
+    assert all(0 <= row["coverage"] <= 1 and row["half_width"] > 0 for row in found["slide"])
+    assert "95 % intervals hold" in leakage.table(found)
+
+
 def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, folder):
     drawn = found["exchanged"]["drawn"]
     assert set(drawn) == {"both of its own", "exchanged", "shear code not exchanged"}
@@ -123,7 +131,7 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
 
 def test_a_sweep_gets_the_figures_and_can_ask_for_the_leaks_alone(found, folder):
     names = {row["name"] for row in leakage.for_sweep(found)}
-    assert {"pose from z_s (mlp)", "slide from z_p (linear)", "DS, codes exchanged"} <= names
+    assert {"pose from z_s (mlp)", "slide from z_p (linear)", "DS, codes exchanged", "slide_x_mm, all"} <= names
     fewer = leakage.leakage(EXPERIMENT, folder / "runs" / "toy", folder / "data", "none", leaks_alone=True)
     assert {row["name"] for row in fewer["rows"]} == {"pose from z_s", "slide from z_p"}
     whole = {(row["name"], row["probe"]): row["r2"] for row in found["rows"]}
