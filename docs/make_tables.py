@@ -357,6 +357,28 @@ def parted_pins() -> str:
     return "\n".join(lines)
 
 
+def parted_slide() -> str:
+    """Error and coverage of the slide read from both codes, by whether it has slipped: means of the seeds with least and most."""
+    runs = json.loads((RESULTS / "parted_leakage.json").read_text())["runs"]
+    learnt = {
+        name: [run for told, run in runs.items() if told.startswith(f"{name}, seed")]
+        for name in ("parted", "the paper's losses")
+    }
+    lines = [
+        "| codes of | slides | error in x, mm | error in y, mm | 95 % intervals hold, x | y |",
+        "|---|---|---|---|---|---|",
+    ]
+    parts = {"all": "all", "sticking": "not all of the skin slips", "slipped": "all of it slips"}
+    for name, trained in learnt.items():
+        for part, told in parts.items():
+            rows = [[r for r in run["slide"] if r["part"] == part] for run in trained]
+            cells = [
+                _of_values([row[axis][field] for row in rows], 2) for field in ("mae", "coverage") for axis in (0, 1)
+            ]
+            lines.append(_line(name, [f"{told} ({rows[0][0]['slides']:,})", *cells]))
+    return "\n".join(lines)
+
+
 def _of_values(values: list[float], digits: int) -> str:
     """Mean [least, most]."""
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
@@ -380,7 +402,7 @@ TABLES = {
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
     "docs/applications.md": (geometry, servo, objects),
-    "docs/codes.md": (parted, parted_pins),
+    "docs/codes.md": (parted, parted_pins, parted_slide),
     "docs/model.md": (standard, recoveries, other_readers, readings, tenth),
 }
 
