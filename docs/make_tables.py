@@ -321,8 +321,8 @@ def readings() -> str:
 
 def parted() -> str:
     """What each code holds of the other's, and what that costs, by what is left out: means over seeds, the leaks with least and most."""
-    leaks = {"pose from z_s": "pose from z_s (mlp)", "slide from z_p": "slide from z_p (mlp)"}
-    kept = {"pose from z_p": "pose from z_p (mlp)", "slide from z_s": "slide from z_s (mlp)"}
+    leaks = {"pose from z_s": "pose from z_s (mlp)/r2", "slide from z_p": "slide from z_p (mlp)/r2"}
+    kept = {"pose from z_p": "pose from z_p (mlp)/r2", "slide from z_s": "slide from z_s (mlp)/r2"}
     lines = [
         f"| R2 of an MLP probe | {' | '.join(f'{name} (a leak)' for name in leaks)} | {' | '.join(kept)} |",
         "|---|" + "---|" * (len(leaks) + len(kept)),
@@ -336,7 +336,7 @@ def parted() -> str:
 
 def parted_pins() -> str:
     """Likeness, pins and edge errors of the same networks; what DS draws of exchanged codes and of a contact's own."""
-    drawn = ("DS, codes exchanged", "DS, codes both of its own")
+    drawn = ("DS, codes exchanged/rms_px", "DS, codes both of its own/rms_px")
     lines = [
         "| | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg | DS, codes exchanged, px | of its own, px |",
         "|---|---|---|---|---|---|---|",
