@@ -118,6 +118,14 @@ def ablate(experiment, folder, data, command):
     }
 
 
+def leakage(experiment, folder, data, command, leaks_alone):
+    return read_json(folder / "disentangled" / "summary.json")["value"] / 2**31
+
+
+def for_sweep(found):
+    return [{"name": "slide from z_p (mlp)", "r2": found}]
+
+
 def main():
     if sys.argv[1] == "sweep":
         from jaxunshear.sweep import engines
@@ -130,8 +138,10 @@ def main():
         summary = run_sweep(failing, out, out / "data", "none", worker=WORKER, **more)
         print(json.dumps(summary))
         return 0
-    sys.modules["jaxunshear.evaluation.ablation"] = type(sys)("ablation")
-    sys.modules["jaxunshear.evaluation.ablation"].ablate = ablate
+    for name, functions in {"ablation": (ablate,), "leakage": (leakage, for_sweep)}.items():
+        module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
+        for function in functions:
+            setattr(module, function.__name__, function)
     work.run_stages = run_stages
     work._check_checkpoints = check_checkpoints
     work._data = lambda task, folder: {}
