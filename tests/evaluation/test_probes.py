@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.probes import PROBES
+from jaxunshear.evaluation.probes import PROBES, _solved
 from jaxunshear.metrics.independence import r2
 
 
@@ -45,12 +45,12 @@ def test_nothing_is_found_where_nothing_is(probe, codes):
     assert -0.1 < told(probe, codes, foreign) < 0.05
 
 
-def test_more_numbers_than_examples():
+def test_more_numbers_than_examples_give_the_same_ridge():
     rng = np.random.default_rng(4)
-    codes = rng.normal(size=(150, 400))
-    codes[:, 0] *= 1
-    wanted = codes[:, :40].sum(axis=1, keepdims=True)
-    assert -0.2 < told("linear", codes, wanted) < 1
+    x, y = rng.normal(size=(30, 50)), rng.normal(size=(30, 2))
+    whole = np.linalg.solve(x.T @ x + 0.1 * 30 * np.eye(50), x.T @ y)
+    np.testing.assert_allclose(_solved(x, y, 0.1), whole, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(_solved(x[:, :20], y, 0.0), np.linalg.lstsq(x[:, :20], y, rcond=None)[0], rtol=1e-8)
 
 
 def test_the_same_bits_again(codes):
