@@ -28,9 +28,7 @@ class PairedData:
     poses: int = 600  # per stimulus
     taps: int = 1
     slides: int = 2
-    poses_a_slide: int = (
-        1  # so many poses of a split share their slides, as the sensor feels them: see `dataset/factorial.py`
-    )
+    poses_a_slide: int = 1  # so many poses of a split share their slides (`dataset/factorial.py`)
     tap_depth_jitter_mm: float = 0.0  # the paper: 1.0
     seed: int = 0
     friction: float | None = None  # of all stimuli; None: that of each one's material

@@ -121,7 +121,7 @@ def leakage(
 def _slide(
     experiment: Experiment, reader: Reader, seen: str, encode: Encode, batches: Sequence[Batch], data_dir: Path
 ) -> list[dict[str, Any]]:
-    """What both codes together tell of the slide, in mm and deg, and how surely; nothing where no validation slide has labels."""
+    """What both codes together tell of the slide, in mm and deg, and how surely."""
     learnt, tested = batches
     between = _taken(experiment, reader, "validation", seen, MOST_TESTED)
     codes = [np.concatenate(list(encode(batch[seen]).values()), axis=1) for batch in (learnt, between, tested)]

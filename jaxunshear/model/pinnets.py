@@ -135,10 +135,11 @@ def reconstruct(
 ) -> Decoded:
     """Both decoders over sheared pins (B, P, 2) px; in training a `key` spoils pins and codes a little. `same_pose`: a tap there, or
     the pins after another slide; `same_slide`: of another pose after that other slide."""
-    partners = [each for each in (same_pose, same_slide) if each is not None]
+    partners = [each for each in (same_slide, same_pose) if each is not None]
     seen = jnp.concatenate([pins, *partners])
     z_p, own_s = encode(net, variables, seen if key is None else spoilt(net, seen, key))
-    first, second, third = (slice(i * len(pins), (i + 1) * len(pins)) for i in range(3))
+    count = len(pins)
+    first, second, last = slice(0, count), slice(count, 2 * count), slice(-count, None)
     canonical = decode_canonical(net, variables, z_p[first])
     if own_s is None:
         return Decoded(canonical, None, None, None)
@@ -149,11 +150,11 @@ def reconstruct(
     sheared = decode_sheared(net, variables, held, z_s[first])
     if same_pose is None:
         return Decoded(canonical, sheared, None, None)
-    apart = disagreement(z_p[first], z_p[second])
+    apart = disagreement(z_p[first], z_p[last])
     if same_slide is None:
         return Decoded(canonical, sheared, None, apart)
-    exchanged = decode_sheared(net, variables, held, z_s[third])
-    return Decoded(canonical, sheared, exchanged, apart + disagreement(own_s[second], own_s[third]))
+    exchanged = decode_sheared(net, variables, held, z_s[second])
+    return Decoded(canonical, sheared, exchanged, apart + disagreement(own_s[second], own_s[last]))
 
 
 def disagreement(one: Array, other: Array) -> Array:

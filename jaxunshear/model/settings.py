@@ -56,9 +56,7 @@ class PinNet:
     pose_code: int = 16  # numbers in z_p
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
     apart: bool = False  # z_s comes from a trunk of its own, and DS, which reads z_p too, does not teach it
-    shear_noise: float = (
-        0.0  # added to z_s of training examples, which then lies in (-1, 1): what is whispered is lost; 0: a free code
-    )
+    shear_noise: float = 0.0  # added to z_s of training examples, which then lies in (-1, 1); 0: a free code
 
 
 PIN_CODES = ("pose_code", "shear_code", "apart", "shear_noise")  # what PinUnshear alone reads

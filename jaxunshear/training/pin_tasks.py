@@ -60,7 +60,7 @@ def pin_unshear_task(
         return weighed(named, batch)
 
     def decoded(variables, batch, key=None):
-        tap = batch["canonical_pins"] if training.agreement_weight else None
+        tap = batch["canonical_pins"] if training.agreement_weight and net.shear_code else None
         partners = batch.get(SWAPPED, tap), batch.get(OTHER)
         return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, *partners)
 
