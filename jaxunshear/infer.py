@@ -19,7 +19,7 @@ from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.progress import Progress
 from jaxunshear.storage import check_beside, csv_text, read_json, write_bytes, write_text
-from jaxunshear.targets import RECORDED
+from jaxunshear.targets import RECORDED, SLIDES
 
 if TYPE_CHECKING:
     from jaxunshear.applications.perceiver import Answers, Perceiver
@@ -226,8 +226,13 @@ class _Errors:
     """Errors of what a model reads against the labels that came with the images, where these are of the same names."""
 
     def __init__(self, names: tuple[str, ...], recordings: "Recordings") -> None:
-        known = recordings.poses if set(names) <= set(RECORDED) else None
-        self._true = None if known is None else {name: known[:, RECORDED[name][1]] for name in names}
+        labels = {"pose": recordings.poses, "move": recordings.moves}
+        true = {
+            name: values[:, column]
+            for name, (field, column) in (RECORDED | SLIDES).items()
+            if name in names and (values := labels[field]) is not None
+        }
+        self._true = true if len(true) == len(names) else None
         self._found: dict[str, list[np.ndarray]] = {}
 
     def add(self, rows: list[int], answers: "Answers") -> None:

@@ -26,7 +26,7 @@ from jaxunshear.experiment import (
 )
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.sensor import TACTIP_331_FITTED, Sensor, sensor_rules
-from jaxunshear.targets import RECORDED, SIMULATED, names_of, of_ranges, parsed
+from jaxunshear.targets import RECORDED, SIMULATED, SLIDES, names_of, of_ranges, parsed, slides_of
 from jaxunshear.training.settings import Training
 
 Rule = tuple[bool, str, str]
@@ -118,7 +118,14 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
         yield 0 < getattr(recorded, field) < 0.5, f"paired.{field}", "use a share between 0 and 0.5"
     yield _seed(recorded.seed), "paired.seed", "use a whole number from 0 to 2147483647"
     yield from _preprocess(recorded.preprocess, "paired.preprocess")
-    yield from _target_texts(experiment.targets, RECORDED)
+    yield from _target_texts(experiment.targets, RECORDED | SLIDES)
+    slides = slides_of(experiment.targets)
+    yield (
+        not slides or set(trained(experiment)) == {"posenet_sheared"},
+        "targets",
+        f"a tap has no {', '.join(slides)}: name --networks posenet_sheared alone",
+    )
+    yield not slides or not experiment.pins.turned, "pins.turned", f"does not turn {', '.join(slides)}: leave it at 0"
     yield from _networks(experiment, recorded.preprocess, recorded.preprocess)
     yield from _known_networks(experiment)
     for field in ("unseen", "other_jitters_mm"):

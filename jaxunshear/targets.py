@@ -1,7 +1,7 @@
 """What is predicted of a contact: one definition for PoseNet, the head on the pose code, tables, CSV and recoveries. Imports no JAX.
 
 >>> targets = of_ranges((), Ranges())                      # a simulated set's: x, yaw, edge distance, edge angle
->>> targets = of_labels(("y_mm", "Rz_deg:circle"), poses)  # of recorded training poses (N, 6)
+>>> targets = of_labels(("y_mm", "Rz_deg:circle"), poses, moves)  # of recorded training contacts, (N, 6) each
 >>> true_values(targets, batch)["y_mm"]                    # (B,)
 
 A target is written `name`, `name:range`, `name:circle` or with a loss weight behind, `name:range:4`. A range is scaled to [0, 1]
@@ -27,6 +27,9 @@ SIMULATED = {  # name: the field of a simulated set and its column
     "edge_deg": ("edge", 1),
 }
 RECORDED = {name: ("pose", i) for i, name in enumerate(("x_mm", "y_mm", "z_mm", "Rx_deg", "Ry_deg", "Rz_deg"))}
+SLIDES = {
+    f"slide_{name}": ("move", i) for name, (_, i) in RECORDED.items()
+}  # of recorded slides, in the labels' own frame
 # The paper's x and yaw, and two that an edge does not leave open; edge distance has the widest scale and would drown in the
 # ambiguous yaw.
 PAPER = ("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle")
@@ -87,14 +90,21 @@ def of_ranges(wanted: Sequence[str], ranges: Ranges) -> Targets:
     return _targets(wanted, PAPER, SIMULATED, spans)
 
 
-def of_labels(wanted: Sequence[str], poses: np.ndarray) -> Targets:
-    """Of recorded training poses (N, 6) mm and deg, NaN where unknown; without names all columns that vary. Raises UserError."""
-    known = poses[np.isfinite(poses).all(axis=1)]
-    if not len(known):
+def of_labels(wanted: Sequence[str], poses: np.ndarray, moves: np.ndarray | None = None) -> Targets:
+    """Of poses and moves (N, 6) mm and deg of recorded training contacts, NaN where unknown; without names all columns of the pose that
+    vary. Raises UserError."""
+    known = np.isfinite(poses).all(axis=1)
+    if not known.any():
         return ()
-    low, high = known.min(axis=0), known.max(axis=0)
-    spans = {name: (float(low[i]), float(high[i])) for i, name in enumerate(RECORDED)}
-    return _targets(wanted, tuple(RECORDED), RECORDED, spans)
+    labels = np.concatenate([poses, np.zeros_like(poses) if moves is None else moves], axis=1)[known]
+    low, high = labels.min(axis=0), labels.max(axis=0)
+    spans = {name: (float(low[i]), float(high[i])) for i, name in enumerate(RECORDED | SLIDES)}
+    return _targets(wanted, tuple(RECORDED), RECORDED | SLIDES, spans)
+
+
+def slides_of(wanted: Sequence[str]) -> list[str]:
+    """The names among `wanted` that are of a slide."""
+    return [name for name in (text.partition(":")[0] for text in wanted) if name in SLIDES]
 
 
 def _targets(

@@ -168,6 +168,22 @@ def test_naming_a_label_that_stays_where_it_is_is_refused(text):
         of_labels((text,), recorded())
 
 
+def test_the_slide_of_a_recording_is_a_target_where_it_is_named():
+    poses, moves = recorded(), np.zeros((len(recorded()), 6))
+    moves[:, 0], moves[0, 5] = np.linspace(-3, 5, len(moves)), 4
+    targets = of_labels(("y_mm", "slide_x_mm", "slide_Rz_deg:range:2"), poses, moves)
+    assert targets[1:] == (
+        Target("slide_x_mm", "move", 0, 1.0, 4.0),
+        Target("slide_Rz_deg", "move", 5, 2.0, 2.0, weight=2.0),
+    )
+    assert fields_of(targets) == ("pose", "move")
+    wanted = np.asarray(posenet.pose_targets({"pose": poses, "move": moves}, targets))
+    np.testing.assert_allclose(wanted[:, 1], np.linspace(0, 1, len(moves)), atol=1e-6)
+    assert of_labels((), poses, moves) == of_labels((), poses)
+    with pytest.raises(UserError, match="slide_y_mm' does not vary"):
+        of_labels(("slide_y_mm",), poses, moves)
+
+
 def test_recorded_and_simulated_sets_have_names_of_their_own():
     with pytest.raises(UserError, match="target 'edge_mm' is unknown: use x_mm, y_mm, z_mm, Rx_deg, Ry_deg, Rz_deg"):
         of_labels(("edge_mm",), recorded())

@@ -1,25 +1,25 @@
 """Ways from a walk's pins to the object: what each pin tells, where it is put, and what shape is made of all of it.
 
-voronoi   the paper's: the growth of the pins' cells, where the pins are, as a height map; no classifier
-skin      another height map: where the skin's outer face stands, by the inverse of `inverse.py` and the dome's own shape
+voronoi   the paper's: the growth of the pins' cells, where the pins are, as a height map; no classifier. Cells grow most over an edge:
+          what the ridge of the map surrounds is the object
+skin      another height map: where the skin's outer face stands, by the inverse of `inverse.py` and the dome's own shape; above one level,
+          `parting_level`, lies the object
 evidence  a logistic regression tells which pins lie over the object; a band that closes is filled
 
-All take the pins near the sensor's axis. A height map is cut at one level, fixed in advance from taps: `voronoi` by Otsu's rule, which
-knows heights alone, `skin` by `parting_level`, which knows the taps' poses.
+All take the pins near the sensor's axis. `skin` and `evidence` know the poses of 300 taps, `voronoi` nothing.
 """
 
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from skimage.filters import threshold_otsu
 
 from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry import relative_growth, smoothed
 from jaxunshear.applications.geometry_ways import known_motions
 from jaxunshear.applications.inverse import indentation_of, learnt
 from jaxunshear.applications.occupancy import NEAR_MM, evidence, learn
-from jaxunshear.applications.reconstruct import Fused, filled_shape, interpolated, skin_places
+from jaxunshear.applications.reconstruct import Fused, filled_shape, interpolated, ridge_shape, skin_places
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.scene.sensor import Sensor, pin_tips
 
@@ -30,7 +30,7 @@ class Maker(NamedTuple):
     value: Callable[[np.ndarray], np.ndarray]  # motions (T, P, 2) px -> (T, Q); NaN rows stay
     place: Callable[[np.ndarray], np.ndarray]  # -> (T, Q, 2) mm from the axis
     shape: Callable[[Fused], np.ndarray]  # -> (K, K) bool
-    level: float  # of the value, over which the object lies
+    level: float | None  # of the value, over which the object lies; none for a ridge
     in_mm: bool  # whether the value is a height in mm above the sensor's apex
 
 
@@ -62,13 +62,13 @@ def makers_of(sensor: Sensor, lattice: Lattice, known: FreshContacts, distance: 
     def near_growth(motion: np.ndarray) -> np.ndarray:
         return growth(motion)[:, near]
 
-    def height_map(value: Callable[[np.ndarray], np.ndarray], level: float, in_mm: bool) -> Maker:
-        return Maker(value, moved, lambda fused: np.nan_to_num(interpolated(fused), nan=-np.inf) > level, level, in_mm)
-
+    level = parting_level(stands(motion), distance[:, near] < 0)
     occupancy = learn(lattice, rest, smoothed(lattice, growth(motion)), distance)
     return {
-        VORONOI: height_map(near_growth, float(threshold_otsu(near_growth(motion))), in_mm=False),
-        SKIN: height_map(stands, parting_level(stands(motion), distance[:, near] < 0), in_mm=True),
+        VORONOI: Maker(near_growth, moved, ridge_shape, None, in_mm=False),
+        SKIN: Maker(
+            stands, moved, lambda fused: np.nan_to_num(interpolated(fused), nan=-np.inf) > level, level, in_mm=True
+        ),
         EVIDENCE: Maker(
             lambda motion: evidence(occupancy, smoothed(lattice, growth(motion))),
             lambda motion: np.broadcast_to(rest[near], (len(motion), *rest[near].shape)),

@@ -32,7 +32,7 @@ class Solid(NamedTuple):
     true: np.ndarray  # (K, K) bool
     likeness: Likeness
     unmatched: int  # steps whose pins were not identified for sure
-    level: float  # of the fused values, over which the object lies
+    level: float | None  # of the fused values, over which the object lies; none where it is what their ridge surrounds
     height_rms_mm: float | None  # of the felt top from the object's, where values are heights
 
 

@@ -2,9 +2,9 @@
 
 Each step tells of the skin around the sensor's axis how high it stands, or how sure it lies over the object. Put where the sensor
 was, averaged over all steps that touched a cell, this makes a band along the outline. Heights are interpolated to a map of the whole
-object; of evidence, what a closed band surrounds is the object.
+object; where they are greatest over its edge, the object is what their ridge surrounds. Of evidence, it is what a closed band surrounds.
 
-Read `fuse`, then `interpolated` and `filled_shape`.
+Read `fuse`, then `interpolated`, `ridge_shape` and `filled_shape`.
 """
 
 from typing import NamedTuple
@@ -14,12 +14,15 @@ from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
 from skimage.measure import find_contours, label
+from skimage.morphology import reconstruction
+from skimage.segmentation import watershed
 
 from jaxunshear.applications.contour import Outline
 from jaxunshear.scene.sensor import Sensor, pin_tips
 
 CELL_MM = 0.5
 BLUR_MM = 0.6  # pins are farther apart than cells
+DEEP = 0.75  # of the deepest hollow of a map: what is as deep is the inside
 LEAST = 0.02  # pins a cell, blurred, for it to count as touched
 
 
@@ -76,6 +79,23 @@ def filled_shape(fused: Fused) -> np.ndarray:
         return np.zeros(regions.shape, bool)
     filled = [ndimage.binary_fill_holes(regions == number) for number in _largest(regions)]
     return max(filled, key=np.count_nonzero)
+
+
+def ridge_shape(fused: Fused) -> np.ndarray:
+    """(K, K) bool: what the ridge of the heights surrounds, for heights that are greatest over an edge and lie lower on both sides of it.
+
+    Of the map's hollows, which water would fill before it ran off at the border, the deepest are the inside; from there and from the
+    border a watershed climbs to the ridge. Nothing is a hollow where no ridge closes.
+    """
+    heights = np.pad(interpolated(fused), 1, constant_values=np.nan)
+    if np.isnan(heights).all():
+        return np.zeros(fused.value.shape, bool)
+    heights = np.nan_to_num(heights, nan=np.nanmin(heights))
+    border = np.pad(np.zeros(fused.value.shape, bool), 1, constant_values=True)
+    flooded = reconstruction(np.where(border, heights, heights.max()), heights, method="erosion")
+    depth = flooded - heights
+    hollow = (depth > DEEP * depth.max()) & (depth > 0)
+    return (watershed(heights, np.where(hollow, 2, border.astype(int))) == 2)[1:-1, 1:-1]
 
 
 def _largest(regions: np.ndarray) -> np.ndarray:

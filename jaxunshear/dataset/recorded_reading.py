@@ -25,7 +25,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice
 from jaxunshear.image.preprocess import View
 from jaxunshear.scene.sensor import Sensor
-from jaxunshear.targets import Targets, of_labels
+from jaxunshear.targets import Targets, of_labels, slides_of
 
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 # images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)
@@ -95,8 +95,16 @@ class RecordedSet:
         return make_lattice(np.array(self.frame["place_px"]), np.array(self.frame["shell"]))
 
     def targets(self, wanted: tuple[str, ...]) -> Targets:
-        """Pose targets by the labels of training contacts alone. Raises UserError."""
-        return of_labels(wanted, self.stored.rows("train")["pose"])
+        """Targets by the labels of training contacts alone. Raises UserError."""
+        labels = self.stored.rows("train")
+        if asked := slides_of(wanted):
+            for split in SPLITS:
+                slides = self._slides(split)
+                if unknown := np.count_nonzero(~np.isfinite(slides["move"]).all(axis=1)):
+                    raise UserError(
+                        f"target '{asked[0]}': {unknown} {split} slides have a pose but no label of their slide"
+                    )
+        return of_labels(wanted, labels["pose"], labels["move"])
 
     def count(self, kind: str, split: str) -> int:
         """Of "taps" or "slides"."""

@@ -30,6 +30,7 @@ from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, of_batches, read_p
 from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_depth, tables, typical, with_readers
+from jaxunshear.evaluation.within import coverage, half_widths
 from jaxunshear.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
@@ -134,6 +135,9 @@ def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     readers = readers_of(experiment, data_dir, run_dir) if stored.count("taps", "train") else {}
     slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets, of_batches(readers))
     results = recorded.results_of(experiment, stored, targets, slides, taps, test)
+    known = recorded.gathered_of(experiment, run_dir, stored, test, targets, split="validation")
+    results["half_width"] = half_widths(recorded.errors_of(*known))
+    results["coverage"] = coverage(results["half_width"], recorded.errors_of(slides, taps))
     results["counts"]["reader_taps"] = {name: reader.taps for name, reader in readers.items()}
     if slides is None:
         return results, taps, {}, ()

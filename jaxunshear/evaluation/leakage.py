@@ -32,7 +32,7 @@ from jaxunshear.model import pinnets, unshearnet
 from jaxunshear.model.settings import PinUnshear, UnshearNet
 from jaxunshear.scene.scene import turned
 from jaxunshear.storage import write_json
-from jaxunshear.targets import RECORDED, SIMULATED, STILL, Target, of_labels, of_ranges
+from jaxunshear.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
@@ -218,7 +218,7 @@ def _told(experiment: Experiment, batch: Batch, data_dir: Path) -> dict[str, Tol
     if isinstance(experiment.paired, PairedData):
         pose = [target for name in SIMULATED for target in _varied(name, experiment.paired.ranges)]
     else:
-        pose = list(of_labels((), stored_of(experiment, data_dir).stored.rows("train")["pose"]))
+        pose = list(stored_of(experiment, data_dir).targets(()))
     return {"pose": _values(pose, batch), "slide": slide}
 
 
@@ -229,7 +229,7 @@ def _slides(experiment: Experiment, batch: Batch, data_dir: Path) -> Told:
         return {"slide_x_mm": felt[:, :1], "slide_y_mm": felt[:, 1:]}
     known = stored_of(experiment, data_dir).stored.rows("train")
     spread = known["move"][np.isfinite(known["move"]).all(axis=1) & (known["slid"] == 1)].std(axis=0)
-    return {f"slide_{name}": batch["move"][:, [i]] for i, name in enumerate(RECORDED) if spread[i] > STILL}
+    return {name: batch["move"][:, [i]] for name, (_, i) in SLIDES.items() if spread[i] > STILL}
 
 
 def _varied(name: str, ranges: Any) -> tuple[Target, ...]:

@@ -20,7 +20,7 @@ def measurements(results: dict[str, Any]) -> dict[str, Any]:
     numbers), `bar` and its `sense` (">=" or "<="), `ok` (null where no bar is set), and `metric`, the exact quantity.
     """
     rows = []
-    for table in (*TABLES, "pin_error"):
+    for table in (*TABLES, "pin_error", "half_width", "coverage"):
         rows += _rows(results, table, results["metric"], "")
     rows += _of_readers(results, results["metric"], "")
     for test, further in results["tests"].items():
@@ -67,7 +67,7 @@ def _row(name: str, value: float | None, unit: str, metric: str) -> dict[str, An
 
 
 def _unit(table: str, column: str) -> str:
-    if table in ("pose_ratio", "pose_recovery"):
+    if table in ("pose_ratio", "pose_recovery", "coverage"):
         return "1"
     return next((unit for ending, unit in UNITS.items() if column.endswith(ending)), "1")
 

@@ -62,30 +62,31 @@ def gathered_of(
     test: Test,
     targets: Targets,
     readers: Mapping[str, Reads] = MappingProxyType({}),
+    split: str = "test",
 ) -> tuple[Gathered | None, Gathered | None]:
-    """Scores of the slides and of the taps, by the networks and by `readers`.
+    """Scores of a split's slides and of its taps, by the networks and by `readers`.
 
     Raises UserError where a network is missing, or no slide and no tap is labelled."""
     pins = pins_of(stored.frame) if over_pins(experiment) else None
     run = load(run_dir, experiment.networks, None, experiment.train.precision, pins)
     inputs = ("canonical_pins", "sheared_pins") if pins else IMAGES
     slides = taps = None
-    if test.slides is not None and (count := test.slides.length("test")):
+    if test.slides is not None and (count := test.slides.length(split)):
         if test.paired:
-            batches = test.slides.split("test", BATCH, (*inputs, *PINS, *LABELS))
+            batches = test.slides.split(split, BATCH, (*inputs, *PINS, *LABELS))
         else:
-            batches = _alone(test.slides.split("test", BATCH, (IMAGES[1], PINS[1], *LABELS)))
+            batches = _alone(test.slides.split(split, BATCH, (IMAGES[1], PINS[1], *LABELS)))
         slides = gather(run, batches, count, KEPT, targets, inputs=inputs, named=LABELS, readers=readers)
         slides = slides._replace(scores=_of_slides(slides.scores, test.paired))
-    if test.taps is not None and (count := test.taps.length("test")):
+    if test.taps is not None and (count := test.taps.length(split)):
         field = inputs[0].replace("canonical_", "").replace("canonical", "image")
-        batches = _as_pairs(test.taps.split("test", BATCH, ("image", "pins", *(n for n in LABELS if n != "move"))))
+        batches = _as_pairs(test.taps.split(split, BATCH, ("image", "pins", *(n for n in LABELS if n != "move"))))
         named = tuple(name for name in LABELS if name != "move")
         taps = gather(run, batches, count, 0, targets, f"evaluate taps ({field})", inputs, named, readers)
         of_taps = ("pose/tap/", *(f"read/{name}/tap/" for name in readers))
         taps = taps._replace(scores={n: s for n, s in taps.scores.items() if n.startswith(of_taps)})
     if slides is None and taps is None:
-        raise UserError("nothing can be scored: no test slide or tap has a label")
+        raise UserError(f"nothing can be scored: no {split} slide or tap has a label")
     return slides, taps
 
 
@@ -123,6 +124,8 @@ def results_of(
             "pin_error": "of pins by identity, with the partner's"
             if pins
             else "matched centroids with the partner's pins",
+            "half_width": "holds 95 % of the errors on validation contacts",
+            "coverage": "share of the errors here that half_width holds",
             "readers": "as pose_mae, of a kernel ridge on the taps that PoseNet learnt from",
         },
         **found,
@@ -138,6 +141,17 @@ def results_of(
         "seeds": {"experiment": experiment.seed, "splits": stored.settings.seed, "bootstrap": SEED},
         "settings": dataclasses.asdict(experiment),
     }
+
+
+def errors_of(slides: Gathered | None, taps: Gathered | None) -> dict[str, np.ndarray]:
+    """Errors of pose (N,) by `pose/<way>/<target>`; what the run's network unshears under `UNSHEARED`, as in its tables."""
+    scores = {} if slides is None else slides.scores
+    kind = shown_kind({name.split("/")[1] for name in scores if name.startswith("pose/")})
+    scores = {
+        name.replace(f"pose/{kind}/", f"pose/{UNSHEARED}/") if kind != "sheared" else name: s
+        for name, s in scores.items()
+    }
+    return ({} if taps is None else taps.scores) | scores
 
 
 def as_montage(slides: Gathered) -> Gathered:

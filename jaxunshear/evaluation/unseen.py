@@ -19,9 +19,10 @@ from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet, frame_
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
+from jaxunshear.evaluation.within import coverage
 from jaxunshear.experiment import Experiment, recorded_of
 from jaxunshear.metrics.machine import machine, versions
-from jaxunshear.storage import read_json
+from jaxunshear.storage import read_json, read_json_if_sound
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.kept_out import Exam
@@ -58,6 +59,8 @@ def score_recordings(
     test = recorded.what_to_test(unseen, stored, targets, run_dir)
     slides, taps = recorded.gathered_of(unseen, run_dir, stored, test, targets)
     results = recorded.results_of(unseen, stored, targets, slides, taps, test)
+    results["half_width"] = (read_json_if_sound(run_dir / "results.json") or {}).get("half_width", {})
+    results["coverage"] = coverage(results["half_width"], recorded.errors_of(slides, taps))
     shutil.rmtree(folder, ignore_errors=True)
     more = {
         "trained_in": run_dir.name,
@@ -95,6 +98,11 @@ def table(results: dict[str, Any]) -> str:
         lines.append(f"{'recovery':<16}" + "".join(shown))
     for reader, errors in results.get("readers", {}).items():
         lines += _errors(f"reader {reader}", errors, names)
+    for way, shares in results["coverage"].items():
+        widths = results["half_width"][way]
+        lines.append(
+            f"{way}: {', '.join(f'{name} {share:.1%} within {widths[name]:.3g}' for name, share in shares.items())}"
+        )
     counts = results["counts"]
     lines.append(
         f"{counts['test_taps']} taps, {counts['test_poses']} slides, {counts['test_unsure']} of them with unsure pins"

@@ -13,13 +13,13 @@ from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed
 PICTURES = {  # by maker: the end of a file's name, and what is shown
     EVIDENCE: ("object", "felt to be over the object (red) or beside it (blue)"),
     SKIN: ("skin", "how high the skin stands, red above the level of the object's edge"),
-    VORONOI: ("voronoi", "how the pins' cells have grown, red above the level of the object's edge"),
+    VORONOI: ("voronoi", "how the pins' cells have grown (red) or shrunk (blue)"),
 }
 
 
 def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
     """A PNG: of each way of perceiving, ABREAST side by side, above what was fused, below both shapes (grey both, orange missed,
-    blue too much). Colours are even about the level that parts an object from what lies beside it."""
+    blue too much). Colours are even about the level that parts an object from what lies beside it, or about 0."""
     columns, rows = min(ABREAST, len(solids)), -(-len(solids) // ABREAST)
     figure = Figure(figsize=(PANEL_IN * columns, 2 * PANEL_IN * rows + 0.5), layout="constrained", dpi=DPI)
     panels = figure.subplots(2 * rows, columns, squeeze=False).reshape(rows, 2, columns).swapaxes(1, 2).reshape(-1, 2)
@@ -28,9 +28,10 @@ def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
     for (above, below), (way, solid) in zip(panels, solids.items(), strict=False):
         extent = (solid.fused.x[0], solid.fused.x[-1], solid.fused.y[0], solid.fused.y[-1])
         felt_there = ~np.isnan(solid.fused.value)
-        span = np.percentile(np.abs(solid.fused.value[felt_there] - solid.level), 98) if felt_there.any() else 1.0
+        level = solid.level or 0.0
+        span = np.percentile(np.abs(solid.fused.value[felt_there] - level), 98) if felt_there.any() else 1.0
         span = max(float(span), 1e-9)
-        low, high = solid.level - span, solid.level + span
+        low, high = level - span, level + span
         above.imshow(solid.fused.value, origin="lower", extent=extent, cmap="RdBu_r", vmin=low, vmax=high)
         above.contour(solid.fused.x, solid.fused.y, solid.true, levels=[0.5], colors="0.3", linewidths=0.6)
         above.set_title(WORDS.get(way, way), fontsize=HEAD)

@@ -47,6 +47,23 @@ def recordings(results: dict[str, Any]) -> str:
     )
 
 
+def intervals(results: dict[str, Any]) -> str:
+    """Nothing of runs evaluated by an earlier version, or with few validation contacts."""
+    widths, held = results.get("half_width", {}), results.get("coverage", {})
+    names = [name for name in words.targets(results) if any(name in told for told in held.values())]
+    rows = [
+        [words.kind_of(results, way), *(f"{number(widths[way][name])} ({told[name]:.1%})" for name in names)]
+        for way, told in held.items()
+        if way in widths
+    ]
+    if not rows:
+        return ""
+    lead = "Half-widths that hold 95 % of the errors on validation contacts; in brackets the share of test contacts that they hold."
+    return page.section(
+        "How far an answer may be off", lead, page.table(["pose read from", *map(words.heading, names)], rows)
+    )
+
+
 def _range(target: dict[str, Any]) -> str:
     name = target["name"]
     if target["circle"]:

@@ -39,7 +39,11 @@ def write_report(run_dir: Path) -> Path:
             readers.readers(results),
             scores.further(results),
             scores.pins(results),
-            *([] if words.simulated(results) else [recordings.recordings(results), recordings.pairing(results)]),
+            *(
+                []
+                if words.simulated(results)
+                else [recordings.recordings(results), recordings.pairing(results), recordings.intervals(results)]
+            ),
             scores.swap(results),
             *applications.sections(run_dir),
             making.training(histories, summaries),

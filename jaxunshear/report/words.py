@@ -3,6 +3,8 @@
 from html import escape
 from typing import Any
 
+from jaxunshear.targets import RECORDED
+
 KINDS = {
     "tap": "tap (no slide)",
     "sheared": "sheared, as felt",
@@ -27,6 +29,7 @@ OF_RECORDINGS = {
     "entangled_large": "slides, unsheared (entangled, as many parameters)",
     "unet": "slides, unsheared (U-Net)",
     "disentangled": "slides, unsheared (disentangled)",
+    "unsheared": "slides, unsheared",
     "true_slide": "slides, pins known by name",
 }
 QUANTITIES = {
@@ -41,6 +44,7 @@ QUANTITIES = {
     "Ry_deg": "Ry",
     "Rz_deg": "Rz",
 }
+QUANTITIES |= {f"slide_{name}": f"slide {word}" for name, word in QUANTITIES.items() if name in RECORDED}
 EDGE = ("edge_mm", "edge_deg")  # what an edge does not leave open
 CARDS = 3  # quantities that have a card, at most
 

@@ -10,6 +10,7 @@ from jaxunshear.applications.reconstruct import (
     fuse,
     interpolated,
     likeness,
+    ridge_shape,
     skin_places,
     to_target,
 )
@@ -95,6 +96,23 @@ def test_heights_are_interpolated_to_the_whole_object(name):
     felt = ~np.isnan(fused.value)
     np.testing.assert_array_equal(whole[felt], fused.value[felt])
     assert np.count_nonzero(~np.isnan(whole)) > np.count_nonzero(felt)
+
+
+@pytest.mark.parametrize(("name", "share"), [("disk", 1.0), ("clover", 1.0), ("teardrop", 1.0), ("disk", 0.5)])
+def test_what_a_closed_ridge_surrounds_is_the_object(name, share):
+    """Heights as of cells that grow over an edge: greatest on it, lower inside, lower still outside."""
+    line, point, _ = walked(name, share)
+    off = np.asarray(signed_distance(STIMULI[name], to_target(point, PLACE).astype(np.float32)))
+    fused = fuse(point, PLACE, np.exp(-(off**2) / 8) + 0.5 / (1 + np.exp(2 * off)))
+    got = likeness(fused, ridge_shape(fused), truth(name, fused), line)
+    assert got.iou > 0.95 if share == 1 else got.iou < 0.6
+
+
+def test_a_height_without_a_hollow_is_no_ridge():
+    x = np.arange(-8, 9.0)
+    hill = np.exp(-(x[None] ** 2 + x[:, None] ** 2) / 20)
+    assert not ridge_shape(Fused(x, x, hill)).any()
+    assert not ridge_shape(Fused(x, x, np.full(hill.shape, np.nan))).any()
 
 
 def test_between_cells_heights_are_linear():

@@ -32,6 +32,9 @@ def test_a_run_tells_errors_under_the_names_that_other_tools_rely_on(pins_run):
     assert list(results["pose_recovery"]["unsheared"]) == TARGETS
     assert results["pose_mae"]["unsheared"] == results["pose_mae"]["disentangled"]
     assert results["pairing"]["way"] == "rendered"
+    for table in ("half_width", "coverage"):
+        assert {"tap", "sheared", "unsheared"} <= results[table].keys()
+    assert all(0.7 < share <= 1 for share in results["coverage"]["unsheared"].values())
     assert (pins_run / "report.html").stat().st_size > 10_000
 
 
@@ -53,7 +56,8 @@ def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, 
     for way in ("tap", "sheared", "unsheared", "sheared_learnt"):
         for target in TARGETS:
             assert 0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
-    assert "recovery" in answer.out and "40 taps, 40 slides" in answer.out
+        assert 0.5 < rows[f"coverage.{way}.y_mm"] <= 1
+    assert "recovery" in answer.out and "40 taps, 40 slides" in answer.out and "% within" in answer.out
 
 
 def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(command, pins_run, place, tmp_path):
@@ -224,12 +228,21 @@ def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path
         assert f"pose/{'sheared_learnt' if slid else 'tap'}/y_mm" in scores
     assert list(results["pose_mae"]) == (["sheared_learnt"] if slid else ["tap"])
     assert list(next(iter(results["pose_mae"].values()))) == ["y_mm", "Rz_deg"]
+    if slid:
+        answer = command(*words, *short, "--targets", "y_mm,slide_x_mm", "--name", "joint")
+        assert answer.code == 0, answer.err
+        results = json.loads((tmp_path / "runs" / "joint" / "results.json").read_text())
+        assert list(results["pose_mae"]["sheared_learnt"]) == ["y_mm", "slide_x_mm"]
+        joint = ("--model", tmp_path / "runs" / "joint")
+        told = command("pose", folder, *joint)
+        assert told.code == 0 and "slide_x_mm" in told.out and "mean error against the labels, learnt" in told.err
 
 
 REFUSED = [
     ((), "name your recordings: add --recordings DIR"),
     (("--recordings", "nowhere"), "nowhere is no folder of recordings"),
     (("--targets", "q_mm"), "target 'q_mm' is unknown"),
+    (("--targets", "y_mm,slide_x_mm"), "a tap has no slide_x_mm: name --networks posenet_sheared alone"),
     (("--targets", "y_mm:circle"), "only an angle goes round a circle"),
     (("--paired.pairing", "guess"), "is unknown: use one of rendered, nearest, pose_id, file, simulated"),
     (("--paired.labelled", "0"), "a share above 0"),
