@@ -357,6 +357,59 @@ def parted_pins() -> str:
     return "\n".join(lines)
 
 
+def parted_skin() -> str:
+    """The same of recorded slides: leaks, errors of the unsheared, and the slide read from both codes; means over seeds."""
+    asked = [
+        f"{what} from {code} (mlp)/r2"
+        for what, code in (("pose", "z_s"), ("slide", "z_p"), ("pose", "z_p"), ("slide", "z_s"))
+    ]
+    lines = [
+        "| | pose from z_s (a leak) | slide from z_p (a leak) | pose from z_p | slide from z_s | unsheared: y, mm | unsheared: Rz, deg |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for cell in _cells("parted_skin"):
+        leaks = [_of_values(list(cell["ablation"][name]["per_seed"].values()), 2) for name in asked]
+        errors = [_cell(cell["metrics"][f"pose/disentangled/{name}"], digits) for name, digits in COLUMNS]
+        lines.append(_line(cell["label"], [*leaks, *errors]))
+    return "\n".join(lines)
+
+
+def parted_skin_slide() -> str:
+    """The slide of recorded contacts, read from both codes: error and coverage, means of the seeds with least and most."""
+    names = ("slide_x_mm", "slide_y_mm", "slide_Rz_deg")
+    lines = [
+        "| codes of | error in x, mm | y, mm | Rz, deg | 95 % intervals hold, x | y | Rz |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for cell in _cells("parted_skin"):
+        told = [
+            _of_values(list(cell["ablation"][f"{name}, all/{field}"]["per_seed"].values()), 2)
+            for field in ("mae", "coverage")
+            for name in names
+        ]
+        lines.append(_line(cell["label"], told))
+    return "\n".join(lines)
+
+
+def joint() -> str:
+    """Pose and slide of recorded slides, read together; and what the half-widths of the answers hold, least and most of the seeds."""
+    lines = ["| | error | 95 % of errors within | which holds of the test |", "|---|---|---|---|"]
+    for name, told in (("recorded_joint", "flat surface"), ("recorded_edge_joint", "edge")):
+        (cell,) = _cells(name)
+        found = cell["metrics"]
+        for key in [key for key in found if key.startswith("pose/sheared_learnt/")]:
+            target = key.rpartition("/")[2]
+            quantity, unit = target.rsplit("_", 1)
+            width, held = (found[f"{table}/sheared_learnt/{target}"] for table in ("half_width", "coverage"))
+            cells = [
+                f"{_cell(found[key], 2)} {unit}",
+                f"{width['mean']:.2f} {unit}",
+                _of_values(list(held["per_seed"].values()), 2),
+            ]
+            lines.append(_line(f"{told}: {quantity.replace('_', ' ')}", cells))
+    return "\n".join(lines)
+
+
 def parted_slide() -> str:
     """Error and coverage of the slide read from both codes, by whether it has slipped: means of the seeds with least and most."""
     runs = json.loads((RESULTS / "parted_leakage.json").read_text())["runs"]
@@ -398,12 +451,12 @@ def _cell(metric: dict[str, Any], digits: int) -> str:
 
 
 TABLES = {
-    "README.md": (real_skin, transfer, demo, standard_first),
-    "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
-    "docs/simulator.md": (refit,),
+    "README.md": (real_skin, demo, standard_first),
+    "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides, transfer),
+    "docs/calibration.md": (refit,),
     "docs/applications.md": (geometry, servo, objects),
-    "docs/codes.md": (parted, parted_pins, parted_slide),
-    "docs/model.md": (standard, recoveries, other_readers, readings, tenth),
+    "docs/codes.md": (parted, parted_pins, parted_slide, joint),
+    "docs/experiments.md": (standard, recoveries, other_readers, readings, tenth),
 }
 
 if __name__ == "__main__":

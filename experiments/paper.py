@@ -12,7 +12,7 @@ first image loss of UnshearNet and 640 times that of PoseNet, and shrinks the ke
 (experiments/appendix_b.py). "10:1" is a weight of 0.1 on the patch loss, "one-fifth and one-tenth" are factors on the first
 learning rate. A slide is paired with a tap whose depth misses its own by up to 1 mm, as in the paper, which no network can
 foresee: the test against taps of the slide's own depth stands apart. Sensor, camera and
-friction are those fitted to recordings of a TacTip (docs/simulator.md): those of the paper's own are not known. The widths and the
+friction are those fitted to recordings of a TacTip (docs/calibration.md): those of the paper's own are not known. The widths and the
 4x4 kernels stand in figures that the text lacks: ours (docs/model.md).
 """
 

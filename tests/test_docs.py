@@ -1,12 +1,21 @@
-"""Figures in the documents are those of docs/results, by the command that makes their tables."""
+"""The documents: their figures are those of docs/results, their links lead somewhere, their commands exist."""
 
+import contextlib
+import re
 import runpy
 from pathlib import Path
 
 import pytest
 
+from jaxunshear.cli import main
+
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = runpy.run_path(str(ROOT / "docs" / "make_tables.py"))["TABLES"]
+PAGES = sorted(
+    path.relative_to(ROOT).as_posix()
+    for path in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/*.md"))
+)
+MOST_LINES = {"README.md": 120}
 
 
 @pytest.mark.parametrize(("page", "table"), [(page, table) for page, tables in TABLES.items() for table in tables])
@@ -14,3 +23,35 @@ def test_tables_are_what_the_results_say(page, table):
     made = table()
     assert len(made.splitlines()) > 3
     assert made in (ROOT / page).read_text()
+
+
+def anchors(page: Path) -> set[str]:
+    """Those of a page's headings, as GitHub names them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_links_lead_somewhere(page):
+    text = (ROOT / page).read_text()
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        if "://" in link:
+            continue
+        place, _, anchor = link.partition("#")
+        there = (ROOT / page).parent / place if place else ROOT / page
+        assert there.exists(), f"{page}: {link}"
+        assert not anchor or anchor in anchors(there), f"{page}: {link}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_commands_exist(page, capsys):
+    with contextlib.suppress(SystemExit):
+        main(["--help"])
+    known = set(re.findall(r"^    ([a-z]+)(?: |$)", capsys.readouterr().out, re.MULTILINE))
+    named = set(re.findall(r"(?:^    |`)jaxunshear ([a-z]+)", (ROOT / page).read_text(), re.MULTILINE))
+    assert named <= known, f"{page}: {named - known}"
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_pages_are_short(page):
+    assert len((ROOT / page).read_text().splitlines()) <= MOST_LINES.get(page, 200)

@@ -57,7 +57,7 @@ def calibrate(
     seed: int = 0,
     log: Log = print,
 ) -> dict[str, Any]:
-    """Fits camera, pins, friction and stiffness to the recordings at `path`; see `docs/simulator.md` for what they can tell.
+    """Fits camera, pins, friction and stiffness to the recordings at `path`; see `docs/calibration.md` for what they can tell.
 
     With `out`, writes calibration.json, calibration.txt and calibration.png there; the picture shows recorded images, so it is
     yours to keep or share. Returns `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`. `sensor` and

@@ -1,0 +1,34 @@
+"""Claim: what parts the codes of simulated touches parts those of recorded ones.
+
+    jaxunshear sweep experiments/parted_skin.py --recordings DIR
+
+Over pins. A recording has no two slides that are known to be alike, and no pose under several slides; what is left of parted.py is that the
+pose code of a slide agrees with that of its tap, that the shear code is noisy, and that it has a trunk of its own whose decoder does not
+teach the pose code. Both rows learn from true poses, too, as recorded.py does.
+
+Expected: docs/results/parted_skin.json; a quarter of an hour on two cores. For a whole table
+
+    jaxunshear ablate runs/sweeps/parted_skin/rows/ROW --leakage
+"""
+
+from dataclasses import replace
+
+from jaxunshear.experiment import PINS
+from jaxunshear.fit import BASE
+from jaxunshear.sweep.settings import Sweep
+
+sweep = Sweep(
+    name="parted_skin",
+    claim="What parts the codes of simulated touches parts those of recorded ones.",
+    base=replace(
+        BASE, name="parted_skin", unshear=replace(BASE.unshear, input="pins"), train_pins=replace(PINS, epochs=40)
+    ),
+    rows=(
+        (),
+        ((("pins.apart", "pins.shear_noise", "train_pins.agreement_weight"), (True, 0.1, 0.05)),),
+    ),
+    labels=("as recorded.py trains", "parted"),
+    networks=("disentangled", "posenet"),
+    seeds=(0, 1, 2),
+    ablation=True,
+)
