@@ -30,6 +30,7 @@ PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "agreement_weight",
     "paired_share",
     "tap_weight",
+    "alike_weight",
     "pose_weight",
     "pose_target",
     "label_weight",

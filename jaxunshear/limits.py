@@ -188,12 +188,19 @@ def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
         "train_pins.paired_share",
         "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
     )
-    yield training.tap_weight >= 0, "train_pins.tap_weight", "must not be below zero"
-    yield not over_images.tap_weight, "train.tap_weight", "is for networks over pins: leave it at 0"
+    for field in ("tap_weight", "alike_weight"):
+        weight = getattr(training, field)
+        yield weight >= 0, f"train_pins.{field}", "must not be below zero"
+        yield not getattr(over_images, field), f"train.{field}", "is for networks over pins: leave it at 0"
+        yield (
+            not weight or (simulated and not experiment.pins.turned),
+            f"train_pins.{field}",
+            "takes simulated pins as they are: leave it at 0, or pins.turned",
+        )
     yield (
-        not training.tap_weight or (simulated and not experiment.pins.turned),
-        "train_pins.tap_weight",
-        "takes simulated pins as they are: leave it at 0, or pins.turned",
+        not training.alike_weight or (isinstance(experiment.paired, PairedData) and experiment.paired.slides > 1),
+        "train_pins.alike_weight",
+        "takes two slides to a pose: raise paired.slides",
     )
 
 

@@ -160,6 +160,8 @@ def test_what_codes_that_do_not_leak_take(field):
         ("--train.paired_share 0", "use a share above 0"),
         ("--unshear.input pins --train_pins.paired_share 1.1", "use a share above 0"),
         ("--train.tap_weight 1", "is for networks over pins"),
+        ("--train.alike_weight 1", "is for networks over pins"),
+        ("--unshear.input pins --paired.slides 1 --train_pins.alike_weight 1", "takes two slides to a pose"),
         ("--unshear.input pins --train_pins.tap_weight -1", "must not be below zero"),
         ("--unshear.input pins --targets edge_mm --pins.turned 1 --train_pins.tap_weight 1", "pins as they are"),
         ("--unshear.input pins --train_pins.agreement_weight 1 --train_pins.paired_share 0.1", "partners"),

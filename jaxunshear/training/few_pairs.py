@@ -1,29 +1,31 @@
-"""Fewer pairs: slides of a share of the poses alone have their tap; taps without a slide may teach beside them.
+"""Fewer pairs: slides of a share of the poses alone have their tap; taps without a slide, and slides without a tap, may teach beside them.
 
-examples = few_pairs(examples, share=0.1, seed=0)
-batches = with_taps(examples.reader.train_batches(64, 0, 0.0, fields), taps, 32, seed=0)  # {"tap_pins"} (32, P, 2) px beside the pairs
+few = few_pairs(examples, share=0.1, seed=0)
+batches = few.reader.train_batches(64, 0, 0.0, fields)
+batches = with_taps(batches, taps, 32, seed=0)  # {"tap_pins"} (32, P, 2) px beside the pairs
+batches = with_alike(batches, examples, 32, seed=0)  # {"one_pins", "another_pins"} (32, P, 2) px: two slides to one pose
 """
 
 import hashlib
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.reading import Batch, Reader, SetReader
+from jaxunshear.dataset.reading import Batch, Reader, SetReader, siblings_of
 from jaxunshear.dataset.settings import PoseData
 from jaxunshear.experiment import Experiment
 from jaxunshear.training.examples import Examples, open_simulated
 
-TAPS = "tap_pins"
+TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
 Batches = Callable[[int], Iterator[Batch]]
 
 
 def few_pairs(examples: Examples, share: float, seed: int) -> Examples:
     """Simulated `examples` whose training and validation slides are those of a `share` of the poses, one at least. An epoch stays as long
     as it is with all pairs."""
-    stored = examples.reader
-    assert isinstance(stored, SetReader)
+    stored = _stored(examples)
 
     def load(split: str) -> Batch:
         rows = stored.rows(split)
@@ -50,6 +52,31 @@ def with_taps(batches: Batches, taps: Reader, count: int, seed: int) -> Batches:
         return (pairs | {TAPS: alone["pins"]} for pairs, alone in zip(batches(start), drawn(start), strict=True))
 
     return from_step
+
+
+def with_alike(batches: Batches, examples: Examples, count: int, seed: int) -> Batches:
+    """The same batches, each with `count` pairs of training slides to one pose, drawn by seed and step; the one slide of a pose twice."""
+
+    def from_step(start: int = 0) -> Iterator[Batch]:
+        rows = _stored(examples).rows("train")
+        pins, siblings = rows["sheared_pins"], siblings_of(rows)
+        for step, pairs in zip(itertools.count(start), batches(start)):
+            generator = np.random.default_rng((seed, step))
+            drawn = generator.integers(len(pins), size=count)
+            others = [generator.choice(_others(siblings[row], row)) for row in drawn]
+            yield pairs | {ONE: pins[drawn], ANOTHER: pins[others]}
+
+    return from_step
+
+
+def _others(rows: np.ndarray, row: int) -> np.ndarray:
+    """`rows` but for `row`, unless it is the only one."""
+    return rows[rows != row] if len(rows) > 1 else rows
+
+
+def _stored(examples: Examples) -> SetReader:
+    assert isinstance(examples.reader, SetReader)  # simulated
+    return examples.reader
 
 
 def taps_of(experiment: Experiment, data_dir: Path) -> Reader:

@@ -156,15 +156,16 @@ def test_what_has_no_shear_code_is_refused(tmp_path, folder):
 
 
 def test_fewer_pairs_train_beside_taps(folder, tmp_path):
-    """In a whole training: taps are a term of it, and of no validation; its weights say what they know."""
+    """In a whole training: taps, and slides of one pose, are terms of it, and of no validation; its weights say what they know."""
     training = dataclasses.replace(
-        EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, paired_share=0.1, tap_weight=0.5
+        EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, paired_share=0.1, tap_weight=0.5, alike_weight=0.5
     )
     few = dataclasses.replace(EXPERIMENT, train_pins=training)
     run_stages(few, ("disentangled",), tmp_path, folder / "data", "none")
     place = tmp_path / "toy" / "disentangled"
     (*_, last) = [json.loads(line) for line in (place / "log.jsonl").read_text().splitlines()]
-    assert last["train"]["tap"] > 0 and "tap" not in last["validation"]
+    assert last["train"]["tap"] > 0 and last["train"]["alike"] > 0
+    assert not {"tap", "alike"} & set(last["validation"])
     whole = json.loads((folder / "runs" / "toy" / "disentangled" / "model.json").read_text())
     model = json.loads((place / "model.json").read_text())
     assert [origin["set"] for origin in model["taken_over"]] == ["tactip_pose"]

@@ -14,7 +14,7 @@ from jaxunshear.dataset.reading import Reader, SetReader
 from jaxunshear.experiment import PINS, Experiment, training_of
 from jaxunshear.model.settings import UnshearNet
 from jaxunshear.training.examples import Examples, Pins
-from jaxunshear.training.few_pairs import TAPS, chosen, few_pairs, with_taps
+from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS, chosen, few_pairs, with_alike, with_taps
 from jaxunshear.training.origin import taken_over
 
 STIMULUS, POSE = np.repeat([0, 1], 40), np.tile(np.repeat(np.arange(10), 4), 2)  # four slides at each of twenty poses
@@ -50,11 +50,19 @@ def test_seeds_draw_other_poses():
     assert len({frozenset(poses(chosen(STIMULUS, POSE, 0.1, seed))) for seed in range(8)}) > 4
 
 
-def test_training_and_validation_have_the_share_and_the_test_has_all():
+def examples(load=rows):
     stored = SetReader(SimpleNamespace(preprocess=SimpleNamespace(size=8)), None, {"counts": {}})
-    Reader.__init__(stored, rows, 8)
-    whole = Examples(stored, (), Pins(np.zeros((3, 2), np.float32), 1.0, 8), 80)
-    few = few_pairs(whole, 0.1, 3)
+    Reader.__init__(stored, load, 8)
+    return Examples(stored, (), Pins(np.zeros((3, 2), np.float32), 1.0, 8), 80)
+
+
+def numbered(start=0):
+    """Batches that tell their step."""
+    return ({"step": np.array([step])} for step in range(start, 100))
+
+
+def test_training_and_validation_have_the_share_and_the_test_has_all():
+    few = few_pairs(examples(), 0.1, 3)
     mask = chosen(STIMULUS, POSE, 0.1, 3)
     for split in ("train", "validation"):
         assert few.reader.length(split) == 8
@@ -72,17 +80,31 @@ def test_training_and_validation_have_the_share_and_the_test_has_all():
 
 def test_taps_beside_pairs_follow_from_seed_and_step_alone():
     taps = Reader(lambda split: {"pins": rows()["canonical_pins"], "stimulus": STIMULUS, "pose_id": np.arange(80)}, 8)
-
-    def pairs(start=0):
-        return ({"step": np.array([step])} for step in range(start, 100))
-
-    batches = with_taps(pairs, taps, 5, 7)
+    batches = with_taps(numbered, taps, 5, 7)
     first = list(islice(batches(), 16))
     assert [int(batch["step"][0]) for batch in first] == list(range(16))
     np.testing.assert_array_equal(next(batches(11))[TAPS], first[11][TAPS])
     drawn = np.concatenate([batch[TAPS][:, 0, 0] for batch in first])
     assert sorted(drawn.tolist()) == list(range(80)) and drawn.tolist() != list(range(80))  # each once an epoch
-    assert np.any(next(with_taps(pairs, taps, 5, 8)())[TAPS] != first[0][TAPS])
+    assert np.any(next(with_taps(numbered, taps, 5, 8)())[TAPS] != first[0][TAPS])
+
+
+def test_slides_that_are_to_be_unsheared_alike_are_two_of_one_pose():
+    batches = with_alike(numbered, examples(), 30, 7)
+    first = list(islice(batches(), 60))
+    one, another = (
+        np.concatenate([batch[name][:, 0, 0] - 0.5 for batch in first]).astype(int) for name in (ONE, ANOTHER)
+    )
+    assert np.all(one != another)
+    np.testing.assert_array_equal(one // 4, another // 4)  # of any pose, paired or not
+    assert set(one.tolist()) == set(another.tolist()) == set(range(80))
+    np.testing.assert_array_equal(next(batches(11))[ANOTHER], first[11][ANOTHER])
+
+
+def test_the_only_slide_of_a_pose_is_its_own_other():
+    alone = {"stimulus": STIMULUS, "pose_id": np.arange(80), "sheared_pins": rows()["sheared_pins"]}
+    batch = next(with_alike(numbered, examples(lambda split: alone), 9, 0)())
+    np.testing.assert_array_equal(batch[ONE], batch[ANOTHER])
 
 
 def test_a_network_that_learns_taps_says_so(tmp_path):

@@ -10,7 +10,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.model.pinnets import distance, predict, unshear
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.targets import of_labels
-from jaxunshear.training.few_pairs import TAPS
+from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.pin_tasks import pin_posenet_task, pin_unshear_task, renderer_task
 from jaxunshear.training.settings import Training
 
@@ -67,6 +67,18 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
     assert taught == {"E", "pose", "DC"}  # no slide is asked of a tap
     plain = task.terms(variables, batch(), KEY)[0]
     np.testing.assert_array_equal(term(variables["params"], "supervised"), plain["supervised"])
+
+
+def test_two_slides_to_one_pose_are_unsheared_alike():
+    net = PinUnshear(**SMALL)
+    task = pin_unshear_task(net, Training(alike_weight=2.0), TARGETS, REST, 1.0)
+    variables, pins, other = task.init(KEY), batch(3)["sheared_pins"][:2], batch(4)["sheared_pins"][:2]
+    named = task.terms(variables, batch() | {ONE: pins, ANOTHER: other}, KEY)[0]
+    wanted = distance(unshear(net, variables, pins), unshear(net, variables, other), variables)
+    np.testing.assert_allclose(named["alike"], wanted, rtol=1e-5)
+    assert task.weights["alike"] == 2.0 and np.all(named["alike"] > 0)
+    assert np.all(task.terms(variables, batch() | {ONE: pins, ANOTHER: pins}, KEY)[0]["alike"] == 0)
+    assert "alike" not in task.terms(variables, batch(), KEY)[0]
 
 
 def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():
