@@ -28,6 +28,9 @@ PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "reconstruction_weight",
     "swap_weight",
     "agreement_weight",
+    "paired_share",
+    "tap_weight",
+    "alike_weight",
     "pose_weight",
     "pose_target",
     "label_weight",
@@ -114,6 +117,14 @@ def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData |
     if isinstance(experiment.pose, PoseData) and network in ("posenet", TEACHER):
         return experiment.pose
     return experiment.paired
+
+
+def takes_taps(experiment: Experiment) -> bool:
+    """Whether a network of a simulated experiment learns from the taps without slides, `pose`."""
+    networks = trained(experiment)
+    return any(name in networks for name in ("posenet", TEACHER)) or any(
+        training_of(experiment, name).tap_weight > 0 for name in networks
+    )
 
 
 def training_of(experiment: Experiment, network: str) -> Training:

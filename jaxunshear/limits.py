@@ -22,6 +22,7 @@ from jaxunshear.experiment import (
     further_tests,
     over_pins,
     recorded_of,
+    takes_taps,
     trained,
 )
 from jaxunshear.image.settings import Camera, Nuisance, Preprocess
@@ -61,7 +62,7 @@ def _simulated(experiment: Experiment, paired: PairedData, pose: PoseData) -> It
     yield from _pose(pose, experiment.sensor)
     yield from _targets(experiment, paired, pose)
     yield from _networks(experiment, paired.preprocess, pose.preprocess)
-    if {"posenet", TEACHER} & set(trained(experiment)):
+    if takes_taps(experiment):
         yield from _seen_alike(paired, pose)
         yield from _kept_out(experiment, paired, pose)
         yield from _covered(paired.ranges, pose.ranges)
@@ -148,6 +149,7 @@ def _trainings(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
         "leave it empty: what marks a network must not teach it",
     )
     yield from _exchange(experiment)
+    yield from _few_pairs(experiment)
     for name in _posenets(experiment):
         yield from _training(getattr(experiment, name), name, taps)
         yield from _without_pair_losses(getattr(experiment, name), name)
@@ -179,6 +181,33 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
         not training.swap_weight or shared,
         "train_pins.swap_weight",
         "takes simulated slides that poses share, two at least: raise paired.poses_a_slide and paired.slides",
+    )
+
+
+def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
+    """What learning from a share of the pairs takes, and from taps without a slide."""
+    simulated, over_images, training = recorded_of(experiment) is None, experiment.train, experiment.train_pins
+    for name, share in (("train", over_images.paired_share), ("train_pins", training.paired_share)):
+        yield 0 < share <= 1, f"{name}.paired_share", "use a share above 0, at most 1"
+        yield share == 1 or simulated, f"{name}.paired_share", "is of simulated pairs: use paired.labelled"
+    yield (
+        training.paired_share == 1 or not (training.swap_weight or training.agreement_weight),
+        "train_pins.paired_share",
+        "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
+    )
+    for field in ("tap_weight", "alike_weight"):
+        weight = getattr(training, field)
+        yield weight >= 0, f"train_pins.{field}", "must not be below zero"
+        yield not getattr(over_images, field), f"train.{field}", "is for networks over pins: leave it at 0"
+        yield (
+            not weight or (simulated and not experiment.pins.turned),
+            f"train_pins.{field}",
+            "takes simulated pins as they are: leave it at 0, or pins.turned",
+        )
+    yield (
+        not training.alike_weight or (isinstance(experiment.paired, PairedData) and experiment.paired.slides > 1),
+        "train_pins.alike_weight",
+        "takes two slides to a pose: raise paired.slides",
     )
 
 

@@ -131,6 +131,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         return False
     from jaxunshear.training.building import first, renamed, task_of
     from jaxunshear.training.examples import FRAME, open_examples, stored_of
+    from jaxunshear.training.few_pairs import few_pairs, taps_of, with_alike, with_taps
     from jaxunshear.training.loop import train
     from jaxunshear.training.start import Start
 
@@ -138,8 +139,16 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     training, examples = training_of(experiment, network), open_examples(experiment, network, data, folder)
     if recorded_of(experiment):
         write_json(folder / FRAME, stored_of(experiment, data).frame)
+    whole = examples
+    if training.paired_share < 1:
+        examples = few_pairs(whole, training.paired_share, experiment.seed)
     task, fields = task_of(experiment, network, examples, folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
+    beside = max(1, training.batch // 2)
+    if training.tap_weight:
+        batches = with_taps(batches, taps_of(experiment, data), beside, seed)
+    if training.alike_weight:
+        batches = with_alike(batches, whole, beside, seed)
     begin = start_folder(training.start, network)
     summary = train(
         task,

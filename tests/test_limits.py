@@ -25,6 +25,7 @@ def refusal(words: str) -> str:
         ("reconstruction_weight", "0.3", "1"),
         ("pose_weight", "1", "0"),
         ("label_weight", "1", "0"),
+        ("paired_share", "0.1", "1"),
     ],
 )
 def test_posenets_training_has_no_losses_of_pairs(field, value, default):
@@ -151,6 +152,32 @@ def test_what_codes_that_do_not_leak_take(field):
     assert "raise pins.shear_code" in refusal(f"{shared} --pins.shear_code 0 --train_pins.{field} 1")
     assert "below zero" in refusal(f"{shared} --train_pins.{field} -1")
     assert "over pins" in refusal(f"--paired.poses_a_slide 2 --train.{field} 1")
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--train.paired_share 0", "use a share above 0"),
+        ("--unshear.input pins --train_pins.paired_share 1.1", "use a share above 0"),
+        ("--train.tap_weight 1", "is for networks over pins"),
+        ("--train.alike_weight 1", "is for networks over pins"),
+        ("--unshear.input pins --paired.slides 1 --train_pins.alike_weight 1", "takes two slides to a pose"),
+        ("--unshear.input pins --train_pins.tap_weight -1", "must not be below zero"),
+        ("--unshear.input pins --targets edge_mm --pins.turned 1 --train_pins.tap_weight 1", "pins as they are"),
+        ("--unshear.input pins --train_pins.agreement_weight 1 --train_pins.paired_share 0.1", "partners"),
+    ],
+)
+def test_fewer_pairs_within_their_limits(words, line):
+    networks = "--networks disentangled,posenet"
+    assert line in refusal(f"{networks} {words}")
+    few = f"{networks} --unshear.input pins --train_pins.tap_weight 1 --train_pins.paired_share 0.1"
+    validate(override(PLAIN, few.split()))
+
+
+def test_taps_of_a_tested_pose_teach_no_network():
+    words = "--networks disentangled --unshear.input pins --train_pins.pose_weight 0 --pose.seed 0"
+    validate(override(PLAIN, words.split()))
+    assert refusal(f"{words} --train_pins.tap_weight 1").startswith("--pose.seed 0")
 
 
 def test_exchanged_codes_take_slides_that_poses_share():

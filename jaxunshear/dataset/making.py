@@ -10,7 +10,7 @@ from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.settings import PoseData, Recorded
 from jaxunshear.dataset.shots import check
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import TEACHER, Experiment, further_tests, trained
+from jaxunshear.experiment import Experiment, further_tests, takes_taps
 from jaxunshear.scene.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import os_error, read_json
 
@@ -88,7 +88,7 @@ def _make(settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: En
 def sets_of(experiment: Experiment) -> dict[str, configs.Settings]:
     """The settings of all sets that an experiment needs, by the sets' names; those of further tests by the tests'."""
     sets: dict[str, configs.Settings] = {configs.set_name(experiment.paired): experiment.paired}
-    if {"posenet", TEACHER} & set(trained(experiment)) and isinstance(experiment.pose, PoseData):
+    if takes_taps(experiment) and isinstance(experiment.pose, PoseData):
         sets[configs.POSE_SET] = experiment.pose
     return sets | further_tests(experiment)
 

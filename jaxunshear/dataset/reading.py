@@ -80,7 +80,7 @@ class Reader:
         """
         rows = self._rows("train")
         most = shift * self._size
-        siblings = _siblings(rows)
+        siblings = siblings_of(rows)
         wanted = fields or tuple(rows)
 
         def draw(row: int, generator: np.random.Generator) -> Batch:
@@ -172,7 +172,7 @@ def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
     return rows
 
 
-def _siblings(rows: Batch) -> list[np.ndarray]:
+def siblings_of(rows: Batch) -> list[np.ndarray]:
     """For every row the rows at the same pose of the same stimulus: each holds one of the pose's taps."""
     poses = np.stack([rows["stimulus"], rows["pose_id"]], axis=-1)
     _, group = np.unique(poses, axis=0, return_inverse=True)

@@ -17,9 +17,9 @@ from jaxunshear.dataset.configs import (
     describe,
     differences,
 )
-from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.settings import PoseData, Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, learnt_from, trained
+from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, learnt_from, trained, training_of
 from jaxunshear.storage import read_json, read_json_if_sound
 from jaxunshear.training.kept_out import Exam, exams_of, known
 
@@ -40,10 +40,13 @@ def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
 
 
 def taken_over(experiment: Experiment, network: str, run_dir: Path, begin: Path | None) -> list[dict[str, Any]]:
-    """The origins, beside its own, that `network` is to learn through networks of `run_dir` and the weights in `begin`."""
+    """The origins, beside its own, that `network` is to learn from taps without slides, and through networks of `run_dir` and the weights
+    in `begin`."""
     helpers = [run_dir / name for name in trained(replace(experiment, networks=(network,))) if name != network]
     folders = [*helpers, begin] if begin else helpers
     kept = [_split_rule(origin_of(experiment, network))]
+    if isinstance(experiment.pose, PoseData) and training_of(experiment, network).tap_weight:
+        kept.append(_split_rule(describe(experiment.pose, experiment.sensor)))
     for origin in (_split_rule(origin) for folder in folders for origin in origins_of(folder)):
         kept += [origin] if origin not in kept else []
     return kept[1:]

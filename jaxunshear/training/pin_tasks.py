@@ -18,6 +18,7 @@ from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.targets import Targets
 from jaxunshear.training import losses
+from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import Task, pose_error_terms, weighed
 from jaxunshear.training.turning import ANGLES, Turns, turned, turned_outputs
@@ -32,7 +33,8 @@ def pin_unshear_task(
     teacher: Callable[[Array], Array] | None = None,
 ) -> Task:
     """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px, and where poses share slides {"other_pins",
-    "swapped_pins"}, see `dataset.factorial`; where they don't, the pose code of a slide is to agree with its tap's alone.
+    "swapped_pins"}, see `dataset.factorial`; where they don't, the pose code of a slide is to agree with its tap's alone. With {"tap_pins"}
+    (T, P, 2) px taps are to come out as they went in, with {"one_pins", "another_pins"} (A, P, 2) px both alike.
 
     `teacher` is a trained PinPoseNet, pins (B, P, 2) px -> outputs (B, K), needed for `pose_weight` alone: what it reads off the
     unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
@@ -64,14 +66,24 @@ def pin_unshear_task(
         partners = batch.get(SWAPPED, tap), batch.get(OTHER)
         return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, *partners)
 
+    def unsheared(variables, pins, key, number):
+        return pinnets.unshear(net, variables, pinnets.spoilt(net, pins, jax.random.fold_in(key, number)))
+
     def terms(variables, batch, key):
-        return named_of(variables, batch, decoded(variables, batch, key)), variables["batch_stats"]
+        named = named_of(variables, batch, decoded(variables, batch, key))
+        if TAPS in batch:
+            named["tap"] = pinnets.distance(unsheared(variables, batch[TAPS], key, 2), batch[TAPS], variables)
+        if ONE in batch:
+            one, another = unsheared(variables, batch[ONE], key, 3), unsheared(variables, batch[ANOTHER], key, 4)
+            named["alike"] = pinnets.distance(one, another, variables)
+        return named, variables["batch_stats"]
 
     def validate(variables, batch):
         return named_of(variables, batch, decoded(variables, batch))
 
     weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight, "pose": training.pose_weight}
     weights |= {"swap": training.swap_weight, "agreement": training.agreement_weight}
+    weights |= {"tap": training.tap_weight, "alike": training.alike_weight}
     init = partial(pinnets.init, net, rest, spread)
     return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised")
 

@@ -29,6 +29,12 @@ class Training:
     # have equal codes
     swap_weight: float = 0.0
     agreement_weight: float = 0.0
+    # of fewer pairs: the share of the simulated training poses, drawn by seed, whose slides have their tap, the other slides being left
+    # out; over pins, that taps without a slide, those that PoseNet learns from, come out as they went in; that two slides to one pose,
+    # whether they have a tap or not, are unsheared alike
+    paired_share: float = 1.0
+    tap_weight: float = 0.0
+    alike_weight: float = 0.0
     pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
     pose_target: str = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
     label_weight: float = 0.0  # of the pose that a head reads off z_p, against the true one; 0 builds no head

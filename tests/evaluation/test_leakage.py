@@ -153,3 +153,20 @@ def test_what_has_no_shear_code_is_refused(tmp_path, folder):
     run_stages(plain, ("disentangled",), tmp_path, folder / "data", "none")
     with pytest.raises(UserError, match="no network with a shear code"):
         leakage.leakage(plain, tmp_path / "plain", folder / "data", "none")
+
+
+def test_fewer_pairs_train_beside_taps(folder, tmp_path):
+    """In a whole training: taps, and slides of one pose, are terms of it, and of no validation; its weights say what they know."""
+    training = dataclasses.replace(
+        EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, paired_share=0.1, tap_weight=0.5, alike_weight=0.5
+    )
+    few = dataclasses.replace(EXPERIMENT, train_pins=training)
+    run_stages(few, ("disentangled",), tmp_path, folder / "data", "none")
+    place = tmp_path / "toy" / "disentangled"
+    (*_, last) = [json.loads(line) for line in (place / "log.jsonl").read_text().splitlines()]
+    assert last["train"]["tap"] > 0 and last["train"]["alike"] > 0
+    assert not {"tap", "alike"} & set(last["validation"])
+    whole = json.loads((folder / "runs" / "toy" / "disentangled" / "model.json").read_text())
+    model = json.loads((place / "model.json").read_text())
+    assert [origin["set"] for origin in model["taken_over"]] == ["tactip_pose"]
+    assert model["epoch_images"] == whole["epoch_images"]

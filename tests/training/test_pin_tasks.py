@@ -7,9 +7,10 @@ import pytest
 
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
-from jaxunshear.model.pinnets import predict
+from jaxunshear.model.pinnets import distance, predict, unshear
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.targets import of_labels
+from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.pin_tasks import pin_posenet_task, pin_unshear_task, renderer_task
 from jaxunshear.training.settings import Training
 
@@ -47,6 +48,37 @@ def test_every_part_is_taught_by_its_own_losses():
 
     assert reached("supervised") == {"E", "pose", "DC"}
     assert reached("reconstruction") == {"E", "pose", "shear", "DS"}
+
+
+def test_taps_without_a_slide_come_out_as_they_went_in():
+    net = PinUnshear(**SMALL)
+    task = pin_unshear_task(net, Training(tap_weight=0.5), TARGETS, REST, 1.0)
+    variables, taps = task.init(KEY), batch(3)["canonical_pins"][:2]
+    assert task.weights["tap"] == 0.5 and "tap" not in task.terms(variables, batch(), KEY)[0]
+
+    def term(params, name="tap"):
+        return task.terms(variables | {"params": params}, batch() | {TAPS: taps}, KEY)[0][name]
+
+    np.testing.assert_allclose(
+        term(variables["params"]), distance(unshear(net, variables, taps), taps, variables), rtol=1e-5
+    )
+    slopes = jax.grad(lambda params: term(params).sum())(variables["params"])
+    taught = {part for part, slope in slopes.items() if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))}
+    assert taught == {"E", "pose", "DC"}  # no slide is asked of a tap
+    plain = task.terms(variables, batch(), KEY)[0]
+    np.testing.assert_array_equal(term(variables["params"], "supervised"), plain["supervised"])
+
+
+def test_two_slides_to_one_pose_are_unsheared_alike():
+    net = PinUnshear(**SMALL)
+    task = pin_unshear_task(net, Training(alike_weight=2.0), TARGETS, REST, 1.0)
+    variables, pins, other = task.init(KEY), batch(3)["sheared_pins"][:2], batch(4)["sheared_pins"][:2]
+    named = task.terms(variables, batch() | {ONE: pins, ANOTHER: other}, KEY)[0]
+    wanted = distance(unshear(net, variables, pins), unshear(net, variables, other), variables)
+    np.testing.assert_allclose(named["alike"], wanted, rtol=1e-5)
+    assert task.weights["alike"] == 2.0 and np.all(named["alike"] > 0)
+    assert np.all(task.terms(variables, batch() | {ONE: pins, ANOTHER: pins}, KEY)[0]["alike"] == 0)
+    assert "alike" not in task.terms(variables, batch(), KEY)[0]
 
 
 def test_rendered_taps_teach_at_the_poses_they_were_rendered_at():

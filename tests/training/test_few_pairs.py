@@ -1,0 +1,123 @@
+"""Fewer pairs: which poses keep their taps, and taps of no slide beside the pairs."""
+
+from dataclasses import replace
+from itertools import islice
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from jaxunshear.config import override
+from jaxunshear.dataset.configs import describe
+from jaxunshear.dataset.making import sets_of
+from jaxunshear.dataset.reading import Reader, SetReader
+from jaxunshear.experiment import PINS, Experiment, training_of
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.training.examples import Examples, Pins
+from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS, chosen, few_pairs, with_alike, with_taps
+from jaxunshear.training.origin import taken_over
+
+STIMULUS, POSE = np.repeat([0, 1], 40), np.tile(np.repeat(np.arange(10), 4), 2)  # four slides at each of twenty poses
+OVER_PINS = Experiment(
+    name="few",
+    claim="none",
+    networks=("disentangled",),
+    unshear=UnshearNet(input="pins"),
+    train_pins=replace(PINS, pose_weight=0.0),
+)
+
+
+def poses(mask):
+    return set(zip(STIMULUS[mask].tolist(), POSE[mask].tolist(), strict=True))
+
+
+def rows(split="train"):
+    number = np.arange(80)
+    pins = np.broadcast_to(number[:, None, None], (80, 3, 2)).astype(np.float32)
+    return {"stimulus": STIMULUS, "pose_id": POSE, "canonical_pins": pins, "sheared_pins": pins + 0.5, "row": number}
+
+
+@pytest.mark.parametrize(("share", "count"), [(0.01, 1), (0.1, 2), (0.25, 5), (1.0, 20)])
+def test_a_share_is_of_whole_poses_and_exact(share, count):
+    mask = chosen(STIMULUS, POSE, share, 0)
+    assert len(poses(mask)) == count and mask.sum() == 4 * count
+    assert poses(mask) <= poses(chosen(STIMULUS, POSE, 2 * share, 0))
+    order = np.random.default_rng(0).permutation(80)
+    np.testing.assert_array_equal(chosen(STIMULUS[order], POSE[order], share, 0), mask[order])
+
+
+def test_seeds_draw_other_poses():
+    assert len({frozenset(poses(chosen(STIMULUS, POSE, 0.1, seed))) for seed in range(8)}) > 4
+
+
+def examples(load=rows):
+    stored = SetReader(SimpleNamespace(preprocess=SimpleNamespace(size=8)), None, {"counts": {}})
+    Reader.__init__(stored, load, 8)
+    return Examples(stored, (), Pins(np.zeros((3, 2), np.float32), 1.0, 8), 80)
+
+
+def numbered(start=0):
+    """Batches that tell their step."""
+    return ({"step": np.array([step])} for step in range(start, 100))
+
+
+def test_training_and_validation_have_the_share_and_the_test_has_all():
+    few = few_pairs(examples(), 0.1, 3)
+    mask = chosen(STIMULUS, POSE, 0.1, 3)
+    for split in ("train", "validation"):
+        assert few.reader.length(split) == 8
+        np.testing.assert_array_equal(few.reader.take(split, np.arange(8), ("row",))["row"], np.flatnonzero(mask))
+    assert few.reader.length("test") == 80
+    assert few.epoch == 80  # as many steps as with all pairs
+    batches = few.reader.train_batches(16, 0, 0.0, ("row", "canonical_pins", "sheared_pins"))()
+    seen = [next(batches) for _ in range(3)]
+    assert {int(row) for batch in seen for row in batch["row"]} == set(np.flatnonzero(mask).tolist())
+    for batch in seen:  # a slide takes any tap of its own pose
+        tap, slide = batch["canonical_pins"][:, 0, 0].astype(int), batch["sheared_pins"][:, 0, 0].astype(int)
+        np.testing.assert_array_equal(POSE[tap], POSE[slide])
+        np.testing.assert_array_equal(STIMULUS[tap], STIMULUS[slide])
+
+
+def test_taps_beside_pairs_follow_from_seed_and_step_alone():
+    taps = Reader(lambda split: {"pins": rows()["canonical_pins"], "stimulus": STIMULUS, "pose_id": np.arange(80)}, 8)
+    batches = with_taps(numbered, taps, 5, 7)
+    first = list(islice(batches(), 16))
+    assert [int(batch["step"][0]) for batch in first] == list(range(16))
+    np.testing.assert_array_equal(next(batches(11))[TAPS], first[11][TAPS])
+    drawn = np.concatenate([batch[TAPS][:, 0, 0] for batch in first])
+    assert sorted(drawn.tolist()) == list(range(80)) and drawn.tolist() != list(range(80))  # each once an epoch
+    assert np.any(next(with_taps(numbered, taps, 5, 8)())[TAPS] != first[0][TAPS])
+
+
+def test_slides_that_are_to_be_unsheared_alike_are_two_of_one_pose():
+    batches = with_alike(numbered, examples(), 30, 7)
+    first = list(islice(batches(), 60))
+    one, another = (
+        np.concatenate([batch[name][:, 0, 0] - 0.5 for batch in first]).astype(int) for name in (ONE, ANOTHER)
+    )
+    assert np.all(one != another)
+    np.testing.assert_array_equal(one // 4, another // 4)  # of any pose, paired or not
+    assert set(one.tolist()) == set(another.tolist()) == set(range(80))
+    np.testing.assert_array_equal(next(batches(11))[ANOTHER], first[11][ANOTHER])
+
+
+def test_the_only_slide_of_a_pose_is_its_own_other():
+    alone = {"stimulus": STIMULUS, "pose_id": np.arange(80), "sheared_pins": rows()["sheared_pins"]}
+    batch = next(with_alike(numbered, examples(lambda split: alone), 9, 0)())
+    np.testing.assert_array_equal(batch[ONE], batch[ANOTHER])
+
+
+def test_a_network_that_learns_taps_says_so(tmp_path):
+    """Their set is made without a PoseNet, too, and stands among what the weights know."""
+    taught = override(OVER_PINS, ["--train_pins.tap_weight", "0.5"])
+    assert set(sets_of(OVER_PINS)) == {"tactip_paired"} and taken_over(OVER_PINS, "disentangled", tmp_path, None) == []
+    assert set(sets_of(taught)) == {"tactip_paired", "tactip_pose"}
+    (origin,) = taken_over(taught, "disentangled", tmp_path, None)
+    wanted = describe(taught.pose, taught.sensor)
+    assert origin == {name: wanted[name] for name in ("set", "version", "settings")}
+
+
+def test_no_posenet_is_another_for_fewer_pairs():
+    few = override(OVER_PINS, ["--train_pins.tap_weight", "0.5", "--train_pins.paired_share", "0.1"])
+    assert training_of(few, "posenet") == training_of(OVER_PINS, "posenet")
+    assert training_of(few, "disentangled") != training_of(OVER_PINS, "disentangled")
