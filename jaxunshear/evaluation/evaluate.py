@@ -29,7 +29,7 @@ from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, of_batches, read_pins, readers_of
 from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.spread import numbered_poses
-from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_depth, tables, typical, with_readers
+from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_size, tables, typical, with_readers
 from jaxunshear.evaluation.within import coverage, half_widths
 from jaxunshear.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
 from jaxunshear.image.framing import undeformed
@@ -226,7 +226,7 @@ def _tables(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
     read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
     return {
         **with_readers(tables(gathered.scores, settings.stimuli, *drawn), read, BOOTSTRAP_SEED),
-        "pose_by_depth": pose_by_depth(
+        "pose_by_depth": pose_by_size(
             gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, *drawn
         ),
     }

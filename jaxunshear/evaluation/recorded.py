@@ -22,7 +22,7 @@ from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import Reads
 from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
 from jaxunshear.evaluation.spread import redrawn_means
-from jaxunshear.evaluation.summary import pose_by_depth, tables, with_readers
+from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
 from jaxunshear.experiment import POSENETS, Experiment, over_pins, recorded_of
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.targets import Targets, names_of, to_json, true_values
@@ -169,10 +169,13 @@ def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) ->
     assert one is not None
     scores = {} if slides is None else slides.scores
     found = tables(scores, (), one.labels["stimulus"], one.labels["number"], SEED, (of_taps, tap_means))
-    if "z_mm" in names_of(targets) and slides is not None:
-        depth = slides.labels["pose"][:, 2]
+    if slides is not None:
         drawn = (slides.labels["stimulus"], slides.labels["number"], SEED)
-        found["pose_by_depth"] = pose_by_depth(scores, depth, float(depth.min()), float(depth.max()), *drawn)
+        depth, length = slides.labels["pose"][:, 2], np.hypot(*slides.labels["move"][:, :2].T)
+        if "z_mm" in names_of(targets):
+            found["pose_by_depth"] = pose_by_size(scores, depth, float(depth.min()), float(depth.max()), *drawn)
+        if np.isfinite(length).all():
+            found["pose_by_slide"] = pose_by_size(scores, length, 0.0, float(length.max()), *drawn)
     read = [(each.scores, each.labels["number"]) for each in (taps, slides) if each is not None]
     return _with_unsheared(with_readers(found, read, SEED))
 

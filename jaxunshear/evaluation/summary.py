@@ -10,7 +10,7 @@ import numpy as np
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
 from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, numbered_poses, redrawn_means
 
-DEPTHS = 3  # equal parts of the range of indentation depths
+PARTS = 3  # equal parts of the range of a size
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 
 
@@ -74,23 +74,23 @@ def tables(
     }
 
 
-def pose_by_depth(
+def pose_by_size(
     scores: dict[str, np.ndarray],
-    depth: np.ndarray,
-    shallowest: float,
-    deepest: float,
+    size: np.ndarray,
+    least: float,
+    most: float,
     stimulus: np.ndarray,
     pose_id: np.ndarray,
     seed: int,
 ) -> dict[str, Any]:
-    """What `tables` says of poses, by the slides' indentation depth (N,), mm, in DEPTHS equal parts of its range: a shallow touch
-    tells little of a pose even as a tap. A part without test contacts is null; a range of zero has no parts, nor
-    has a test without poses."""
+    """What `tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
+    shallow touch tells little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
+    parts, nor has a test without poses."""
     felt = {name: score for name, score in scores.items() if name.startswith("pose/")}
-    if shallowest == deepest or not felt:
+    if least == most or not felt:
         return {}
-    bounds = np.linspace(shallowest, deepest, DEPTHS + 1)
-    part, poses = np.digitize(depth, bounds[1:-1]), numbered_poses(stimulus, pose_id)
+    bounds = np.linspace(least, most, PARTS + 1)
+    part, poses = np.digitize(size, bounds[1:-1]), numbered_poses(stimulus, pose_id)
     digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as tell the parts apart
     found: dict[str, Any] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):

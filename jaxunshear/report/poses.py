@@ -43,6 +43,7 @@ def poses(results: dict[str, Any]) -> str:
         _recovery(results),
         _by_part(results, "pose_by_stimulus", "shape"),
         _by_part(results, "pose_by_depth", "depth" if words.simulated(results) else "z"),
+        _by_part(results, "pose_by_slide", "length of the slide"),
         *_apart(results),
     )
 

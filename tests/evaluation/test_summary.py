@@ -5,7 +5,7 @@ import pytest
 
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.evaluation.spread import intervals
-from jaxunshear.evaluation.summary import contact_quality, pose_by_depth, tables, typical
+from jaxunshear.evaluation.summary import contact_quality, pose_by_size, tables, typical
 
 QUANTITIES = ("x_mm", "yaw_deg", "edge_mm", "edge_deg")
 KINDS = ("tap", "sheared", "entangled", "disentangled")
@@ -64,7 +64,7 @@ def test_poses_of_each_depth_are_those_of_its_contacts_alone():
     scores = made_up()
     scores["pose/disentangled/x_mm"] = np.array([1, 1, 2, 2, 4, 5], np.float32)
     depth = np.array([1.0, 1.5, 2.9, 2.6, 3.0, 2.0])  # parts meet at 2 and 3 mm; a bound belongs to the deeper part
-    found = pose_by_depth(scores, depth, 1.0, 4.0, STIMULUS, POSE_ID, seed=0)
+    found = pose_by_size(scores, depth, 1.0, 4.0, STIMULUS, POSE_ID, seed=0)
     assert list(found) == ["1.0-2.0 mm", "2.0-3.0 mm", "3.0-4.0 mm"]
     error = {name: part["pose_mae"]["disentangled"]["x_mm"] for name, part in found.items()}
     assert error == pytest.approx({"1.0-2.0 mm": 1.0, "2.0-3.0 mm": 3.0, "3.0-4.0 mm": 4.0})
@@ -76,15 +76,15 @@ def test_poses_of_each_depth_are_those_of_its_contacts_alone():
 
 
 def test_depths_without_contacts_are_null_and_one_depth_or_no_pose_is_not_divided():
-    found = pose_by_depth(made_up(), np.full(6, 1.5), 1.0, 4.0, STIMULUS, POSE_ID, seed=0)
+    found = pose_by_size(made_up(), np.full(6, 1.5), 1.0, 4.0, STIMULUS, POSE_ID, seed=0)
     assert [part is None for part in found.values()] == [False, True, True]
-    assert pose_by_depth(made_up(), np.full(6, 2.0), 2.0, 2.0, STIMULUS, POSE_ID, seed=0) == {}
+    assert pose_by_size(made_up(), np.full(6, 2.0), 2.0, 2.0, STIMULUS, POSE_ID, seed=0) == {}
     images_only = {name: score for name, score in made_up().items() if not name.startswith("pose/")}
-    assert pose_by_depth(images_only, np.full(6, 1.5), 1.0, 4.0, STIMULUS, POSE_ID, seed=0) == {}
+    assert pose_by_size(images_only, np.full(6, 1.5), 1.0, 4.0, STIMULUS, POSE_ID, seed=0) == {}
 
 
 def test_narrow_depths_have_names_of_their_own():
-    found = pose_by_depth(made_up(), np.full(6, 2.0), 2.0, 2.06, STIMULUS, POSE_ID, seed=0)
+    found = pose_by_size(made_up(), np.full(6, 2.0), 2.0, 2.06, STIMULUS, POSE_ID, seed=0)
     assert list(found) == ["2.000-2.020 mm", "2.020-2.040 mm", "2.040-2.060 mm"]
 
 

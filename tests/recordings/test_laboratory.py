@@ -35,6 +35,8 @@ def test_a_run_tells_errors_under_the_names_that_other_tools_rely_on(pins_run):
     for table in ("half_width", "coverage"):
         assert {"tap", "sheared", "unsheared"} <= results[table].keys()
     assert all(0.7 < share <= 1 for share in results["coverage"]["unsheared"].values())
+    short, _, long = results["pose_by_slide"].values()
+    assert short["pose_mae"]["sheared"]["y_mm"] < long["pose_mae"]["sheared"]["y_mm"]
     assert (pins_run / "report.html").stat().st_size > 10_000
 
 
