@@ -379,6 +379,25 @@ def parted_slide() -> str:
     return "\n".join(lines)
 
 
+def found_pins() -> str:
+    """What reading found pins costs, and what a tap's own found pins cost: means of the trainings, each with its least and most."""
+    runs = [{name: row["value"] for name, row in run.items()} for run in _runs("found_pins")]
+    lines = ["| pins read | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
+    kinds = {"tap": "tap", "sheared": "slide", "disentangled": "slide, unsheared"}
+    for prefix, source in (("", "true"), ("found.", "found")):
+        for kind, told in kinds.items():
+            names = ((f"ms_ssim.{kind}.overall", 3), (f"pins.{kind}.rms_px", 2))
+            names += tuple(
+                (f"pose_mae.{kind}.{quantity}", digits) for quantity, digits in (("edge_mm", 2), ("edge_deg", 1))
+            )
+            cells = [
+                _of_values([run[f"{prefix}{name}"] for run in runs], digits) if f"{prefix}{name}" in runs[0] else ""
+                for name, digits in names
+            ]
+            lines.append(_line(f"{told}, {source}", cells))
+    return "\n".join(lines)
+
+
 def _of_values(values: list[float], digits: int) -> str:
     """Mean [least, most]."""
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
@@ -402,7 +421,7 @@ TABLES = {
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
     "docs/applications.md": (geometry, servo, objects),
-    "docs/codes.md": (parted, parted_pins, parted_slide),
+    "docs/codes.md": (parted, parted_pins, found_pins, parted_slide),
     "docs/model.md": (standard, recoveries, other_readers, readings, tenth),
 }
 
