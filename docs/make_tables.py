@@ -286,6 +286,17 @@ def servo() -> str:
     return "\n".join(lines)
 
 
+def servo_pins() -> str:
+    """The same of networks over pins, beside those over images."""
+    pins, images = _runs("servo_pins"), _runs("servo")
+    columns = ((pins, "disentangled"), (images, "disentangled"), (images, "sheared"), (images, "true"))
+    lines = ["| | pins, unsheared | images, unsheared | images, sheared | true pose |", "|---|---|---|---|---|"]
+    for shape, told in _shapes(pins[0]).items():
+        found = [[run[name] for run in runs if (name := f"{shape}/{way}") in run] for runs, way in columns]
+        lines.append(_line(told, [_of_walks(rows, "walk_mm", 2) for rows in found]))
+    return "\n".join(lines)
+
+
 def objects() -> str:
     """IoU with the true shape over the whole grid, by maker: over starts and trainings."""
     runs, looks = _runs("reconstruct"), {"disentangled": "unsheared", "sheared": "sheared"}
@@ -420,7 +431,7 @@ TABLES = {
     "README.md": (real_skin, transfer, demo, standard_first),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides),
     "docs/simulator.md": (refit,),
-    "docs/applications.md": (geometry, servo, objects),
+    "docs/applications.md": (geometry, servo, servo_pins, objects),
     "docs/codes.md": (parted, parted_pins, found_pins, parted_slide),
     "docs/model.md": (standard, recoveries, other_readers, readings, tenth),
 }
