@@ -286,6 +286,17 @@ def servo() -> str:
     return "\n".join(lines)
 
 
+def servo_pins() -> str:
+    """The same of networks over pins, beside those over images."""
+    pins, images = _runs("servo_pins"), _runs("servo")
+    columns = ((pins, "disentangled"), (images, "disentangled"), (images, "sheared"), (images, "true"))
+    lines = ["| | pins, unsheared | images, unsheared | images, sheared | true pose |", "|---|---|---|---|---|"]
+    for shape, told in _shapes(pins[0]).items():
+        found = [[run[name] for run in runs if (name := f"{shape}/{way}") in run] for runs, way in columns]
+        lines.append(_line(told, [_of_walks(rows, "walk_mm", 2) for rows in found]))
+    return "\n".join(lines)
+
+
 def objects() -> str:
     """IoU with the true shape over the whole grid, by maker: over starts and trainings."""
     runs, looks = _runs("reconstruct"), {"disentangled": "unsheared", "sheared": "sheared"}
@@ -432,6 +443,25 @@ def parted_slide() -> str:
     return "\n".join(lines)
 
 
+def found_pins() -> str:
+    """What reading found pins costs, and what a tap's own found pins cost: means of the trainings, each with its least and most."""
+    runs = [{name: row["value"] for name, row in run.items()} for run in _runs("found_pins")]
+    lines = ["| pins read | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
+    kinds = {"tap": "tap", "sheared": "slide", "disentangled": "slide, unsheared"}
+    for prefix, source in (("", "true"), ("found.", "found")):
+        for kind, told in kinds.items():
+            names = ((f"ms_ssim.{kind}.overall", 3), (f"pins.{kind}.rms_px", 2))
+            names += tuple(
+                (f"pose_mae.{kind}.{quantity}", digits) for quantity, digits in (("edge_mm", 2), ("edge_deg", 1))
+            )
+            cells = [
+                _of_values([run[f"{prefix}{name}"] for run in runs], digits) if f"{prefix}{name}" in runs[0] else ""
+                for name, digits in names
+            ]
+            lines.append(_line(f"{told}, {source}", cells))
+    return "\n".join(lines)
+
+
 def _of_values(values: list[float], digits: int) -> str:
     """Mean [least, most]."""
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
@@ -454,8 +484,8 @@ TABLES = {
     "README.md": (real_skin, demo, standard_first),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides, transfer),
     "docs/calibration.md": (refit,),
-    "docs/applications.md": (geometry, servo, objects),
-    "docs/codes.md": (parted, parted_pins, parted_slide, joint),
+    "docs/applications.md": (geometry, servo, servo_pins, objects),
+    "docs/codes.md": (parted, parted_pins, found_pins, parted_slide, joint),
     "docs/experiments.md": (standard, recoveries, other_readers, readings, tenth),
 }
 

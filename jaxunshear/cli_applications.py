@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import over_pins, simulated_of
+from jaxunshear.experiment import simulated_of
 from jaxunshear.owners import check_apart
 from jaxunshear.storage import check_beside, check_new_file, check_new_folder
 
 if TYPE_CHECKING:
     from jaxunshear.applications.servo import Walks
-    from jaxunshear.dataset.settings import PairedData
     from jaxunshear.experiment import Experiment
 
     Model = tuple[Path, Experiment]
@@ -218,8 +217,8 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
         read_recordings(arguments.path, Preprocess())  # refuses a place without images before there is work to lose
         check_beside(arguments.path, out, "--out")
     folder, experiment = model
-    paired = _of_images(experiment, "geometry")
-    networks = unshearers(folder, unshearing_of(folder))
+    paired, _ = simulated_of(experiment, "geometry")
+    networks = unshearers(folder, experiment, unshearing_of(folder))
     if not networks:
         raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
@@ -239,14 +238,6 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
         write_bytes(out / "recordings.png", geometry_figure.of_recordings(lattice, shown))
         print(out / "recordings.png")
     return {"rows": rows, "mm_per_height": {name: way.mm for name, way in ways.items()}, "dropped": contacts.dropped}
-
-
-def _of_images(experiment: "Experiment", what: str) -> "PairedData":
-    """The simulated pairs of a model that reads images. Raises UserError for others."""
-    paired, _ = simulated_of(experiment, what)
-    if over_pins(experiment):
-        raise UserError(f"{what} reads images, and '{experiment.name}' reads pins: name another --model")
-    return paired
 
 
 def _stimuli(text: str) -> tuple[str, ...]:
@@ -274,7 +265,7 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
     if arguments.seed < 0:
         raise UserError(f"--seed {arguments.seed}: use 0 or more")
     folder, experiment = model
-    paired = _of_images(experiment, "servo")
+    paired, _ = simulated_of(experiment, "servo")
     deepest = deepest_mm(experiment.sensor)
     if not 0 < arguments.depth <= deepest:
         raise UserError(f"--depth {arguments.depth:g}: use more than 0, up to {deepest:.1f} mm")
@@ -283,7 +274,7 @@ def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str
             f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE}"
         )
     chosen = arguments.ways.split(",") if arguments.ways else (perception.TRUE, *perception.ways_of(folder))
-    known = perception.perceptions(folder, tuple(way for way in chosen if way != perception.TRUE))
+    known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
     ways, digests = {way: known.get(way) for way in chosen}, perception.digests(folder, chosen)
     rows: list[dict[str, Any]] = []
     for name in names:
@@ -306,7 +297,7 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     from jaxunshear.storage import write_bytes
 
     folder, experiment = model
-    paired = _of_images(experiment, "reconstruct")
+    paired, _ = simulated_of(experiment, "reconstruct")
     asked = _stimuli(arguments.stimulus)
     names = [name for name in asked if (out / f"{name}.npz").is_file()]
     if not names:
@@ -316,7 +307,7 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     if arguments.stimulus != "all" and len(names) < len(asked):
         lacking = ", ".join(name for name in asked if name not in names)
         raise UserError(f"--stimulus {lacking}: {out} holds no walk of it; run `jaxunshear servo` for it first")
-    networks = perception.unshearers(folder, perception.unshearing_of(folder))
+    networks = perception.unshearers(folder, experiment, perception.unshearing_of(folder))
     rows: list[dict[str, Any]] = []
     makers: dict[float, Any] = {}  # by depth
     made: dict[tuple[str, ...], str] = {}  # by ways

@@ -12,10 +12,11 @@ import numpy as np
 
 from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry import read_at
-from jaxunshear.applications.geometry_ways import GROWTH, Way, motions_of
-from jaxunshear.applications.perception import Unshear, in_batches
+from jaxunshear.applications.geometry_ways import GROWTH, Way
+from jaxunshear.applications.perception import Unshear
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.tracking import motions_of
 
 SEED = 0
 UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact
@@ -41,9 +42,9 @@ def geometry_of(
     images = {"tap": contacts.tap, "sheared": contacts.sheared, **dict.fromkeys(networks, contacts.sheared)}
     for kind, given in (images | {UNTOUCHED: untouched}).items():
         if kind in networks:
-            in_batches(networks[kind], given[:1])  # compiles
+            networks[kind](given[:1])  # compiles
         began = time.perf_counter()
-        motion = motions_of(lattice, in_batches(networks[kind], given) if kind in networks else given)
+        motion = networks[kind](given) if kind in networks else motions_of(lattice, given)
         spent = time.perf_counter() - began
         sure = np.flatnonzero(~np.isnan(motion[:, 0, 0]))
         felt = np.full((len(ways), *motion.shape[:2]), np.nan)

@@ -17,9 +17,8 @@ from jaxunshear.applications.geometry import cell_areas, relative_growth, smooth
 from jaxunshear.applications.inverse import indentation_of, learnt, of_compliance
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment, simulated_of
-from jaxunshear.image.growing import filled
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import tracks_of
+from jaxunshear.image.tracking import motions_of
 
 AREAS, CHANGE, GROWTH, COMPLIANCE, INVERSE = WAYS = ("areas", "change", "growth", "compliance", "inverse")
 
@@ -30,13 +29,6 @@ class Way(NamedTuple):
 
     def __call__(self, motion: np.ndarray) -> np.ndarray:
         return self.mm * self.heights(motion)
-
-
-def motions_of(lattice: Lattice, images: np.ndarray) -> np.ndarray:
-    """(N, P, 2) px: motions of the pins in images (N, S, S), missing ones filled in; NaN rows where pins were not identified for sure."""
-    tracks = tracks_of(lattice, images)
-    nowhere = np.full(lattice.place.shape, np.nan)
-    return np.stack([filled(lattice, track.motion) if track.sure else nowhere for track in tracks])
 
 
 def known_motions(lattice: Lattice, known: FreshContacts) -> np.ndarray:

@@ -9,15 +9,15 @@ import numpy as np
 
 from jaxunshear.applications.contour import Outline, outline
 from jaxunshear.applications.fresh import FreshContacts
-from jaxunshear.applications.geometry_ways import motions_of
 from jaxunshear.applications.makers import Maker, makers_of
-from jaxunshear.applications.perception import Unshear, in_batches, unsheared_by
+from jaxunshear.applications.perception import Unshear, unsheared_by
 from jaxunshear.applications.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target
 from jaxunshear.applications.servo import CLOSED, Course, Walks
 from jaxunshear.dataset.chunks import unpack
 from jaxunshear.experiment import Experiment, simulated_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.tracking import motions_of
 from jaxunshear.progress import Progress
 from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_named
 
@@ -61,9 +61,7 @@ def solids(
     course, walks = walked
     there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::EVERY]
     images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
-    if unshear is not None:
-        images = in_batches(unshear, images)
-    motion = motions_of(lattice, images)
+    motion = motions_of(lattice, images) if unshear is None else unshear(images)
     whole = float(np.abs(line.points).max()) + CELL_MM  # also what a walk that ended early has not felt
     found = {}
     for name, maker in makers.items():

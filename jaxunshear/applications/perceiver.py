@@ -25,14 +25,14 @@ from jaxunshear.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import make_lattice
-from jaxunshear.image.pins import look
 from jaxunshear.image.preprocess import View
 from jaxunshear.image.settings import Preprocess
-from jaxunshear.image.tracking import follow_pins
+from jaxunshear.image.tracking import followed
 from jaxunshear.image.understood import Expected, expected_of
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import pinnets, posenet, unshearnet
+from jaxunshear.model import posenet
 from jaxunshear.model.ready import ready
+from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.storage import read_json
 from jaxunshear.targets import names_of
 from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
@@ -124,9 +124,6 @@ def expected_by(model: Path, experiment: Experiment) -> Expected:
 
 def _look(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, variables: Any, seen: Any) -> Any:
     """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
-    pins = seen.ndim == 3
-    unshear: Any = pinnets.unshear if pins else unshearnet.unshear
-    predict: Any = pinnets.predict if pins else posenet.predict
 
     def pose(name: str, given: Any) -> Any:
         return posenet.pose_from_outputs(predict(nets[name], variables[name], given), targets[name])
@@ -161,10 +158,8 @@ def _of_pins(
     there, back, degrees = _between(frame.place, frame.place if rest is None else rest)
 
     def answer(images: np.ndarray) -> Answers:
-        tracks = [follow_pins(lattice, look(image)) for image in images]
-        sure = np.array([track.sure for track in tracks])
-        motion = np.array([track.motion for track in tracks])
-        pins = to_image(frame, lattice.place + np.where(sure[:, None, None], motion, np.nan))
+        motion, sure = followed(lattice, images, alone=True)
+        pins = to_image(frame, lattice.place + motion)
         after, poses = jax.device_get(run(there(pins).astype(np.float32)))
         places, drawn = {AS_RECORDED: pins}, None
         if after is not None:

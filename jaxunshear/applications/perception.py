@@ -1,7 +1,9 @@
 """What a robot takes an image for: ways from a binary image to the edge's distance and direction, each with its own networks only.
 
->>> perceive = perceptions(Path("runs/standard"), ("sheared", "disentangled"))["disentangled"]
+>>> perceive = perceptions(Path("runs/standard"), experiment, ("sheared", "disentangled"))["disentangled"]
 >>> edge_mm, edge_deg = perceive(images)                       # (B, S, S) uint8 of {0, 255} -> (B,) each
+
+Ways have the same names whether a run's networks read images or pins, which are then found and followed in the image first.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -14,12 +16,15 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import UNSHEARING
+from jaxunshear.experiment import UNSHEARING, Experiment, over_pins, simulated_of
+from jaxunshear.image.framing import undeformed
+from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.tracking import followed, motions_of
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
-from jaxunshear.model.settings import PoseNet
-from jaxunshear.model.unshearing import unshear
+from jaxunshear.model.settings import PinPoseNet, PoseNet
+from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.targets import Targets, names_of
 from jaxunshear.training.checkpoint import check_finished, digest_of, holds_model, load_best, read_net, read_targets
 
@@ -35,11 +40,18 @@ WAYS = {  # name: the networks it runs, in this order
     "both": ("disentangled", "posenet"),  # the mean of what that head reads and what PoseNet reads off the image
 }
 OF_CODE = ("code", "both")  # ask for a head
-Perceive = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-# (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each (B,)
+Perceive = Callable[
+    [np.ndarray], tuple[np.ndarray, np.ndarray]
+]  # NaN where pins are needed and not identified for sure
+# (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each
+# (B,); of networks over pins both are pins (B, P, 2) px
 Look = Callable[[Mapping[str, Any], Array], tuple[Array, dict[str, Array]]]
 BATCH = 32
+# images (N, S, S) uint8 of {0, 255} -> (N, P, 2) px, motions of the unsheared pins; NaN rows where pins are not identified for sure
 Unshear = Callable[[np.ndarray], np.ndarray]
+See = Callable[
+    [np.ndarray], tuple[np.ndarray, np.ndarray]
+]  # images (B, S, S) -> what networks read, whether that is known (B,)
 
 
 def ways_of(model: Path) -> tuple[str, ...]:
@@ -54,12 +66,13 @@ def unshearing_of(model: Path) -> tuple[str, ...]:
     return tuple(name for name in UNSHEARING if holds_model(model / name))
 
 
-def perceptions(model: Path, ways: tuple[str, ...]) -> dict[str, Perceive]:
+def perceptions(model: Path, experiment: Experiment, ways: tuple[str, ...]) -> dict[str, Perceive]:
     """A function for each of `ways`. Raises `UserError` for an unknown way, or where a network is missing."""
     unknown = [way for way in ways if way not in WAYS]
     if unknown:
         raise UserError(f"perception '{unknown[0]}' is unknown: use {TRUE}, {', '.join(WAYS)}")
-    return {way: _perception(model, way) for way in ways}
+    see = _see_of(experiment)
+    return {way: _perception(model, see, way) for way in ways}
 
 
 def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
@@ -74,17 +87,20 @@ def unsheared_by(way: str) -> str:
     return "disentangled" if way in (TRUE, *OF_CODE) else way
 
 
-def unshearers(model: Path, names: tuple[str, ...]) -> dict[str, Unshear]:
-    """Functions of images (B, S, S) uint8 of {0, 255} -> unsheared (B, S, S) in [0, 1], by network. Raises `UserError`."""
-    return {name: _unshearer(model, name) for name in names}
+def unshearers(model: Path, experiment: Experiment, names: tuple[str, ...]) -> dict[str, Unshear]:
+    """By network: images in, motions of the unsheared pins out. They are found in the unsheared images, or networks over pins give
+    them. Raises `UserError`."""
+    lattice = _lattice_of(experiment)
+    unshearer = _of_pins if over_pins(experiment) else _of_images
+    return {name: unshearer(model / name, lattice) for name in names}
 
 
-def in_batches(unshear: Unshear, images: np.ndarray) -> np.ndarray:
-    """`unshear` of any number of images, (N, S, S), in batches of one shape to compile."""
+def in_batches(run: Callable[[np.ndarray], Array], given: np.ndarray) -> np.ndarray:
+    """`run` of any number of images or pins, (N, ...), in batches of one shape to compile."""
     parts = []
-    for start in range(0, len(images), BATCH):
-        part = images[start : start + BATCH]
-        parts.append(unshear(np.resize(part, (BATCH, *part.shape[1:])))[: len(part)])
+    for start in range(0, len(given), BATCH):
+        part = given[start : start + BATCH]
+        parts.append(jax.device_get(run(np.resize(part, (BATCH, *part.shape[1:]))))[: len(part)])
     return np.concatenate(parts)
 
 
@@ -94,13 +110,13 @@ def look_of(
     """Of networks by name, in the order in which they look; `targets` by network. With `by_head` the answer of the head of a network
     that unshears counts, too: alone, or in a mean with PoseNet's."""
 
-    def look(variables, images):
-        seen, answers = _unit(images), []
+    def look(variables, given):
+        seen, answers = _unit(given) if given.dtype == np.uint8 else given, []
         known: Targets = ()
         for name, net in nets.items():
-            if isinstance(net, PoseNet):
+            if isinstance(net, PoseNet | PinPoseNet):
                 known = targets[name]
-                answers.append(posenet.pose_from_outputs(posenet.predict(net, variables[name], seen), known))
+                answers.append(posenet.pose_from_outputs(predict(net, variables[name], seen), known))
                 continue
             given = in_precision(seen, precision)
             if by_head:
@@ -126,8 +142,8 @@ def read_look(model: Path, way: str, precision: str = "float32") -> tuple[Look, 
         return look_of(nets, targets, precision), variables, targets[names[-1]]
     if pose_head.of(variables["disentangled"]) is None:
         raise UserError(
-            f"{model / 'disentangled'} has no head that reads the pose code: train with --train.label_weight above zero, "
-            "or perceive another way"
+            f"{model / 'disentangled'} has no head that reads the pose code, which networks over images get by "
+            "--train.label_weight above zero: train one, or perceive another way"
         )
     if not targets["disentangled"]:
         raise UserError(
@@ -136,24 +152,61 @@ def read_look(model: Path, way: str, precision: str = "float32") -> tuple[Look, 
     return look_of(nets, targets, precision, by_head=True), variables, targets["disentangled"]
 
 
-def _unshearer(model: Path, name: str) -> Unshear:
-    check_finished(model / name)
-    net: Any = read_net(model / name)
-    run = ready(lambda known, images: unshear(net, known, _unit(images))[..., 0], load_best(model / name))
-    return lambda images: jax.device_get(run(images))
+def _lattice_of(experiment: Experiment) -> Lattice:
+    paired, _ = simulated_of(experiment, "this")
+    return undeformed(experiment.sensor, paired.camera, paired.preprocess)
 
 
-def _perception(model: Path, way: str) -> Perceive:
+def _see_of(experiment: Experiment) -> See:
+    """How the networks of a run are given images: as they are, or as the pins that are followed in each."""
+    if not over_pins(experiment):
+        return lambda images: (images, np.ones(len(images), bool))
+    lattice = _lattice_of(experiment)
+
+    def see(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        motion, sure = followed(lattice, images, alone=True)
+        return (lattice.place + motion).astype(np.float32), sure
+
+    return see
+
+
+def _of_images(folder: Path, lattice: Lattice) -> Unshear:
+    check_finished(folder)
+    net: Any = read_net(folder)
+    run = ready(lambda known, images: unshear(net, known, _unit(images))[..., 0], load_best(folder))
+    return lambda images: motions_of(lattice, in_batches(run, images))
+
+
+def _of_pins(folder: Path, lattice: Lattice) -> Unshear:
+    check_finished(folder)
+    net: Any = read_net(folder)
+    run = ready(lambda known, pins: unshear(net, known, pins), load_best(folder))
+
+    def motions(images: np.ndarray) -> np.ndarray:
+        motion, sure = followed(lattice, images)
+        after = in_batches(run, (lattice.place + motion).astype(np.float32)) - lattice.place
+        return np.where(sure[:, None, None], after, np.nan)
+
+    return motions
+
+
+def _perception(model: Path, see: See, way: str) -> Perceive:
     look, variables, targets = read_look(model, way)
     if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
         raise UserError(f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg")
 
-    def edge(variables, images):
-        _, pose = look(variables, images)
+    def edge(variables, given):
+        _, pose = look(variables, given)
         return pose["edge_mm"], pose["edge_deg"]
 
     run = ready(edge, variables)
-    return lambda images: jax.device_get(run(images))
+
+    def perceive(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        given, known = see(images)
+        edge_mm, edge_deg = (np.where(known, each, np.nan) for each in jax.device_get(run(given)))
+        return edge_mm, edge_deg
+
+    return perceive
 
 
 def _unit(images: Array) -> Array:

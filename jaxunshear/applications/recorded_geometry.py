@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.applications.geometry_ways import Way, motions_of
-from jaxunshear.applications.perception import Unshear, in_batches
+from jaxunshear.applications.geometry_ways import Way
+from jaxunshear.applications.perception import Unshear
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.tracking import motions_of
 
 SHOWN = 8
 
@@ -25,5 +26,5 @@ def heights_of_recordings(
             break
     names, images = zip(*frames, strict=True)
     stack = np.stack(images)
-    seen = {"as recorded": stack} | {name: in_batches(unshear, stack) for name, unshear in networks.items()}
-    return list(names), {kind: way(motions_of(lattice, each)) for kind, each in seen.items()}
+    motions = {"as recorded": motions_of(lattice, stack)} | {name: unshear(stack) for name, unshear in networks.items()}
+    return list(names), {kind: way(motion) for kind, motion in motions.items()}

@@ -59,6 +59,10 @@ def robot_of(
     if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
         step = step_of(model, experiment, precision, way)
         return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment))
+    if way != "disentangled":
+        raise UserError(
+            f"--way {way}: only networks over simulated images have a head that reads the pose code: leave it out"
+        )
     perceive = perceiver(model, experiment, recorded_too=False, frame=frame)
     size = perceive.preprocess.size
 

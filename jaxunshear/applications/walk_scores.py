@@ -13,6 +13,7 @@ def walk_rows(walks: Walks, line: Outline, stimulus: str) -> list[dict[str, Any]
 
     `mean_mm`, `p95_mm` and `largest_mm`: of the trajectory, which the controller holds to the edge, from the outline; `walk_mm` its
     mean walk by walk; `seen_*`: of where the edge was perceived to be, from the outline. A walk that was lost counts until there.
+    `unfollowed`: steps whose pins were not identified for sure, where networks over pins perceive; the sensor then goes straight on.
     """
     rows = []
     for way in dict.fromkeys(walks.way.tolist()):
@@ -21,7 +22,7 @@ def walk_rows(walks: Walks, line: Outline, stimulus: str) -> list[dict[str, Any]
         edge = np.concatenate([seen_edge(walks, int(w)) for w in mine])
         apart, seen = np.concatenate(tracks), off(line, edge)
         ends = {ENDS[end]: int(np.sum(walks.end[mine] == end)) for end in range(CLOSED, LATE + 1)}
-        taken = np.sum(~np.isnan(walks.seen[mine, :, 0]))
+        taken = np.sum(~np.isnan(walks.point[mine, :, 0]))
         rows.append(
             {
                 "name": f"{stimulus}/{way}",
@@ -34,10 +35,11 @@ def walk_rows(walks: Walks, line: Outline, stimulus: str) -> list[dict[str, Any]
                 "walk_mm": [float(track.mean()) for track in tracks],
                 "p95_mm": float(np.percentile(apart, 95)),
                 "largest_mm": float(apart.max()),
-                "seen_mean_mm": float(seen.mean()),
+                "seen_mean_mm": float(seen.mean()) if len(seen) else None,
                 "ends": {name: count for name, count in ends.items() if count},
                 "unsolved": int(walks.unsolved[mine].sum()),
                 "steps": int(taken),
+                "unfollowed": int(taken - np.sum(~np.isnan(walks.seen[mine, :, 0]))),
                 "perceive_ms": float(1e3 * walks.perceive_s[mine].sum() / max(taken, 1)),
             }
         )

@@ -108,12 +108,20 @@ def usable_rows(paths: Iterable[Path], wanted: np.ndarray) -> Iterator[tuple[dic
             yield chunk, int(place), int(chunk["number"][place])
 
 
-def look(settings: PairedData | PoseData, sensor: Sensor, tips: np.ndarray, number: np.ndarray, age: np.ndarray):
-    """Images (B, S, S) uint8 in {0, 255} of pin tips (B, P, 3) in mm, and the pins' places (B, P, 2) in them, px."""
+def look(
+    settings: PairedData | PoseData,
+    sensor: Sensor,
+    tips: np.ndarray,
+    number: np.ndarray,
+    age: np.ndarray,
+    at_once: int = RENDER,
+):
+    """Images (B, S, S) uint8 in {0, 255} of pin tips (B, P, 3) in mm, and the pins' places (B, P, 2) in them, px. Fewer `at_once`, to
+    which batches are filled up, take less time where there are never more."""
     images, pins = [], []
-    for start in range(0, len(tips), RENDER):
-        rows = np.arange(start, min(start + RENDER, len(tips)))
-        padded = np.resize(rows, RENDER)
+    for start in range(0, len(tips), at_once):
+        rows = np.arange(start, min(start + at_once, len(tips)))
+        padded = np.resize(rows, at_once)
         image, place = _look()(
             settings.camera,
             settings.nuisance,

@@ -21,6 +21,7 @@ from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.baselines import training_taps
+from jaxunshear.evaluation.found import FOUND, INPUTS, batches_of, found_pairs
 from jaxunshear.evaluation.gather import FIELDS, IMAGES, PINS, Gathered, gather
 from jaxunshear.evaluation.measurements import BARS, rounded
 from jaxunshear.evaluation.networks import load
@@ -106,12 +107,12 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     taps = None if over else training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
     run = load(run_dir, experiment.networks, taps, experiment.train.precision, examples.pins if over else None)
     inputs = PINS if over else IMAGES
+    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     readers = readers_of(experiment, data_dir, run_dir)
     reads = of_batches({name: reader for name, reader in readers.items() if over or name == PIXELS})
     gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets, inputs=inputs, readers=reads)
     if PIN_PLACES in readers and not over:
         true = {name: value[gathered.kept] for name, value in true_values(targets, gathered.labels).items()}
-        lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
         gathered = gathered._replace(read=read_pins(readers[PIN_PLACES], lattice, gathered.images, true))
     further = {}
     for name, settings in further_tests(experiment).items():
@@ -119,7 +120,13 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
         count = sum(reader.length(split) for split in SPLITS)
         batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
         further[name] = gather(run, batches, count, 0, targets, f"evaluate {name}", inputs, readers=reads)
+    found = found_pairs(pairs, lattice, FIELDS) if over else None
+    if found:
+        count, title = len(found.pairs["pose"]), "evaluate found pins"
+        further[FOUND] = gather(run, batches_of(found, BATCH), count, 0, targets, title, INPUTS, readers=reads)
     results = results_of(experiment, gathered, further)
+    if found:
+        results["tests"][FOUND]["followed"] = found.told
     results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
     stored = read_metadata(paired, experiment.sensor, data_dir)["counts"]
     results["counts"] |= {name: stored[name] for name in ("contacts", "retried", "dropped")}
@@ -162,7 +169,7 @@ def results_of(
     scales = scales_that_fit(size)
     targets = of_ranges(experiment.targets, paired.ranges)
     true = true_values(targets, labels)
-    tested = further_tests(experiment)
+    tested = further_tests(experiment) | {FOUND: paired}
     return {
         "experiment": experiment.name,
         "claim": experiment.claim,
@@ -177,6 +184,8 @@ def results_of(
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
             "difference": "disentangled less this network, contact by contact",
             "swap": f"mean squared error, SSIM and {ms_ssim_name(scales)} of a decoder's image with its target",
+            "pins": "root mean square distance of pins, by identity, from the tap's; mean over slides",
+            "followed": "of test images: share whose pins were identified for sure, and how far these were from the true ones",
             "pin_error": f"matched centroids of {len(gathered.kept)} images against the tap's true pins",
             "readers": "mean absolute error of kernel ridges that learnt from PoseNet's training taps: pixels: their images; pins: "
             "their true pins, to read those found, and known by name, in the images that pin_error is of",
@@ -224,8 +233,10 @@ def _tables(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
     drawn = (labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED)
     poses = numbered_poses(labels["stimulus"], labels["pose_id"])
     read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
+    of_pins = {name.removeprefix("pins/"): s for name, s in gathered.scores.items() if name.startswith("pins/")}
     return {
         **with_readers(tables(gathered.scores, settings.stimuli, *drawn), read, BOOTSTRAP_SEED),
+        "pins": {kind: {"rms_px": float(np.mean(score, dtype=np.float64))} for kind, score in of_pins.items()},
         "pose_by_depth": pose_by_size(
             gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, *drawn
         ),

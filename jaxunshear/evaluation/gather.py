@@ -37,12 +37,12 @@ def gather(
     keep: int,
     targets: Targets,
     title: str = "evaluate",
-    inputs: tuple[str, str] = IMAGES,
+    inputs: Sequence[str] = IMAGES,
     named: Sequence[str] = LABELS,
     readers: Mapping[str, Callable[[Outputs], Mapping]] = MappingProxyType({}),
 ) -> Gathered:
     """Feeds (tap, sheared) of every batch to `run` and collects what it scores, poses by `targets`; keeps `keep` contacts, evenly spaced.
-    `inputs`: the fields that are tap and sheared; `named`: those that are kept as labels;
+    `inputs`: the fields that are tap and sheared, and what else `run` takes; `named`: those that are kept as labels;
     `readers`: by name, poses by kind of what `run` puts out, scored beside its own.
 
     A last, shorter batch is filled up by repeating its first contact, so `run` compiles once; the surplus is dropped.

@@ -9,7 +9,7 @@ BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
     "pose_ratio.disentangled.edge_mm": ("<=", 0.6),
     "pose_ratio.disentangled.edge_deg": ("<=", 0.6),
 }
-TABLES = ("ms_ssim", "pose_mae", "pose_ratio", "pose_recovery", "difference", "swap")
+TABLES = ("ms_ssim", "pose_mae", "pose_ratio", "pose_recovery", "difference", "swap", "pins", "followed")
 UNITS = {"_mm": "mm", "_deg": "deg", "_px": "px", "_per_image": "pins/image"}
 
 

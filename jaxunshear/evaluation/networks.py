@@ -90,13 +90,14 @@ def run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: s
 
 
 def pin_run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pins):
-    """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted.
+    """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted. `seen_tap`: the tap's
+    pins as PoseNet is to read them, where all is compared with others.
 
     Images are the pins drawn as dots, whatever the frames showed beside them, so that likenesses stand in the same tables.
     """
 
-    def run(variables: dict[str, Any], tap: Array, sheared: Array):
-        places, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
+    def run(variables: dict[str, Any], tap: Array, sheared: Array, seen_tap: Array | None = None):
+        places, cells, poses = {"tap": tap if seen_tap is None else seen_tap, "sheared": sheared}, {}, {}
         for kind in (name for name in UNSHEARING if name in nets):
             z_p, z_s = pinnets.encode(nets[kind], variables[kind], sheared)
             places[kind] = pinnets.decode_canonical(nets[kind], variables[kind], z_p)
@@ -110,7 +111,8 @@ def pin_run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pi
         if "posenet_sheared" in nets:
             outputs = pinnets.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(outputs, targets["posenet_sheared"])
-        images, drawn = ({k: dots(p, pins.radius_px, pins.size) for k, p in each.items()} for each in (places, cells))
+        shown = places | {"tap": tap}
+        images, drawn = ({k: dots(p, pins.radius_px, pins.size) for k, p in each.items()} for each in (shown, cells))
         apart = {f"pins/{kind}": _rms(place, tap) for kind, place in places.items() if kind != "tap"}
         return Outputs(images, drawn, poses, places), image_scores(images, drawn) | apart
 

@@ -21,9 +21,8 @@ from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.ridge import FEWEST, Ridge, answers, fitted
 from jaxunshear.evaluation.score import Outputs, pose_scores
 from jaxunshear.experiment import UNSHEARING, Experiment, over_pins, recorded_of
-from jaxunshear.image.growing import filled
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.tracking import tracks_of
+from jaxunshear.image.tracking import motions_of
 from jaxunshear.model.posenet import pose_from_outputs, pose_targets
 from jaxunshear.targets import Targets, fields_of
 from jaxunshear.training.examples import open_examples
@@ -116,11 +115,7 @@ def read_pins(
     are not identified for sure."""
     errors: dict[str, np.ndarray] = {}
     for kind in (kind for kind in READ if kind in images):
-        tracks = tracks_of(lattice, [np.where(image >= 128, 255, 0).astype(np.uint8) for image in images[kind]])
-        sure = np.array([track.sure for track in tracks])
-        found = np.full((len(tracks), lattice.place.size), np.nan)
-        if sure.any():
-            found[sure] = places(np.stack([lattice.place + filled(lattice, t.motion) for t in tracks if t.sure]))
+        found = places(lattice.place + motions_of(lattice, np.where(images[kind] >= 128, 255, 0).astype(np.uint8)))
         scores = pose_scores({kind: read(reader, found)}, true, f"read/{PIN_PLACES}")
-        errors |= {name: np.where(sure, score, np.nan) for name, score in scores.items()}
+        errors |= {name: np.where(np.isfinite(found[:, 0]), score, np.nan) for name, score in scores.items()}
     return errors

@@ -11,9 +11,11 @@ three ways (slides along x and y, and the depth), so a grid over these is laid o
     lattice = fit_lattice([find_pins(image) for image in images], layout_of(TACTIP_331))
     tracks = tracks_of(lattice, images)
     motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is not seen
+
+What reads pins takes `followed` images, or their `motions_of`.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -43,6 +45,33 @@ class Usual(NamedTuple):
 
     motion: np.ndarray  # (M, P, 2) px, a grid over the ways in which motions differ
     view: float  # px from the lattice's centre within which pins are seen
+
+
+class Followed(NamedTuple):
+    """The pins of N images by identity."""
+
+    motion: (
+        np.ndarray
+    )  # (N, P, 2) px from the lattice; NaN where a pin is not seen, and all of an image that is not sure
+    sure: np.ndarray  # (N,) whether the pins were identified for sure
+
+
+def followed(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, alone: bool = False) -> Followed:
+    """The pins of binary images (S, S) of one camera. `alone`: each image by itself, as a robot sees it; else the sure ones help with
+    the others."""
+    found = [look(image) for image in images]
+    tracks = [follow_pins(lattice, each) for each in found] if alone else follow_all(lattice, found)
+    sure = np.array([track.sure for track in tracks], bool)
+    motion = np.array([track.motion for track in tracks]).reshape(-1, *lattice.place.shape)
+    return Followed(np.where(sure[:, None, None], motion, np.nan), sure)
+
+
+def motions_of(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
+    """(N, P, 2) px: motions of the pins in images (N, S, S), missing ones filled in; NaN rows where pins were not identified for sure."""
+    motion, sure = followed(lattice, images)
+    for row in np.flatnonzero(sure):
+        motion[row] = filled(lattice, motion[row])
+    return motion
 
 
 def tracks_of(lattice: Lattice, images: Iterable[np.ndarray]) -> list[Track]:

@@ -1,13 +1,20 @@
-"""One function for all networks that unshear, told apart by their settings."""
+"""One function for all networks that unshear, and one for all that read poses, told apart by their settings."""
 
 from typing import Any
 
 from jax import Array
 
-from jaxunshear.model import unet, unshearnet
-from jaxunshear.model.settings import UNet, UnshearNet
+from jaxunshear.model import pinnets, posenet, unet, unshearnet
+from jaxunshear.model.settings import PinPoseNet, PinUnshear, PoseNet, UNet, UnshearNet
 
 
-def unshear(net: UnshearNet | UNet, variables: Any, images: Array) -> Array:
-    """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones."""
-    return unet.unshear(net, variables, images) if isinstance(net, UNet) else unshearnet.unshear(net, variables, images)
+def unshear(net: UnshearNet | UNet | PinUnshear, variables: Any, seen: Array) -> Array:
+    """Sheared images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px -> canonical ones."""
+    if isinstance(net, PinUnshear):
+        return pinnets.unshear(net, variables, seen)
+    return unet.unshear(net, variables, seen) if isinstance(net, UNet) else unshearnet.unshear(net, variables, seen)
+
+
+def predict(net: PoseNet | PinPoseNet, variables: Any, seen: Array) -> Array:
+    """Images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px -> outputs (B, K), see `posenet`."""
+    return (pinnets if isinstance(net, PinPoseNet) else posenet).predict(net, variables, seen)

@@ -84,11 +84,21 @@ def further(results: dict[str, Any]) -> str:
             if jitter
             else "taps as deep as the slide"
         )
+        if "followed" in test:
+            depth = f"{depth}, their pins found in the images ({_followed(test['followed'])})"
         lead = f"{test['contacts']} slides over {what}, {depth}: likeness of the images, then errors of pose; {words.spread(test)}"
         parts.append(
             page.section(f"Test of its own: {escape(name)}", lead, page.table(head, rows, (), [len(rows) - 1]))
         )
     return "".join(parts)
+
+
+def _followed(pins: dict[str, Any]) -> str:
+    kinds = {"tap": "taps", "sheared": "slides"}
+    said = [
+        f"{pins[k]['followed']:.1%} of {name} followed, {pins[k]['rms_px']:.2f} px off" for k, name in kinds.items()
+    ]
+    return "; ".join(said)
 
 
 def pins(results: dict[str, Any]) -> str:

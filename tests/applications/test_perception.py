@@ -11,7 +11,7 @@ import pytest
 from jaxunshear.applications.perception import TRUE, perceptions, read_look, unsheared_by, ways_of
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import UNSHEARING
+from jaxunshear.experiment import UNSHEARING, Experiment
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.release import PARTS
@@ -80,7 +80,7 @@ def test_released_weights_perceive_by_their_head(model, images, tmp_path):
 
 
 def test_a_robot_gets_the_heads_edge(model, images):
-    edge_mm, edge_deg = perceptions(model, ("code",))["code"](images)
+    edge_mm, edge_deg = perceptions(model, Experiment("small", "none"), ("code",))["code"](images)
     _, pose = looked(model, "code", images)
     np.testing.assert_allclose(edge_mm, pose["edge_mm"], atol=1e-4)
     np.testing.assert_allclose(edge_deg, pose["edge_deg"], atol=1e-3)
@@ -115,7 +115,9 @@ def test_ways_that_ask_for_a_head_are_there_where_one_is(model, tmp_path):
     kept(tmp_path / "disentangled", "unshear", NET, variables, OF_PAIRS)
     shutil.copytree(model / "posenet", tmp_path / "posenet")
     assert ways_of(tmp_path) == ("sheared", "disentangled")
-    with pytest.raises(UserError, match="disentangled has no head that reads the pose code: train with"):
+    with pytest.raises(
+        UserError, match="disentangled has no head that reads the pose code, which networks over images get by"
+    ):
         read_look(tmp_path, "both")
 
 
@@ -126,4 +128,4 @@ def test_a_head_that_tells_no_targets_and_an_edge_that_is_none_are_refused(model
         read_look(tmp_path / "older", "code")
     kept(tmp_path / "other" / "disentangled", "unshear", NET, variables, of_ranges(("x_mm", "yaw_deg"), Ranges()))
     with pytest.raises(UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"):
-        perceptions(tmp_path / "other", ("code",))
+        perceptions(tmp_path / "other", Experiment("small", "none"), ("code",))

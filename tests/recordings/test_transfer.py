@@ -195,10 +195,3 @@ def test_folders_of_another_sensor_are_refused_by_name(command, weights, tmp_pat
     other = made.write(tmp_path / "other", *made.contacts(24, False, 0), sensor=TACTIP_331, size=128)
     answer = command("pose", other, "--model", weights)
     assert answer.code == 2 and "pins" in answer.err and answer.err.count("\n") == 1
-
-
-@pytest.mark.parametrize("name", ["geometry", "servo", "reconstruct"])
-def test_what_perceives_images_refuses_networks_over_pins(command, weights, tmp_path, name):
-    answer = command(name, "--model", weights, "--out", tmp_path / "out")
-    assert answer.code == 2 and "reads pins: name another --model" in answer.err
-    assert not (tmp_path / "out").exists()

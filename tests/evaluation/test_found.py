@@ -1,0 +1,94 @@
+"""Pins found in simulated images: which pairs are scored, what is told of them, and what is compared with what."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.settings import PairedData
+from jaxunshear.evaluation.evaluate import results_of
+from jaxunshear.evaluation.found import FOUND, SEEN_TAP, batches_of, found_pairs
+from jaxunshear.evaluation.networks import pin_run_of
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.dots import dots
+from jaxunshear.image.framing import undeformed
+from jaxunshear.model import pinnets, posenet
+from jaxunshear.model.settings import PinPoseNet, PinUnshear
+from jaxunshear.report import scores
+from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.targets import of_ranges
+from jaxunshear.training.examples import Pins
+from tests.report.conftest import made_up_gathered
+
+SETTINGS = PairedData()
+SIZE = SETTINGS.preprocess.size
+LATTICE = undeformed(TACTIP_331, SETTINGS.camera, SETTINGS.preprocess)
+MOVES = np.array([[0.0, 0.0], [2.0, -1.0], [0.5, 3.0]])  # px, of the pins of a slide
+TARGETS = of_ranges((), SETTINGS.ranges)
+
+
+def drawn(pins):
+    return np.asarray(dots(jnp.asarray(pins, jnp.float32), 1.6, SIZE)).astype(np.uint8) * 255
+
+
+class Reader:
+    """Three taps at rest, and slides that move all pins alike; the images of `black` slides show nothing."""
+
+    def __init__(self, black=()):
+        self.black = list(black)
+
+    def length(self, split):
+        return len(MOVES)
+
+    def take(self, split, rows, fields):
+        tap = np.repeat(LATTICE.place[None], len(MOVES), axis=0).astype(np.float32)
+        slide = tap + MOVES[:, None].astype(np.float32)
+        found = {"canonical_pins": tap, "sheared_pins": slide, "canonical": drawn(tap), "sheared": drawn(slide)}
+        found["sheared"][self.black] = 0
+        return {name: (found | {"pose_id": np.arange(len(MOVES))})[name][rows] for name in fields}
+
+
+FIELDS = ("canonical", "sheared", "canonical_pins", "sheared_pins", "pose_id")
+
+
+def test_pairs_that_are_followed_are_scored_and_the_others_counted():
+    found = found_pairs(Reader(black=[1]), LATTICE, FIELDS)
+    assert found.pairs["pose_id"].tolist() == [0, 2] and not {"canonical", "sheared"} & set(found.pairs)
+    assert found.told["sheared"]["followed"] == pytest.approx(2 / 3) and found.told["tap"]["followed"] == 1
+    assert found.told["tap"]["missing_per_image"] == 0 and 0 < found.told["sheared"]["rms_px"] < 0.4
+    np.testing.assert_array_equal(found.pairs["canonical_pins"][0], LATTICE.place.astype(np.float32))  # as it is
+    np.testing.assert_allclose(found.pairs[SEEN_TAP][0], LATTICE.place, atol=0.7)
+    np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.place, atol=0.7)
+    assert [len(batch["pose_id"]) for batch in batches_of(found, 1)] == [1, 1]
+    assert found_pairs(Reader(black=range(3)), LATTICE, FIELDS) is None
+
+
+def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_one():
+    nets = {"disentangled": PinUnshear(hidden=8, layers=1), "posenet": PinPoseNet(hidden=8, layers=1)}
+    counts = {"disentangled": 0, "posenet": posenet.outputs_of(TARGETS)}
+    variables = {
+        name: pinnets.init(net, LATTICE.place, 2.0, jax.random.key(1), outputs=counts[name])
+        for name, net in nets.items()
+    }
+    run = partial(jax.jit(pin_run_of(nets, dict.fromkeys(nets, TARGETS), Pins(LATTICE.place, 1.6, SIZE))), variables)
+    tap = LATTICE.place[None].astype(np.float32)
+    noisy = tap + np.random.default_rng(0).normal(0, 1, tap.shape).astype(np.float32)
+    (plain, true), (outputs, found) = run(tap, tap + 1), run(tap, tap + 1, noisy)
+    of_noisy, _ = run(noisy, noisy)
+    assert {name: float(value[0]) for name, value in found.items()} == pytest.approx(
+        {name: float(value[0]) for name, value in true.items()}
+    )
+    np.testing.assert_array_equal(outputs.images["tap"], plain.images["tap"])
+    np.testing.assert_allclose(outputs.poses["tap"]["edge_mm"], of_noisy.poses["tap"]["edge_mm"], rtol=1e-5)
+    assert np.abs(outputs.poses["tap"]["edge_mm"] - plain.poses["tap"]["edge_mm"]).max() > 1e-4
+
+
+def test_the_page_tells_how_many_were_followed():
+    gathered = made_up_gathered()
+    results = results_of(Experiment("made up", "none"), gathered, {FOUND: gathered})
+    told = {"images": 480, "followed": 0.975, "rms_px": 0.18, "missing_per_image": 0.0}
+    results["tests"][FOUND]["followed"] = {"tap": told, "sheared": told | {"followed": 0.5}}
+    page = scores.further(results)
+    assert "97.5% of taps followed, 0.18 px off; 50.0% of slides followed" in page
