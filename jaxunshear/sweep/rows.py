@@ -33,7 +33,8 @@ from jaxunshear.model.settings import without_codes, without_pin_codes, without_
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
-TESTS = ("networks", "unseen", "other_jitters_mm")  # what is trained and tested beside a training is not for it
+# what is trained and tested beside a training is not for it
+TESTS = ("networks", "unseen", "other_jitters_mm", "other_twists_deg", "other_tilts_deg")
 UNUSED = {
     "posenet": ("paired", "unshear", "train", "train_teacher"),
     TEACHER: ("paired", "unshear", "train", "train_posenet"),

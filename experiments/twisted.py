@@ -1,0 +1,45 @@
+"""Claim: a network that has seen slides twist takes the twist out, too; one that has not leaves most of it in.
+
+    jaxunshear sweep experiments/twisted.py
+
+The paper's first named limit: its slides shift the sensor and never turn it. Here they turn by up to 5 deg on their way, and by up to 20 as
+an extreme. Three networks over pins learn from slides at the same poses that do not twist, twist by 5 and by 20 deg; each is then tested on
+three sets of slides at other poses, that do not, and that do by 5 and by 20 deg. One PoseNet, of taps, reads all of them.
+
+Expected: docs/results/twisted.json; half an hour on one core.
+"""
+
+from dataclasses import replace
+
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.experiment import PINS, Experiment
+from jaxunshear.model.settings import PinNet, UnshearNet
+from jaxunshear.sweep.settings import Sweep
+
+ROWS = {
+    "slides that do not twist": (("paired.ranges.twist_deg", 0.0),),
+    "slides that twist by 5 deg": (),
+    "slides that twist by 20 deg": (("paired.ranges.twist_deg", 20.0),),
+}
+
+sweep = Sweep(
+    name="twisted",
+    claim="Networks that have seen slides twist take the twist out of pins.",
+    base=Experiment(
+        name="twisted",
+        claim="The twist of a slide is learnt like its shift.",
+        networks=("disentangled", "posenet"),
+        other_twists_deg=(0.0, 5.0, 20.0),
+        targets=("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle"),
+        sensor=sensor_of("twisted"),
+        paired=PAIRED["twisted"],
+        pose=POSE["parted"],
+        unshear=UnshearNet(input="pins"),
+        pins=PinNet(shear_code=3, apart=True, shear_noise=0.1),
+        train_pins=replace(PINS, epochs=50, pose_weight=0.0, swap_weight=1.0, agreement_weight=0.05),
+    ),
+    rows=tuple(ROWS.values()),
+    labels=tuple(ROWS),
+    seeds=(0, 1, 2),
+    reference="slides that do not twist",
+)
