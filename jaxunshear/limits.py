@@ -5,7 +5,7 @@ A rule is (holds, dotted field name, what is wrong and what to do instead). Late
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 
 from jaxunshear.contact.rings import contact_angle, deepest_touch_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
@@ -36,7 +36,11 @@ STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "s
 TURNED = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
 SURFACE = "surface"  # the same wherever and however it is turned
 OF_SURFACE = {"depth_mm", "tilt_x_deg", "tilt_y_deg"}  # targets that it shows
-FURTHER = ("other_jitters_mm", "other_twists_deg", "other_tilts_deg")  # numbers that each make a test
+FURTHER = {
+    "other_jitters_mm": "depth_",
+    "other_twists_deg": "twist_",
+    "other_tilts_deg": "tilt_",
+}  # and how their tests' names begin
 MOST_TWIST_DEG = 90.0
 SCHEDULES = ("cosine", "steps")
 OPTIMISERS = ("adam", "muon")
@@ -218,14 +222,13 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
     for field in FURTHER:
         names = [f"{value:g}" for value in getattr(experiment, field)]  # they name their tests
         yield len(set(names)) == len(names), field, "name each once"
-        alone = replace(experiment, **{other: () for other in ("unseen", *FURTHER) if other != field})
-        for data in further_tests(alone).values():
+        for data in (data for name, data in further_tests(experiment).items() if name.startswith(FURTHER[field])):
             for holds, _, remedy in (*_ranges(data.ranges, "", experiment.sensor), *_jitter(data, experiment.sensor)):
                 yield holds, field, remedy
     most = pose.ranges.tilt_deg
     remedy = f"goes beyond pose.ranges.tilt_deg ({most:g}), where PoseNet knows no pose: widen that one, too"
-    known = not {"posenet", TEACHER} & set(trained(experiment)) or max(experiment.other_tilts_deg, default=0) <= most
-    yield known, "other_tilts_deg", remedy
+    read = bool({"posenet", TEACHER} & set(trained(experiment)))
+    yield not read or max(experiment.other_tilts_deg, default=0) <= most, "other_tilts_deg", remedy
 
 
 def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:

@@ -48,9 +48,9 @@ PAIRED = {
     "skin": PairedData(config="skin", poses=750, **SKIN),
     "parted": PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
     "twisted": PairedData(
-        config="twisted", poses=400, slides=4, poses_a_slide=4, ranges=Ranges(twist_deg=5.0), **FITTED
+        config="twisted", poses=200, slides=4, poses_a_slide=4, ranges=Ranges(twist_deg=5.0), **FITTED
     ),
-    "tilted": PairedData(config="tilted", poses=400, slides=4, poses_a_slide=4, ranges=TILTED, **FITTED),
+    "tilted": PairedData(config="tilted", poses=200, slides=4, poses_a_slide=4, ranges=TILTED, **FITTED),
     "paper_short": PairedData(
         config="paper_short",
         poses=1200,
@@ -81,7 +81,7 @@ POSE = {
     "best": PoseData(config="best", poses=18000, **FITTED),
     "skin": PoseData(config="skin", poses=1000, **SKIN),
     "parted": PoseData(config="parted", poses=1600, **FITTED),
-    "tilted": PoseData(config="tilted", poses=1600, ranges=TILTED, **FITTED),
+    "tilted": PoseData(config="tilted", poses=1200, ranges=TILTED, **FITTED),
     "paper_short": PoseData(
         config="paper_short",
         poses=3000,
