@@ -418,6 +418,8 @@ def _other_slides(name: str, tests: dict[str, str]) -> str:
     looks += [(cell["label"], "disentangled", cell) for cell in cells]
     for test, slides in tests.items():
         for told, kind, cell in looks:
+            if f"{test}: pins/sheared" not in cell["metrics"]:
+                continue
             found = {key: cell["metrics"][f"{test}: pose/{kind}/{key}"] for key, _ in QUANTITIES[2:]}
             pins = "0" if kind == "tap" else _cell(cell["metrics"][f"{test}: pins/{kind}"], 2)
             ratios = [

@@ -20,7 +20,10 @@ EDGE = ("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle")
 ROWS = {
     "an upright sensor": (("paired.ranges.tilt_deg", 0.0),),
     "a sensor that leans": (),
-    "a sensor that leans, and PoseNet reads tilt": (("targets", (*EDGE, "depth_mm", "tilt_x_deg", "tilt_y_deg")),),
+    "a sensor that leans, and PoseNet reads tilt": (
+        ("targets", (*EDGE, "depth_mm", "tilt_x_deg", "tilt_y_deg")),
+        ("other_tilts_deg", (25.0,)),  # an upright one has none to read
+    ),
 }
 
 sweep = Sweep(

@@ -225,6 +225,11 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
         for data in (data for name, data in further_tests(experiment).items() if name.startswith(FURTHER[field])):
             for holds, _, remedy in (*_ranges(data.ranges, "", experiment.sensor), *_jitter(data, experiment.sensor)):
                 yield holds, field, remedy
+            try:
+                wrong = "" if of_ranges(experiment.targets, data.ranges) else "leaves nothing to predict"
+            except UserError as error:
+                wrong = str(error)
+            yield not wrong, field, wrong
     most = pose.ranges.tilt_deg
     remedy = f"goes beyond pose.ranges.tilt_deg ({most:g}), where PoseNet knows no pose: widen that one, too"
     read = bool({"posenet", TEACHER} & set(trained(experiment)))

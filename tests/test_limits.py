@@ -190,6 +190,10 @@ def test_codes_and_slides_within_their_limits(words, line):
         ("--other_twists_deg 100", "--other_twists_deg 100.0: use 0 to 90"),
         ("--other_tilts_deg 5", "goes beyond pose.ranges.tilt_deg (0)"),
         ("--other_tilts_deg 25 --pose.ranges.tilt_deg 10", "cannot be reached"),
+        (
+            "--targets depth_mm,tilt_x_deg --paired.ranges.tilt_deg 9 --pose.ranges.tilt_deg 9 --other_tilts_deg 0",
+            "--other_tilts_deg 0.0: target 'tilt_x_deg' does not vary",
+        ),
     ],
 )
 def test_twists_and_tilts_within_their_limits(words, line):
