@@ -391,21 +391,6 @@ def tilted() -> str:
     return _other_slides("tilted", {"tilt_0deg": "upright", "tilt_25deg": "by up to 25 deg"})
 
 
-def tilted_read() -> str:
-    """Errors of depth and tilt by PoseNet, of taps, slides and unsheared slides, on slides of a leaning sensor."""
-    metrics = _cells("tilted")[-1]["metrics"]
-    quantities = {
-        "depth, mm": ("depth_mm", 2),
-        "tilt about x, deg": ("tilt_x_deg", 1),
-        "about y, deg": ("tilt_y_deg", 1),
-    }
-    lines = [f"| | {' | '.join(quantities)} |", "|---|" + "---|" * len(quantities)]
-    for kind in ("tap", "sheared", "disentangled"):
-        found = [_cell(metrics[f"tilt_25deg: pose/{kind}/{key}"], digits) for key, digits in quantities.values()]
-        lines.append(_line(LOOKS[kind], found))
-    return "\n".join(lines)
-
-
 def _other_slides(name: str, tests: dict[str, str]) -> str:
     """Of each test tap, slide and each network; last the errors over those of the first network on the first test, by seed."""
     cells = _cells(name)
@@ -418,8 +403,6 @@ def _other_slides(name: str, tests: dict[str, str]) -> str:
     looks += [(cell["label"], "disentangled", cell) for cell in cells]
     for test, slides in tests.items():
         for told, kind, cell in looks:
-            if f"{test}: pins/sheared" not in cell["metrics"]:
-                continue
             found = {key: cell["metrics"][f"{test}: pose/{kind}/{key}"] for key, _ in QUANTITIES[2:]}
             pins = "0" if kind == "tap" else _cell(cell["metrics"][f"{test}: pins/{kind}"], 2)
             ratios = [
@@ -454,7 +437,7 @@ TABLES = {
     "docs/simulator.md": (refit,),
     "docs/applications.md": (geometry, servo, objects),
     "docs/codes.md": (parted, parted_pins, parted_slide),
-    "docs/model.md": (standard, recoveries, other_readers, readings, tenth, twisted, tilted, tilted_read),
+    "docs/model.md": (standard, recoveries, other_readers, readings, tenth, twisted, tilted),
 }
 
 if __name__ == "__main__":
