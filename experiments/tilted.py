@@ -1,4 +1,4 @@
-"""Claim: slides of a sensor that leans unshear as well as those of an upright one, once a network has seen some; one that has not fails.
+"""Claim: a network that has seen the sensor upright alone fails where it leans; one that has seen it lean unshears it.
 
     jaxunshear sweep experiments/tilted.py
 

@@ -1,4 +1,4 @@
-"""Claim: a network that has seen slides twist takes the twist out, too; one that has not leaves some of it in.
+"""Claim: slides that twist are unsheared as well as slides that do not, once a network has seen some; one that has not errs little more.
 
     jaxunshear sweep experiments/twisted.py
 
