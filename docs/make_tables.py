@@ -437,7 +437,7 @@ TABLES = {
     "docs/simulator.md": (refit,),
     "docs/applications.md": (geometry, servo, objects),
     "docs/codes.md": (parted, parted_pins, parted_slide),
-    "docs/model.md": (standard, recoveries, other_readers, readings, tenth, twisted),
+    "docs/model.md": (standard, recoveries, other_readers, readings, tenth, twisted, tilted),
 }
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Claim: a network that has seen the sensor upright alone fails where it leans; one that has seen it lean unshears it.
+"""Claim: a network that has seen the sensor upright alone fails where it leans; one that has seen it lean undoes half of the damage.
 
     jaxunshear sweep experiments/tilted.py
 
