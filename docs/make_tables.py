@@ -462,6 +462,40 @@ def found_pins() -> str:
     return "\n".join(lines)
 
 
+def twisted() -> str:
+    """Pins and edge errors on slides that do not twist and that do, by the slides that taught."""
+    return _other_slides(
+        "twisted", {"twist_0deg": "do not twist", "twist_5deg": "by 5 deg", "twist_20deg": "by 20 deg"}
+    )
+
+
+def tilted() -> str:
+    """The same of slides of a sensor that stands upright and that leans."""
+    return _other_slides("tilted", {"tilt_0deg": "upright", "tilt_25deg": "by up to 25 deg"})
+
+
+def _other_slides(name: str, tests: dict[str, str]) -> str:
+    """Of each test tap, slide and each network; last the errors over those of the first network on the first test, by seed."""
+    cells = _cells(name)
+    lines = [
+        "| tested | read, or unsheared by a network of | pins, px rms | edge distance, mm | angle, deg | over the first: mm | deg |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    first = {key: cells[0]["metrics"][f"{next(iter(tests))}: pose/disentangled/{key}"] for key, _ in QUANTITIES[2:]}
+    looks = [("tap", "tap", cells[0]), ("sheared", "sheared", cells[0])]
+    looks += [(cell["label"], "disentangled", cell) for cell in cells]
+    for test, slides in tests.items():
+        for told, kind, cell in looks:
+            found = {key: cell["metrics"][f"{test}: pose/{kind}/{key}"] for key, _ in QUANTITIES[2:]}
+            pins = "0" if kind == "tap" else _cell(cell["metrics"][f"{test}: pins/{kind}"], 2)
+            ratios = [
+                [found[key]["per_seed"][seed] / one for seed, one in first[key]["per_seed"].items()] for key in found
+            ]
+            shown = [_of_values(each, 2) if kind == "disentangled" else "" for each in ratios]
+            lines.append(_line(f"{slides} | {told}", [pins, *(_cell(found[k], d) for k, d in QUANTITIES[2:]), *shown]))
+    return "\n".join(lines)
+
+
 def _of_values(values: list[float], digits: int) -> str:
     """Mean [least, most]."""
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
@@ -487,6 +521,7 @@ TABLES = {
     "docs/applications.md": (geometry, servo, servo_pins, objects),
     "docs/codes.md": (parted, parted_pins, found_pins, parted_slide, joint),
     "docs/experiments.md": (standard, recoveries, other_readers, readings, tenth),
+    "docs/twist.md": (twisted, tilted),
 }
 
 if __name__ == "__main__":

@@ -64,6 +64,8 @@ class Experiment:
     networks: tuple[str, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
     unseen: tuple[str, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
     other_jitters_mm: tuple[float, ...] = ()  # tests of their own, with taps that miss the slide's depth by up to this
+    other_twists_deg: tuple[float, ...] = ()  # with slides that twist by up to this
+    other_tilts_deg: tuple[float, ...] = ()  # with sensors that lean by up to this
     sensor: Sensor = TACTIP_331
     targets: tuple[str, ...] = ()  # of a pose, as targets.py writes them; none: all usual ones that the data vary
     paired: PairedData | Recorded = field(default_factory=PairedData)
@@ -155,4 +157,8 @@ def further_tests(experiment: Experiment) -> dict[str, PairedData]:
         tests["unseen"] = replace(fifth, stimuli=experiment.unseen)
     for jitter in experiment.other_jitters_mm:
         tests[f"depth_{jitter:g}mm"] = replace(fifth, tap_depth_jitter_mm=jitter)
+    for twist in experiment.other_twists_deg:
+        tests[f"twist_{twist:g}deg"] = replace(fifth, ranges=replace(paired.ranges, twist_deg=twist))
+    for tilt in experiment.other_tilts_deg:
+        tests[f"tilt_{tilt:g}deg"] = replace(fifth, ranges=replace(paired.ranges, tilt_deg=tilt))
     return tests

@@ -5,9 +5,9 @@ A rule is (holds, dotted field name, what is wrong and what to do instead). Late
 
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import fields, replace
+from dataclasses import fields
 
-from jaxunshear.contact.rings import deepest_mm
+from jaxunshear.contact.rings import contact_angle, deepest_touch_mm
 from jaxunshear.dataset.configs import CONFIGS, set_name
 from jaxunshear.dataset.settings import PAIRINGS, UNLABELLED, PairedData, PoseData, Ranges, Recorded, RecordedTaps
 from jaxunshear.dataset.splits import BLOCK, train_poses
@@ -36,6 +36,13 @@ Rule = tuple[bool, str, str]
 STIMULUS_NAMES = ("disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface")
 TURNED = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
 SURFACE = "surface"  # the same wherever and however it is turned
+OF_SURFACE = {"depth_mm", "tilt_x_deg", "tilt_y_deg"}  # targets that it shows
+FURTHER = {
+    "other_jitters_mm": "depth_",
+    "other_twists_deg": "twist_",
+    "other_tilts_deg": "tilt_",
+}  # and how their tests' names begin
+MOST_TWIST_DEG = 90.0
 SCHEDULES = ("cosine", "steps")
 OPTIMISERS = ("adam", "muon")
 KERNELS = ("sum", "mean")
@@ -71,7 +78,8 @@ def _simulated(experiment: Experiment, paired: PairedData, pose: PoseData) -> It
     pairs, taps = _train_poses(paired) * paired.slides, _train_poses(pose)
     yield from _trainings(experiment, pairs, taps)
     yield (
-        experiment.train.pose_target != "label" or paired.ranges == pose.ranges,
+        experiment.train.pose_target != "label"
+        or of_ranges(experiment.targets, paired.ranges) == of_ranges(experiment.targets, pose.ranges),
         "train.pose_target",
         "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
     )
@@ -129,7 +137,7 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
     yield not slides or not experiment.pins.turned, "pins.turned", f"does not turn {', '.join(slides)}: leave it at 0"
     yield from _networks(experiment, recorded.preprocess, recorded.preprocess)
     yield from _known_networks(experiment)
-    for field in ("unseen", "other_jitters_mm"):
+    for field in ("unseen", *FURTHER):
         yield not getattr(experiment, field), field, "is a test of simulated touches: leave it empty"
     yield from _trainings(experiment, LARGEST_PX**2, LARGEST_PX**2)
 
@@ -247,18 +255,29 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
     seen = ", ".join(name for name in experiment.unseen if name in known)
     yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
     yield len(set(experiment.unseen)) == len(experiment.unseen), "unseen", "name each stimulus once"
-    jitters = [f"{jitter:g}" for jitter in experiment.other_jitters_mm]  # they name their tests
-    yield len(set(jitters)) == len(jitters), "other_jitters_mm", "name each once"
-    for jitter in experiment.other_jitters_mm:
-        data = replace(paired, tap_depth_jitter_mm=jitter)
-        for holds, _, remedy in _jitter(data, experiment.sensor):
-            yield holds, "other_jitters_mm", remedy
+    for field in FURTHER:
+        names = [f"{value:g}" for value in getattr(experiment, field)]  # they name their tests
+        yield len(set(names)) == len(names), field, "name each once"
+        for data in (data for name, data in further_tests(experiment).items() if name.startswith(FURTHER[field])):
+            for holds, _, remedy in (*_ranges(data.ranges, "", experiment.sensor), *_jitter(data, experiment.sensor)):
+                yield holds, field, remedy
+            try:
+                wrong = "" if of_ranges(experiment.targets, data.ranges) else "leaves nothing to predict"
+            except UserError as error:
+                wrong = str(error)
+            yield not wrong, field, wrong
+    most = pose.ranges.tilt_deg
+    remedy = f"goes beyond pose.ranges.tilt_deg ({most:g}), where PoseNet knows no pose: widen that one, too"
+    read = bool({"posenet", TEACHER} & set(trained(experiment)))
+    yield not read or max(experiment.other_tilts_deg, default=0) <= most, "other_tilts_deg", remedy
 
 
 def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     yield from _target_texts(experiment.targets, SIMULATED)
     flat = SURFACE in {*paired.stimuli, *pose.stimuli, *experiment.unseen}
-    yield not flat or experiment.targets == ("depth_mm",), "targets", "a surface shows its depth alone: name depth_mm"
+    named = {text.partition(":")[0] for text in experiment.targets}
+    remedy = f"a surface shows depth and tilt alone: name of {', '.join(sorted(OF_SURFACE))}"
+    yield not flat or (bool(named) and named <= OF_SURFACE), "targets", remedy
     for ranges in (paired.ranges, pose.ranges):
         try:
             known, wrong = of_ranges(experiment.targets, ranges), ""
@@ -352,7 +371,7 @@ def _jitter(data: PairedData, sensor: Sensor) -> Iterator[Rule]:
         "paired.tap_depth_jitter_mm",
         f"use 0 to ranges.depth_min_mm ({ranges.depth_min_mm:g}), or a tap may miss the stimulus",
     )
-    deepest = deepest_mm(sensor)
+    deepest = deepest_touch_mm(sensor, ranges.tilt_deg)
     yield (
         ranges.depth_max_mm + jitter <= deepest,
         "paired.tap_depth_jitter_mm",
@@ -365,13 +384,15 @@ def _pose(data: PoseData, sensor: Sensor) -> Iterator[Rule]:
 
 
 def _ranges(ranges: Ranges, group: str, sensor: Sensor) -> Iterator[Rule]:
-    dome, deepest = sensor.dome_radius_mm, deepest_mm(sensor)
+    dome, deepest = sensor.dome_radius_mm, deepest_touch_mm(sensor, ranges.tilt_deg)
     yield (
         0 <= ranges.lateral_mm <= dome,
         f"{group}.lateral_mm",
         f"use 0 to {dome:g} (the dome's radius): beyond it the target is not touched",
     )
     yield 0 <= ranges.yaw_deg <= 180, f"{group}.yaw_deg", "use 0 to 180"
+    edge = contact_angle(sensor)
+    yield 0 <= ranges.tilt_deg < edge, f"{group}.tilt_deg", f"use 0 to below {edge:.0f}, where the dome's contact ends"
     yield (
         ranges.depth_min_mm > 0,
         f"{group}.depth_min_mm",
@@ -382,12 +403,14 @@ def _ranges(ranges: Ranges, group: str, sensor: Sensor) -> Iterator[Rule]:
         f"{group}.depth_min_mm",
         f"must not exceed depth_max_mm ({ranges.depth_max_mm:g})",
     )
+    leaning = f" at a tilt of {ranges.tilt_deg:g} deg: use less of either" if ranges.tilt_deg else ""
     yield (
         ranges.depth_max_mm <= deepest,
         f"{group}.depth_max_mm",
-        f"this depth cannot be reached: a dome of radius {dome:g} mm goes to {deepest:.1f} mm",
+        f"this depth cannot be reached: a dome of radius {dome:g} mm goes to {deepest:.1f} mm{leaning}",
     )
     yield 0 <= ranges.move_mm <= dome, f"{group}.move_mm", f"use 0 to {dome:g} (the dome's radius)"
+    yield 0 <= ranges.twist_deg <= MOST_TWIST_DEG, f"{group}.twist_deg", f"use 0 to {MOST_TWIST_DEG:g}"
 
 
 def _camera(camera: Camera, group: str, sensor: Sensor) -> Iterator[Rule]:
@@ -502,7 +525,7 @@ def _kept_out(experiment: Experiment, paired: PairedData, pose: PoseData) -> Ite
 
 
 def _covered(pairs: Ranges, taps: Ranges) -> Iterator[Rule]:
-    for field in ("lateral_mm", "yaw_deg", "depth_max_mm"):
+    for field in ("lateral_mm", "yaw_deg", "depth_max_mm", "tilt_deg"):
         most = getattr(taps, field)
         remedy = f"goes beyond pose.ranges.{field} ({most:g}), where PoseNet knows no pose: widen that one, too"
         yield getattr(pairs, field) <= most, f"paired.ranges.{field}", remedy

@@ -28,6 +28,8 @@ READ = {  # columns of a simulated model's card
     "x_mm": "x, mm",
     "yaw_deg": "yaw, deg",
     "depth_mm": "depth, mm",
+    "tilt_x_deg": "tilt about x, deg",
+    "tilt_y_deg": "tilt about y, deg",
 }
 
 
@@ -146,6 +148,12 @@ def _recorded_card(results: dict[str, Any], name: str) -> str:
     return "\n".join([*lines, *_made_on(results)])
 
 
+def _turning(ranges: dict[str, float]) -> str:
+    """Of slides that twist and sensors that lean, in words."""
+    ways = {"twist_deg": "twisting", "tilt_deg": "of a sensor that leans"}
+    return "".join(f", {told} by up to {ranges[field]:g} deg" for field, told in ways.items() if ranges.get(field))
+
+
 def _simulated_card(results: dict[str, Any], name: str) -> str:
     from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE
 
@@ -175,7 +183,7 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
         f"{pose['nuisance']['drift_px']:g} px in taps.",
         f"* **Poses** within {paired['ranges']['lateral_mm']:g} mm, {paired['ranges']['yaw_deg']:g} deg, depths "
         f"{paired['ranges']['depth_min_mm']:g} to {paired['ranges']['depth_max_mm']:g} mm; slides up to "
-        f"{paired['ranges']['move_mm']:g} mm along each axis. Beyond them nothing is known.",
+        f"{paired['ranges']['move_mm']:g} mm along each axis{_turning(paired['ranges'])}. Beyond them nothing is known.",
         f"* **On recordings** of an edge: `jaxunshear evaluate {name} --recordings DIR` measures it."
         if given == "pins"
         else "* **Not measured**: any real sensor. Real images differ from simulated ones (see the documentation of the simulator).",

@@ -25,6 +25,8 @@ SIMULATED = {  # name: the field of a simulated set and its column
     "depth_mm": ("pose", 3),
     "edge_mm": ("edge", 0),
     "edge_deg": ("edge", 1),
+    "tilt_x_deg": ("pose", 4),
+    "tilt_y_deg": ("pose", 5),
 }
 RECORDED = {name: ("pose", i) for i, name in enumerate(("x_mm", "y_mm", "z_mm", "Rx_deg", "Ry_deg", "Rz_deg"))}
 SLIDES = {
@@ -86,6 +88,8 @@ def of_ranges(wanted: Sequence[str], ranges: Ranges) -> Targets:
         "depth_mm": depth,
         "edge_mm": (-(2**0.5) * lateral, 2**0.5 * lateral),  # the target point lies on the edge: a bound
         "edge_deg": (-180.0, 180.0) if lateral or ranges.yaw_deg else (0.0, 0.0),
+        "tilt_x_deg": (-ranges.tilt_deg, ranges.tilt_deg),
+        "tilt_y_deg": (-ranges.tilt_deg, ranges.tilt_deg),
     }
     return _targets(wanted, PAPER, SIMULATED, spans)
 

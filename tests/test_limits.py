@@ -86,7 +86,8 @@ def test_a_tests_poses_are_none_that_posenet_learnt():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("lateral_mm", 6), ("yaw_deg", 60), ("depth_max_mm", 6.5), ("depth_min_mm", 0.5)]
+    ("field", "value"),
+    [("lateral_mm", 6), ("yaw_deg", 60), ("depth_max_mm", 6.5), ("depth_min_mm", 0.5), ("tilt_deg", 5)],
 )
 def test_posenet_knows_the_poses_of_pairs(field, value):
     assert f"pose.ranges.{field}" in refusal(f"--paired.ranges.{field} {value}")
@@ -134,6 +135,9 @@ def test_a_surface_shows_its_depth_alone():
     words = "--paired.stimuli surface --pose.stimuli surface"
     assert refusal(words).startswith("--targets ")
     validate(override(PLAIN, [*words.split(), "--targets", "depth_mm"]))
+    assert "depth and tilt alone" in refusal(f"{words} --targets depth_mm,x_mm")
+    leaning = f"{words} --paired.ranges.tilt_deg 10 --pose.ranges.tilt_deg 10"
+    validate(override(PLAIN, [*leaning.split(), "--targets", "depth_mm,tilt_x_deg,tilt_y_deg"]))
 
 
 def test_turned_touches_keep_distance_direction_and_depth_alone():
@@ -199,3 +203,33 @@ def test_exchanged_codes_take_slides_that_poses_share():
 )
 def test_codes_and_slides_within_their_limits(words, line):
     assert line in refusal(words)
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        ("--paired.ranges.twist_deg -1", "--paired.ranges.twist_deg -1.0: use 0 to 90"),
+        ("--paired.ranges.twist_deg 91", "use 0 to 90"),
+        ("--pose.ranges.tilt_deg 61", "use 0 to below 60, where the dome's contact ends"),
+        ("--pose.ranges.tilt_deg 25", "goes to 5.2 mm at a tilt of 25 deg: use less of either"),
+        ("--targets tilt_x_deg", "'tilt_x_deg' does not vary"),
+        ("--other_twists_deg 5,5.0", "--other_twists_deg 5.0,5.0: name each once"),
+        ("--other_twists_deg 100", "--other_twists_deg 100.0: use 0 to 90"),
+        ("--other_tilts_deg 5", "goes beyond pose.ranges.tilt_deg (0)"),
+        ("--other_tilts_deg 25 --pose.ranges.tilt_deg 10", "cannot be reached"),
+        (
+            "--targets depth_mm,tilt_x_deg --paired.ranges.tilt_deg 9 --pose.ranges.tilt_deg 9 --other_tilts_deg 0",
+            "--other_tilts_deg 0.0: target 'tilt_x_deg' does not vary",
+        ),
+    ],
+)
+def test_twists_and_tilts_within_their_limits(words, line):
+    assert line in refusal(words)
+
+
+def test_twists_and_tilts_that_can_be():
+    wide = "--paired.ranges.depth_max_mm 5 --pose.ranges.depth_max_mm 5 --pose.ranges.tilt_deg 25"
+    validate(override(PLAIN, f"{wide} --other_tilts_deg 0,25 --other_twists_deg 0,20".split()))
+    validate(
+        override(PLAIN, ["--paired.ranges.twist_deg", "20", "--train.pose_weight", "1", "--train.pose_target", "label"])
+    )

@@ -91,6 +91,15 @@ def test_a_card_names_the_machine_that_trained_where_another_one_measured():
     assert text.count("Trained on: ") == 1 and '"gpu: one"' in text
 
 
+def test_a_card_tells_how_far_slides_twist_and_the_sensor_leans():
+    settings = RESULTS["settings"]
+    ranges = settings["paired"]["ranges"]
+    assert "mm along each axis. Beyond" in card(RESULTS, "mine")
+    wide = settings | {"paired": settings["paired"] | {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}}
+    text = card(RESULTS | {"settings": wide}, "mine")
+    assert "mm along each axis, twisting by up to 5 deg, of a sensor that leans by up to 25 deg. Beyond" in text
+
+
 @pytest.mark.parametrize("head", [False, True])
 def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head):
     if head:

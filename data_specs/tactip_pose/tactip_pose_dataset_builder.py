@@ -18,7 +18,7 @@ class Builder(SimulatedSet):
         features = {
             "image": tfds.features.Image(shape=(size, size, 1), encoding_format="png"),
             "pins": tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes"),
-            "pose": tfds.features.Tensor(shape=(4,), dtype=np.float32),
+            "pose": tfds.features.Tensor(shape=(6 if settings.ranges.tilt_deg else 4,), dtype=np.float32),
             "edge": tfds.features.Tensor(shape=(2,), dtype=np.float32),
             "stimulus": tfds.features.ClassLabel(names=list(settings.stimuli)),
             "pose_id": np.int32,

@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxunshear.contact.friction import level_frame
 from jaxunshear.contact.obstacle import Obstacles, distance_at, drop
+from jaxunshear.contact.rings import REACHED
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
 
 # What `auto` leaves out, in the words of the command that shows a plan.
@@ -60,9 +61,6 @@ LEVELS = {
 }
 STRONGER = {"fast": "auto", "default": "reference", "auto": "reference"}  # where to try again
 
-# A node can touch if the undeformed dome there lies below this share of the depth: the skin yields before the rest arrives.
-# Of 128 slides over all shapes one had to be solved again, and pins differ from those with many more nodes by 0.04 px rms.
-REACHED = 0.7
 MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
 WIDE = (1.1, 3.0)  # both, where that was not enough
 # A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth and by 0.9 px at 6 mm.

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from jaxunshear.contact.plan import LEAST_LEG_MM, LEVELS, REACHED, Level
-from jaxunshear.contact.rings import deepest_mm
+from jaxunshear.contact.plan import LEAST_LEG_MM, LEVELS, Level
+from jaxunshear.contact.rings import deepest_touch_mm
 from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
@@ -48,8 +48,7 @@ def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
     if len(bad):
         raise UserError(f"scene {bad[0]}: stimulus {paths.stimulus[bad[0]]} is not one of the {stimuli} named")
     tilt = np.linalg.norm(paths.points[..., TILT_X:], axis=-1)
-    upright = deepest_mm(sensor)  # tilted contacts may go on to where the skin, which yields, is reached
-    deepest = np.vectorize(lambda t: min(upright, deepest_mm(sensor, t) / REACHED), otypes=[float])(tilt)
+    deepest = np.vectorize(lambda degrees: deepest_touch_mm(sensor, degrees), otypes=[float])(tilt)
     deep = np.argwhere(paths.points[..., DEPTH] > deepest)
     if len(deep):
         row, point = deep[0]

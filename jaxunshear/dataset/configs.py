@@ -23,7 +23,8 @@ NOT_STORED = (
     "labelled",
     "unlabelled",
 )  # of `Recorded`: where it lies, and what is made of it
-LATER = {"poses_a_slide": 1}  # fields that came after sets were made, and what these have: they are described as before
+# fields that came after sets were made, in whatever group, and what these have: they are described as before
+LATER = {"poses_a_slide": 1, "twist_deg": 0.0, "tilt_deg": 0.0}
 Settings = PairedData | PoseData | Recorded
 
 FITTED: dict[str, Any] = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share
@@ -35,6 +36,8 @@ SKIN: dict[str, Any] = FITTED | {  # touches as recordings of an edge have them
     "stimuli": ("edge", "disk", "clover", "teardrop"),
     "ranges": Ranges(lateral_mm=6.0, yaw_deg=180.0, depth_min_mm=0.7, depth_max_mm=4.2, move_mm=5.0),
 }
+# as deep as a dome that leans so far can touch without contact beyond its rings
+TILTED = Ranges(depth_max_mm=5.0, tilt_deg=25.0)
 
 PAIRED = {
     "tiny": PairedData(config="tiny", poses=10),
@@ -44,6 +47,10 @@ PAIRED = {
     "best": PairedData(config="best", poses=9000, **FITTED),
     "skin": PairedData(config="skin", poses=750, **SKIN),
     "parted": PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
+    "twisted": PairedData(
+        config="twisted", poses=200, slides=4, poses_a_slide=4, ranges=Ranges(twist_deg=5.0), **FITTED
+    ),
+    "tilted": PairedData(config="tilted", poses=200, slides=4, poses_a_slide=4, ranges=TILTED, **FITTED),
     "paper_short": PairedData(
         config="paper_short",
         poses=1200,
@@ -74,6 +81,7 @@ POSE = {
     "best": PoseData(config="best", poses=18000, **FITTED),
     "skin": PoseData(config="skin", poses=1000, **SKIN),
     "parted": PoseData(config="parted", poses=1600, **FITTED),
+    "tilted": PoseData(config="tilted", poses=1200, ranges=TILTED, **FITTED),
     "paper_short": PoseData(
         config="paper_short",
         poses=3000,
@@ -115,10 +123,16 @@ def describe(settings: Settings, sensor: Sensor) -> dict:
     fields = dataclasses.asdict(settings)
     for name in NOT_STORED if isinstance(settings, Recorded) else ("config",):  # a name only
         del fields[name]
-    fields = {name: value for name, value in fields.items() if LATER.get(name) != value}
+    fields = _as_before(fields)
     version = version_of(settings)
     whole = {"set": set_name(settings), "version": version, "sensor": dataclasses.asdict(sensor), "settings": fields}
     return json.loads(json.dumps(whole))
+
+
+def _as_before(fields: dict[str, Any]) -> dict[str, Any]:
+    """Without what is LATER."""
+    kept = {name: value for name, value in fields.items() if name not in LATER or LATER[name] != value}
+    return {name: _as_before(value) if isinstance(value, dict) else value for name, value in kept.items()}
 
 
 def floats(thing: Any) -> Any:

@@ -14,6 +14,8 @@ class Ranges:
     depth_min_mm: float = 1.0
     depth_max_mm: float = 6.0
     move_mm: float = 2.5  # slide offset within +- this, along x or y or both, as chance has it
+    twist_deg: float = 0.0  # a slide turns within +- this while it moves, and ends at the pose's yaw
+    tilt_deg: float = 0.0  # the sensor leans by up to this, any way: the same from first touch to the slide's end
 
 
 DRIFTING = Nuisance(drift_px=1.0, drift_brightness=0.1)  # a set is recorded over days (paper section 3.2.2)

@@ -13,7 +13,7 @@ from jaxunshear.dataset.configs import config_name, set_name
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.splits import BLOCK, SPLITS, splits_of
 from jaxunshear.errors import UserError
-from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, edge_labels, make_scenes, turned
+from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, draw_tilts, edge_labels, make_scenes, turned
 from jaxunshear.scene.stimuli import stimulus_named
 
 LEAST_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
@@ -70,7 +70,22 @@ def _poses(settings: PairedData | PoseData, stimulus: str) -> np.ndarray:
     ranges = settings.ranges
     depth = (ranges.depth_min_mm, ranges.depth_max_mm)
     generator = _generator(settings.seed, stimulus, "pose")
-    return draw_poses(generator, settings.poses, ranges.lateral_mm, ranges.yaw_deg, depth)
+    poses = draw_poses(generator, settings.poses, ranges.lateral_mm, ranges.yaw_deg, depth)
+    if not ranges.tilt_deg:
+        return poses
+    tilts = draw_tilts(_generator(settings.seed, stimulus, "tilt"), settings.poses, ranges.tilt_deg)
+    return np.concatenate([poses, tilts], axis=1)
+
+
+def _slides(settings: PairedData, stimulus: str) -> np.ndarray:
+    """(poses, slides, 2), or 3 with their twists."""
+    ranges, shape = settings.ranges, (settings.poses, settings.slides)
+    moves = draw_moves(_generator(settings.seed, stimulus, "move"), settings.poses * settings.slides, ranges.move_mm)
+    moves = moves.reshape(*shape, 2)
+    if not ranges.twist_deg:
+        return moves
+    twists = _generator(settings.seed, stimulus, "twist").uniform(-ranges.twist_deg, ranges.twist_deg, shape)
+    return np.concatenate([moves, twists[..., None]], axis=-1)
 
 
 def _ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
@@ -91,15 +106,14 @@ def draw_paired(settings: PairedData) -> Shots:
         depth = poses[:, ~slid, 3]
         deeper = _generator(settings.seed, name, "depth").uniform(-jitter, jitter, depth.shape)
         poses[:, ~slid, 3] = np.maximum(depth + deeper, min(LEAST_DEPTH_MM, settings.ranges.depth_min_mm))
-        moves = np.zeros((settings.poses, shots, 2))
-        drawn = draw_moves(
-            _generator(settings.seed, name, "move"), settings.poses * settings.slides, settings.ranges.move_mm
-        ).reshape(settings.poses, settings.slides, 2)
         leader = slide_leaders(settings, name)
+        drawn = _slides(settings, name)[leader]
+        moves = np.zeros((settings.poses, shots, drawn.shape[-1]))
         yaw = poses[:, 0, 2]
-        moves[:, slid] = turned(drawn[leader], (yaw - yaw[leader])[:, None])
-        pose.append(poses.reshape(-1, 4))
-        move.append(moves.reshape(-1, 2))
+        moves[:, slid] = drawn
+        moves[:, slid, :2] = turned(drawn[..., :2], (yaw - yaw[leader])[:, None])
+        pose.append(poses.reshape(-1, poses.shape[-1]))
+        move.append(moves.reshape(-1, moves.shape[-1]))
     each = settings.poses * len(settings.stimuli)
     instance = np.where(slid, np.arange(shots) - settings.taps, np.arange(shots))
     return _shots(settings, np.concatenate(pose), np.concatenate(move), np.tile(instance, each), np.tile(slid, each))

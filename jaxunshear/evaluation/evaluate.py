@@ -222,6 +222,7 @@ def _further(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
     return {
         "stimuli": settings.stimuli,
         "tap_depth_jitter_mm": settings.tap_depth_jitter_mm,
+        "ranges": dataclasses.asdict(settings.ranges),
         "contacts": len(gathered.labels["stimulus"]),
         **_tables(settings, gathered),
     }
@@ -246,7 +247,7 @@ def _tables(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
 def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:
     """An npz of a few contacts: for every stimulus one of low, one of middling and one of high similarity unsheared.
 
-    Images (M, S, S) uint8 by kind, `stimulus` (M,) names, `pose` (M, 4), `move` (M, 2), and `ms_ssim_<kind>` (M,).
+    Images (M, S, S) uint8 by kind, `stimulus` (M,) names, `pose` (M, 4 or 6), `move` (M, 2 or 3), and `ms_ssim_<kind>` (M,).
     """
     stimulus = gathered.labels["stimulus"][gathered.kept]
     judged = shown_kind(gathered.images)

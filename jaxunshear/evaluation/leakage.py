@@ -225,8 +225,9 @@ def _told(experiment: Experiment, batch: Batch, data_dir: Path) -> dict[str, Tol
 def _slides(experiment: Experiment, batch: Batch, data_dir: Path) -> Told:
     """The slide in mm and deg: as the sensor feels it; of recordings as it is labelled, what training slides vary of it."""
     if isinstance(experiment.paired, PairedData):
-        felt = turned(batch["move"], -batch["pose"][:, 2])
-        return {"slide_x_mm": felt[:, :1], "slide_y_mm": felt[:, 1:]}
+        felt = turned(batch["move"][:, :2], -batch["pose"][:, 2])
+        twist = {"slide_twist_deg": batch["move"][:, 2:]} if experiment.paired.ranges.twist_deg else {}
+        return {"slide_x_mm": felt[:, :1], "slide_y_mm": felt[:, 1:]} | twist
     known = stored_of(experiment, data_dir).stored.rows("train")
     spread = known["move"][np.isfinite(known["move"]).all(axis=1) & (known["slid"] == 1)].std(axis=0)
     return {name: batch["move"][:, [i]] for name, (_, i) in SLIDES.items() if spread[i] > STILL}

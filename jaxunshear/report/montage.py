@@ -111,7 +111,7 @@ def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
 
 def _words(shown: Shown, row: int, said: Terms) -> list[str]:
     """What the contact is; of a recorded one neither slide nor depth need be known."""
-    slide, depth = float(np.hypot(*shown["move"][row])), float(shown["pose"][row][3])
+    slide, depth = float(np.hypot(*shown["move"][row][:2])), float(shown["pose"][row][3])
     known = [(f"slide {slide:.1f} mm", slide), (f"{said.depth} {depth:.1f} mm", depth)]
     return [str(shown["stimulus"][row]), *(text for text, value in known if np.isfinite(value))]
 

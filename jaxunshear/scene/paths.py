@@ -35,9 +35,9 @@ class Paths:
 
 
 def path_of(scenes: Scenes) -> Paths:
-    """Down at `pose - move`, then along `move` (nowhere for a tap)."""
+    """Down at `pose - move`, then along `move` (nowhere for a tap): at one depth and one tilt, turning at an even pace."""
     points = np.zeros((len(scenes), 3, 6))
-    points[..., :4] = scenes.pose[:, None]
-    points[:, :2, :2] -= scenes.move[:, None]
+    points[..., : scenes.pose.shape[1]] = scenes.pose[:, None]
+    points[:, :2, : scenes.move.shape[1]] -= scenes.move[:, None]
     points[:, 0, DEPTH] = 0
     return Paths(scenes.stimulus, scenes.friction, points)

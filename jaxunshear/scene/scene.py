@@ -1,7 +1,8 @@
 """A scene: which stimulus is touched, at which pose, after which slide. Many scenes are arrays side by side.
 
 A tap presses down at the pose. A slide presses at `pose - move` and then moves by `move` to the pose; `move` is in the
-target frame, as the pose is. What the sensor touches at the end is the same; what friction did to its skin is not.
+target frame, as the pose is, and may turn the sensor, too. What the sensor touches at the end is the same; what friction did to its skin
+is not.
 """
 
 from collections.abc import Callable
@@ -17,11 +18,12 @@ from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, 
 
 @dataclass(frozen=True)
 class Scenes:
-    """B scenes (numpy): `pose` is x, y (mm), yaw (deg), depth (mm) in the target frame of the stimulus."""
+    """B scenes (numpy): `pose` is x, y (mm), yaw (deg), depth (mm) in the target frame of the stimulus; where sensors lean also their tilt
+    as in `paths.Paths` (deg)."""
 
     stimulus: np.ndarray  # (B,) index into a tuple of stimulus names
-    pose: np.ndarray  # (B, 4)
-    move: np.ndarray  # (B, 2) mm, target frame; zero for a tap
+    pose: np.ndarray  # (B, 4), or (B, 6) with tilt
+    move: np.ndarray  # (B, 2) mm, target frame, or (B, 3) with the turn that goes along with it, deg; zero for a tap
     friction: np.ndarray  # (B,) Coulomb coefficient
 
     def __len__(self) -> int:
@@ -49,6 +51,12 @@ def draw_moves(generator: np.random.Generator, count: int, move_mm: float) -> np
     return np.where(axis[:, None] == [1, 0], 0, offset)
 
 
+def draw_tilts(generator: np.random.Generator, count: int, tilt_deg: float) -> np.ndarray:
+    """Tilts (count, 2) in deg, as in `paths.Paths`: uniform over the disk of this radius, so none leans by more."""
+    size, way = tilt_deg * np.sqrt(generator.uniform(size=count)), generator.uniform(0, 2 * np.pi, count)
+    return size[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1)
+
+
 def turned(move: np.ndarray, degrees: np.ndarray) -> np.ndarray:
     """Offsets (..., 2) turned by angles (...). By minus the yaw: from the target frame to the sensor's, as the sensor feels them."""
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
@@ -65,8 +73,9 @@ def make_scenes(
 
 
 def edge_labels(names: tuple[str, ...], scenes: Scenes) -> np.ndarray:
-    """(B, 2): signed distance (mm, negative inside) of the sensor's axis from the nearest edge, and the direction of the
-    edge's outward normal in the sensor frame (deg, in (-180, 180]): the pose that is not ambiguous on a smooth edge."""
+    """(B, 2): signed distance (mm, negative inside) of the sensor's lowest point, on its axis where it is upright, from the nearest edge,
+    and the direction of that edge's outward normal in the sensor frame (deg, in (-180, 180]): the pose that is not ambiguous on a
+    smooth edge."""
     labels = np.zeros((len(scenes), 2))
     for index, name in enumerate(names):
         here = np.flatnonzero(scenes.stimulus == index)

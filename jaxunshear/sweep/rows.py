@@ -16,7 +16,7 @@ from typing import Any
 
 from jaxunshear.config import replaced, show, to_json, validate
 from jaxunshear.dataset.configs import VERSION, floats
-from jaxunshear.dataset.settings import Recorded
+from jaxunshear.dataset.settings import PoseData, Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import (
     ALL_NETWORKS,
@@ -33,7 +33,8 @@ from jaxunshear.model.settings import without_codes, without_pin_codes, without_
 from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
-TESTS = ("networks", "unseen", "other_jitters_mm")  # what is trained and tested beside a training is not for it
+# what is trained and tested beside a training is not for it
+TESTS = ("networks", "unseen", "other_jitters_mm", "other_twists_deg", "other_tilts_deg")
 UNUSED = {
     "posenet": ("paired", "unshear", "train", "train_teacher"),
     TEACHER: ("paired", "unshear", "train", "train_posenet"),
@@ -120,7 +121,9 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(
             part, train_pins=without_pair_losses(part.train_pins), pins=without_pin_codes(part.pins)
         )
-    if isinstance(part.paired, Recorded) and network in (RENDERER, TEACHER, "posenet"):  # these learn from taps alone
+    if isinstance(part.pose, PoseData) and network in ("posenet", TEACHER):  # these learn from taps alone
+        part = dataclasses.replace(part, paired=plain.paired)
+    if isinstance(part.paired, Recorded) and network in (RENDERER, TEACHER, "posenet"):
         part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, labelled=1.0))
     if isinstance(part.paired, Recorded) and network in (*POSENETS, RENDERER):  # and none of these from pairs
         dragged = network == "posenet_sheared" and part.paired.pairing == "simulated"  # it learns from simulated slides

@@ -9,6 +9,8 @@ from jaxunshear.dataset import chunks
 from jaxunshear.dataset.chunks import load_chunk, pack, simulate_chunks, unpack
 from jaxunshear.dataset.configs import PAIRED
 from jaxunshear.dataset.examples import paired_examples, pose_examples, summary
+from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.reading import open_set
 from jaxunshear.dataset.settings import PoseData
 from jaxunshear.dataset.shots import draw
 from jaxunshear.dataset.splits import SPLITS
@@ -184,3 +186,15 @@ def test_the_real_simulator_makes_a_few_pairs(tmp_path):
     assert (canonical != sheared).mean() > 0.01
     shear = np.linalg.norm(example["sheared_pins"] - example["canonical_pins"], axis=-1)
     assert 1 < shear.max() < 20
+
+
+def test_a_stored_set_tells_twist_and_tilt_where_they_vary(paired, sensor, engine, tmp_path):
+    ranges = dataclasses.replace(paired.ranges, twist_deg=5.0, tilt_deg=9.0)
+    for settings, widths in ((paired, (4, 2)), (dataclasses.replace(paired, taps=1, ranges=ranges), (6, 3))):
+        make_set(settings, sensor, tmp_path, engine)
+        rows = open_set("tactip_paired", settings, tmp_path, sensor).rows("test")
+        assert (rows["pose"].shape[1], rows["move"].shape[1]) == widths
+    shots = draw(settings)
+    slides = shots.scenes.take(np.flatnonzero(shots.slid & (shots.split == SPLITS.index("test"))))
+    for name, drawn in (("pose", slides.pose), ("move", slides.move)):
+        np.testing.assert_allclose(np.sort(rows[name][:, -1]), np.sort(drawn[:, -1]), rtol=1e-6)

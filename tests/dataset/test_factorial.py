@@ -38,6 +38,15 @@ def test_poses_of_a_group_feel_the_same_slides_and_groups_do_not_cross_splits(st
     assert len(np.unique(felt[own, 0], axis=0)) == len(own)  # and groups are told apart
 
 
+def test_a_shared_slide_includes_its_twist():
+    settings = dataclasses.replace(FOUR, ranges=dataclasses.replace(FOUR.ranges, twist_deg=5.0))
+    shots = draw_paired(settings)
+    twist = shots.scenes.move[(shots.scenes.stimulus == 0) & shots.slid, 2].reshape(45, 3)
+    leader = slide_leaders(settings, "disk")
+    np.testing.assert_array_equal(twist, twist[leader])
+    assert len(np.unique(twist)) == 3 * len(np.unique(leader))
+
+
 def test_without_sharing_every_pose_has_the_slides_it_always_had():
     alone = dataclasses.replace(FOUR, poses_a_slide=1)
     assert np.array_equal(slide_leaders(alone, "disk"), np.arange(45))

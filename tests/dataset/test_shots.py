@@ -3,7 +3,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.configs import PAIRED, POSE, config_name, sensor_of
+from jaxunshear.dataset.configs import PAIRED, POSE, config_name, describe, fingerprint, sensor_of
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.dataset.shots import LEAST_DEPTH_MM, draw_paired, draw_pose
 from jaxunshear.dataset.splits import SPLITS, split_of
@@ -135,7 +135,10 @@ def test_friction_is_the_materials(paired):
         ({"slides": 0}, "slides = 0"),
         ({"taps": 3, "slides": 2}, "taps = 3 exceeds slides = 2"),
         ({"seed": -1}, "seed = -1"),
-        ({"config": "huge"}, "config 'huge'.*tiny, demo, calibrated, standard, best, skin, parted, paper"),
+        (
+            {"config": "huge"},
+            "config 'huge'.*tiny, demo, calibrated, standard, best, skin, parted, twisted, tilted, paper",
+        ),
         ({"ranges": Ranges(depth_min_mm=0.0)}, "depth_min_mm = 0"),
         ({"ranges": Ranges(depth_min_mm=3, depth_max_mm=2)}, "depth_max_mm = 2"),
     ],
@@ -146,20 +149,11 @@ def test_impossible_settings_are_refused_by_name(change, line):
 
 
 def test_changed_settings_have_a_name_of_their_own():
-    assert [
-        config_name(settings, sensor_of(name)) for known in (PAIRED, POSE) for name, settings in known.items()
-    ] == 2 * [
-        "tiny",
-        "demo",
-        "calibrated",
-        "standard",
-        "best",
-        "skin",
-        "parted",
-        "paper_short",
-        "paper",
-        "paper_tenth",
-    ]
+    for known in (PAIRED, POSE):
+        assert [config_name(settings, sensor_of(name)) for name, settings in known.items()] == list(known)
+    names = ["tiny", "demo", "calibrated", "standard", "best", "skin", "parted", "twisted", "tilted", "paper_short"]
+    assert list(PAIRED) == [*names, "paper", "paper_tenth"]
+    assert set(PAIRED) - set(POSE) == {"twisted"}  # a tap does not twist
     changed = dataclasses.replace(PairedData(), poses=7)
     names = {config_name(changed), config_name(changed, TACTIP_127), config_name(PairedData(), TACTIP_127)}
     assert len(names) == 3
@@ -178,3 +172,46 @@ def test_the_paper_configuration_has_the_papers_counts():
     assert 3 * paired.poses * paired.slides == 90_000
     assert len(pose.stimuli) * pose.poses == 30_000
     assert paired.preprocess.size == pose.preprocess.size == 256
+
+
+TURNING = PairedData(stimuli=("disk", "clover"), poses=60, taps=2, slides=3)
+
+
+def ranged(settings, **ranges):
+    return dataclasses.replace(settings, ranges=dataclasses.replace(settings.ranges, **ranges))
+
+
+def test_a_twist_leaves_poses_and_moves_as_they_are_and_taps_still():
+    plain, twisted, more = (draw_paired(ranged(TURNING, twist_deg=most)).scenes for most in (0.0, 5.0, 20.0))
+    assert plain.move.shape[1] == 2 and twisted.move.shape[1] == 3
+    np.testing.assert_array_equal(twisted.pose, plain.pose)
+    np.testing.assert_array_equal(twisted.move[:, :2], plain.move)
+    twist = twisted.move[:, 2]
+    slid = np.any(plain.move != 0, axis=1)
+    assert not twist[~slid].any() and 4.9 < np.abs(twist).max() <= 5 and len(np.unique(twist[slid])) == slid.sum()
+    np.testing.assert_allclose(more.move[:, 2], 4 * twist)  # the same draws, further
+
+
+def test_a_tilt_is_one_for_all_shots_of_a_pose_and_uniform_over_a_disk():
+    settings = ranged(dataclasses.replace(TURNING, poses=600), tilt_deg=25.0)
+    plain, tilted = draw_paired(ranged(settings, tilt_deg=0.0)).scenes, draw_paired(settings).scenes
+    assert plain.pose.shape[1] == 4
+    np.testing.assert_array_equal(tilted.pose[:, :4], plain.pose)
+    np.testing.assert_array_equal(tilted.move, plain.move)
+    tilt = tilted.pose[:, 4:].reshape(2, 600, 5, 2)
+    assert np.ptp(tilt, axis=2).max() == 0
+    size = np.linalg.norm(tilt[:, :, 0], axis=-1)
+    assert 24.5 < size.max() <= 25 and abs(np.mean(size < 25 / np.sqrt(2)) - 0.5) < 0.05
+    assert np.all(np.abs(tilt[:, :, 0].mean(axis=1)) < 1.5)
+    taps = draw_pose(ranged(PoseData(poses=9), tilt_deg=25.0)).scenes
+    assert taps.pose.shape[1] == 6 and np.all(taps.pose[:, 4:] != 0)
+
+
+def test_sets_without_twist_and_tilt_are_described_as_ever():
+    settings = describe(TURNING, TACTIP_331_FITTED)["settings"]
+    assert "friction" in settings and "poses_a_slide" not in settings
+    assert set(settings["ranges"]) == {"lateral_mm", "yaw_deg", "depth_min_mm", "depth_max_mm", "move_mm"}
+    wide = describe(ranged(TURNING, twist_deg=5, tilt_deg=1), TACTIP_331_FITTED)["settings"]["ranges"]
+    assert set(wide) - set(settings["ranges"]) == {"twist_deg", "tilt_deg"}
+    assert fingerprint(PAIRED["demo"], sensor_of("demo")) == "912e2301"  # as in the first sets of this version
+    assert fingerprint(POSE["standard"], sensor_of("standard")) == "35e84880"

@@ -170,3 +170,15 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     model = json.loads((place / "model.json").read_text())
     assert [origin["set"] for origin in model["taken_over"]] == ["tactip_pose"]
     assert model["epoch_images"] == whole["epoch_images"]
+
+
+def test_the_twist_is_told_where_slides_twist():
+    batch = {"pose": np.array([[0, 0, 90.0, 2]]), "move": np.array([[1.0, 0.0, -4.0]])}
+    told = leakage._slides(EXPERIMENT, batch | {"move": batch["move"][:, :2]}, None)
+    ranges = dataclasses.replace(EXPERIMENT.paired.ranges, twist_deg=5.0)
+    twisted = dataclasses.replace(EXPERIMENT, paired=dataclasses.replace(EXPERIMENT.paired, ranges=ranges))
+    more = leakage._slides(twisted, batch, None)
+    assert list(more) == [*told, "slide_twist_deg"] and more["slide_twist_deg"] == [[-4.0]]
+    for name, value in told.items():
+        np.testing.assert_array_equal(more[name], value)
+    np.testing.assert_allclose([told["slide_x_mm"], told["slide_y_mm"]], [[[0]], [[-1]]], atol=1e-12)

@@ -122,8 +122,10 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
 
 def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experiment, tmp_path):
     further = replace(experiment, unseen=("flower", "leaf"), other_jitters_mm=(0.5,), networks=ALL_NETWORKS)
+    further = replace(further, other_twists_deg=(5.0,))
     results = evaluate(further, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
-    assert list(results["tests"]) == ["unseen", "depth_0.5mm"]
+    assert list(results["tests"]) == ["unseen", "depth_0.5mm", "twist_5deg"]
+    assert [test["ranges"]["twist_deg"] for test in results["tests"].values()] == [0, 0, 5]
     test = results["tests"]["unseen"]
     assert test["contacts"] == 18 + 6 + COUNT
     assert test["ms_ssim"]["unet"]["leaf"] > 0

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, path_of
 from jaxunshear.scene.scene import draw_moves, draw_poses, edge_labels, make_scenes
 from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_tips, sensor_named
 
@@ -46,3 +47,19 @@ def test_bad_sensors_are_refused():
         pin_tips(Sensor(layout="square"))
     with pytest.raises(UserError, match="rim"):
         pin_tips(Sensor(rings=30))
+
+
+def test_a_path_twists_on_its_way_to_the_pose_and_keeps_its_tilt():
+    pose = np.array([[2.0, -1.0, 30.0, 3.0, 4.0, -20.0]])
+    points = path_of(make_scenes(("disk",), np.zeros(1, int), pose, np.array([[1.5, 0.5, -5.0]]))).points[0]
+    np.testing.assert_array_equal(points[2], pose[0])
+    np.testing.assert_array_equal(points[1], [0.5, -1.5, 35.0, 3.0, 4.0, -20.0])
+    np.testing.assert_array_equal(points[0, [YAW, DEPTH]], [35.0, 0.0])  # it is pressed down straight
+    np.testing.assert_array_equal(points[:, TILT_X:], np.tile(pose[0, 4:], (3, 1)))
+
+
+def test_upright_paths_are_what_they_were():
+    pose, move = np.array([[2.0, -1.0, 30.0, 3.0]]), np.array([[1.5, 0.5]])
+    upright = path_of(make_scenes(("disk",), np.zeros(1, int), pose, move)).points
+    wide = np.concatenate([pose, np.zeros((1, 2))], axis=1), np.concatenate([move, np.zeros((1, 1))], axis=1)
+    np.testing.assert_array_equal(upright, path_of(make_scenes(("disk",), np.zeros(1, int), *wide)).points)

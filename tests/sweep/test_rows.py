@@ -11,6 +11,7 @@ from jaxunshear.config import field_types, replaced, validate
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE, Experiment, trained
 from jaxunshear.fit import BASE as RECORDED
+from jaxunshear.model.settings import UnshearNet
 from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.sweep.rows import cells_of, needed, reference_of, row_digest, rows_of, training_part
 from jaxunshear.sweep.settings import Sweep, check
@@ -250,3 +251,13 @@ def test_turned_pins_concern_those_that_read_slides():
     other = replace(base, pins=replace(base.pins, turned=0.5))
     names = (RENDERER, TEACHER, "posenet", "posenet_sheared")
     assert {name for name in names if training_part(base, name) != training_part(other, name)} == {"posenet_sheared"}
+
+
+def test_a_posenet_of_simulated_taps_is_shared_whatever_the_slides_are():
+    base = Experiment(name="x", claim="", networks=("disentangled", "posenet"), unshear=UnshearNet(input="pins"))
+    ranges = replace(base.paired.ranges, twist_deg=5.0)
+    other = replace(base, paired=replace(base.paired, ranges=ranges), other_twists_deg=(5.0,))
+    assert training_part(base, "posenet") == training_part(other, "posenet")
+    assert training_part(base, "disentangled") != training_part(other, "disentangled")
+    leaning = replace(base, pose=replace(base.pose, ranges=replace(base.pose.ranges, tilt_deg=5.0)))
+    assert training_part(base, "posenet") != training_part(leaning, "posenet")

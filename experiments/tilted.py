@@ -1,0 +1,40 @@
+"""Claim: a network that has seen the sensor upright alone fails where it leans; one that has seen it lean undoes half of the damage.
+
+    jaxunshear sweep experiments/tilted.py
+
+The sensor leans by up to 25 deg, any way, from the first touch to the slide's end; depths are 1 to 5 mm, as deep as it can lean so far. Two
+networks over pins learn from slides to the same places with the sensor upright and leaning; both are tested on slides to other places
+with the sensor upright and leaning. One PoseNet, of leaning taps, reads all of them.
+
+Expected: docs/results/tilted.json; a quarter of an hour on one core.
+"""
+
+from dataclasses import replace
+
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.experiment import PINS, Experiment
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.sweep.settings import Sweep
+
+ROWS = {"an upright sensor": (("paired.ranges.tilt_deg", 0.0),), "a sensor that leans": ()}
+
+sweep = Sweep(
+    name="tilted",
+    claim="Networks that have seen the sensor lean unshear it leaning.",
+    base=Experiment(
+        name="tilted",
+        claim="A slide of a leaning sensor is learnt like one of an upright one.",
+        networks=("disentangled", "posenet"),
+        other_tilts_deg=(0.0, 25.0),
+        targets=("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle"),
+        sensor=sensor_of("tilted"),
+        paired=PAIRED["tilted"],
+        pose=POSE["tilted"],
+        unshear=UnshearNet(input="pins"),
+        train_pins=replace(PINS, pose_weight=0.0),
+    ),
+    rows=tuple(ROWS.values()),
+    labels=tuple(ROWS),
+    seeds=(0, 1, 2),
+    reference="an upright sensor",
+)

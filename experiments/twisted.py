@@ -1,0 +1,44 @@
+"""Claim: slides that twist are unsheared as well as slides that do not, once a network has seen some; one that has not errs little more.
+
+    jaxunshear sweep experiments/twisted.py
+
+The paper's first named limit: its slides shift the sensor and never turn it. Here they turn by up to 5 deg on their way, and by up to 20 as
+an extreme. Three networks over pins learn from slides to the same poses, that do not twist, twist by up to 5 and by up to 20 deg. Each is
+tested on three sets of slides to other poses, one of each kind. One PoseNet, of taps, reads all of them. The losses are the paper's.
+
+Expected: docs/results/twisted.json; a quarter of an hour on one core.
+"""
+
+from dataclasses import replace
+
+from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.experiment import PINS, Experiment
+from jaxunshear.model.settings import UnshearNet
+from jaxunshear.sweep.settings import Sweep
+
+ROWS = {
+    "slides that do not twist": (("paired.ranges.twist_deg", 0.0),),
+    "slides that twist by 5 deg": (),
+    "slides that twist by 20 deg": (("paired.ranges.twist_deg", 20.0),),
+}
+
+sweep = Sweep(
+    name="twisted",
+    claim="Networks that have seen slides twist take the twist out of pins.",
+    base=Experiment(
+        name="twisted",
+        claim="The twist of a slide is learnt like its shift.",
+        networks=("disentangled", "posenet"),
+        other_twists_deg=(0.0, 5.0, 20.0),
+        targets=("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle"),
+        sensor=sensor_of("twisted"),
+        paired=PAIRED["twisted"],
+        pose=POSE["parted"],
+        unshear=UnshearNet(input="pins"),
+        train_pins=replace(PINS, pose_weight=0.0),
+    ),
+    rows=tuple(ROWS.values()),
+    labels=tuple(ROWS),
+    seeds=(0, 1, 2),
+    reference="slides that do not twist",
+)
