@@ -20,7 +20,7 @@ from jaxunshear.sweep.settings import Sweep
 
 FIELDS = ("train_pins.tap_weight", "train_pins.alike_weight")
 WAYS = {"pairs alone": (0.0, 0.0), "and taps": (0.5, 0.0), "and slides": (0.5, 1.0)}
-SHARES = {1.0: tuple(WAYS)[:2], 0.1: tuple(WAYS), 0.01: tuple(WAYS), 0.05: tuple(WAYS)}
+SHARES = {1.0: tuple(WAYS)[:2], 0.1: tuple(WAYS), 0.01: tuple(WAYS)}
 
 sweep = Sweep(
     name="few_pairs",

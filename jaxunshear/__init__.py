@@ -1,7 +1,24 @@
 """A soft tactile dome in simulation, and networks that take the slide out of its images.
 
 The way of the data is the layout: scene -> contact -> image -> dataset -> model -> training -> evaluation -> report.
-Every step can be imported and used by itself; nothing is imported here, so the command line starts quickly.
+Every step can be imported and used by itself. `load_model` is the short way to a trained model; nothing is imported before it is called, so
+the command line starts quickly.
 """
 
+from __future__ import annotations
+
+import typing
+
+if typing.TYPE_CHECKING:
+    from pathlib import Path
+
+    from jaxunshear.api import Model
+
 __version__ = "0.1.0"
+
+
+def load_model(name: str | Path, like: str | Path | None = None) -> Model:
+    """See `jaxunshear.api.load_model`."""
+    from jaxunshear.api import load_model
+
+    return load_model(name, like)

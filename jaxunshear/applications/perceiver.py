@@ -44,6 +44,8 @@ NETWORKS = ("disentangled", "posenet", "posenet_sheared")
 
 
 Move = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
+# images (B, S, S) uint8 of {0, 255} -> what its networks are given: images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px
+Read = Callable[[np.ndarray], np.ndarray]
 
 
 class Answers(NamedTuple):
@@ -60,6 +62,7 @@ class Perceiver(NamedTuple):
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: each folder's own
     names: tuple[str, ...]  # of the poses that it reads
+    read: Read
     answer: Callable[[np.ndarray], Answers]
     expected: Expected  # what its sensor looks like in prepared images
 
@@ -96,12 +99,12 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
         view = frame_from(read_json(model / FRAME)).view
 
     def answer(images: np.ndarray) -> Answers:
-        after, poses = jax.device_get(run(images[..., None].astype(np.float32) / 255))
+        after, poses = jax.device_get(run(_unit(images)))
         return Answers(
             None if after is None else after[..., 0], _in_order(poses, names), np.ones(len(images), bool), {}
         )
 
-    return Perceiver(experiment.paired.preprocess, view, names, answer, expected_by(model, experiment))
+    return Perceiver(experiment.paired.preprocess, view, names, _unit, answer, expected_by(model, experiment))
 
 
 def frame_for(path: Path, experiment: Experiment) -> Frame | None:
@@ -139,6 +142,10 @@ def _look(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, var
     return after, poses
 
 
+def _unit(images: np.ndarray) -> np.ndarray:
+    return images[..., None].astype(np.float32) / 255
+
+
 def _in_order(poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
     """In the order of the targets, which a compiled program forgets."""
     return {way: {name: pose[name] for name in names} for way, pose in poses.items()}
@@ -157,9 +164,15 @@ def _of_pins(
     lattice = make_lattice(to_found(frame, frame.place), frame.shell)
     there, back, degrees = _between(frame.place, frame.place if rest is None else rest)
 
-    def answer(images: np.ndarray) -> Answers:
+    def seen(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         motion, sure = followed(lattice, images, alone=True)
-        pins = to_image(frame, lattice.place + motion)
+        return to_image(frame, lattice.place + motion), sure
+
+    def read(images: np.ndarray) -> np.ndarray:
+        return there(seen(images)[0]).astype(np.float32)
+
+    def answer(images: np.ndarray) -> Answers:
+        pins, sure = seen(images)
         after, poses = jax.device_get(run(there(pins).astype(np.float32)))
         places, drawn = {AS_RECORDED: pins}, None
         if after is not None:
@@ -171,7 +184,7 @@ def _of_pins(
         return Answers(drawn, _in_order(poses, names), sure, places)
 
     preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
-    return Perceiver(preprocess, frame.view, names, answer, expected)
+    return Perceiver(preprocess, frame.view, names, read, answer, expected)
 
 
 def _between(here: np.ndarray, known: np.ndarray) -> tuple[Move, Move, float]:

@@ -18,3 +18,8 @@ def unshear(net: UnshearNet | UNet | PinUnshear, variables: Any, seen: Array) ->
 def predict(net: PoseNet | PinPoseNet, variables: Any, seen: Array) -> Array:
     """Images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px -> outputs (B, K), see `posenet`."""
     return (pinnets if isinstance(net, PinPoseNet) else posenet).predict(net, variables, seen)
+
+
+def encode(net: UnshearNet | PinUnshear, variables: Any, seen: Array) -> tuple[Array, Array | None]:
+    """Images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px -> (z_p, z_s); z_s None without a shear code, as in released weights."""
+    return (pinnets if isinstance(net, PinUnshear) else unshearnet).encode(net, variables, seen)

@@ -10,8 +10,11 @@ import made
 import numpy as np
 import pytest
 
+from jaxunshear import load_model
 from jaxunshear.config import load_experiment
 from jaxunshear.dataset.digests import digest_of
+from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.image.settings import Preprocess
 
 sys.path.insert(0, str(Path(__file__).parent))
 from conftest import ROOT, SHORT
@@ -102,6 +105,18 @@ def test_poses_have_the_labels_names_and_their_errors_are_printed(command, pins_
     assert rows_of(tmp_path / "pose.json")["pose_mae.unsheared.y_mm"] == pytest.approx(off, abs=2e-3)
     assert "mean error against the labels, unsheared" in answer.err
     assert "learnt from recordings of one sensor of 127 pins" in answer.err
+
+
+def test_python_gives_what_the_commands_give(command, pins_run, recording):
+    model, recordings = load_model(pins_run), read_recordings(recording / "shear", Preprocess(size=made.SIZE))
+    frames = [image for _, _, image in recordings.frames(model.perceiver.view)][:40]
+    rows = list(csv.DictReader(command("pose", recording / "shear", "--model", pins_run).out.splitlines()))[:40]
+    images = np.stack(frames)
+    pose, codes = model.pose(images)["unsheared"], model.codes(images)
+    told = np.array([float(row["unsheared_y_mm"]) for row in rows])
+    sure = np.isfinite(pose["y_mm"])
+    assert sure.mean() > 0.9 and codes.pose.shape[1] == 16 and codes.shear.shape[1] == 4
+    np.testing.assert_allclose(pose["y_mm"][sure], told[sure], atol=1e-3)
 
 
 def test_images_are_unsheared_and_frames_streamed(command, pins_run, recording, tmp_path):

@@ -1,0 +1,121 @@
+"""A trained model in a few lines of Python.
+
+>>> model = load_model("standard")                    # released weights, or the folder of a finished run
+>>> images = np.stack([model.prepare(frame) for frame in frames])
+>>> model.unshear(images)                             # (B, S, S) in [0, 1]
+>>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
+>>> model.codes(images).pose                          # (B, F)
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from jaxunshear.applications.perceiver import Answers, Perceiver, frame_for, perceiver
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.image.preprocess import View, prepare_frame
+from jaxunshear.infer import load_settings, model_folder
+from jaxunshear.model.ready import ready
+from jaxunshear.model.unshearing import encode
+from jaxunshear.training.checkpoint import holds_model, load_best, read_net
+
+AT_ONCE = 32  # images: one shape to compile
+NETWORK = "disentangled"
+
+
+class Codes(NamedTuple):
+    """Of B images, each code as a row of numbers."""
+
+    pose: np.ndarray  # z_p, (B, F)
+    shear: np.ndarray | None  # z_s, (B, G); None of weights without it, as released ones are
+
+
+@dataclass(frozen=True)
+class Model:
+    """Networks that take binary images (B, S, S), uint8 of {0, 255} or bool, as `prepare` makes them. What an image whose pins are not
+    identified for sure gives is NaN, where networks read pins."""
+
+    folder: Path
+    experiment: Experiment
+    perceiver: Perceiver
+    encoder: Callable[[np.ndarray], Any] | None  # what networks read -> both codes; None where nothing unshears
+
+    @property
+    def size(self) -> int:
+        """S, px."""
+        return self.perceiver.preprocess.size
+
+    def prepare(self, frame: np.ndarray) -> np.ndarray:
+        """A camera's frame (H, W) or (H, W, channels), of any number type -> binary image (S, S) uint8. Raises UserError."""
+        return prepare_frame(self.perceiver.preprocess, frame, self.perceiver.view or View())
+
+    def unshear(self, images: np.ndarray) -> np.ndarray:
+        """(B, S, S) float32 in [0, 1]: as a tap at the same poses would look. Raises UserError."""
+        answers = self._answers(images)
+        if answers.unsheared is None:
+            raise UserError(f"{self.folder} holds no network that unshears: train {NETWORK}, or load another model")
+        return np.where(answers.sure[:, None, None], answers.unsheared, np.nan)
+
+    def pose(self, images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
+        """By way of reading and by quantity (mm and deg, in the frame of the labels that were learnt), (B,) each: of the images
+        "as_recorded" and "unsheared", and "learnt" where a PoseNet of slides is there. Raises UserError."""
+        answers = self._answers(images)
+        if not answers.poses:
+            raise UserError(f"{self.folder} holds no PoseNet: train posenet, or load another model")
+        return {
+            way: {name: np.where(answers.sure, values, np.nan) for name, values in poses.items()}
+            for way, poses in answers.poses.items()
+        }
+
+    def codes(self, images: np.ndarray) -> Codes:
+        """Pose code and shear code. Raises UserError."""
+        if self.encoder is None:
+            raise UserError(f"{self.folder} holds no network with codes: train {NETWORK}, or load another model")
+        encoder = self.encoder
+        z_p, z_s = self._in_batches(images, lambda part: encoder(self.perceiver.read(part)))
+        return Codes(z_p.reshape(len(z_p), -1), None if z_s is None else z_s.reshape(len(z_s), -1))
+
+    def _answers(self, images: np.ndarray) -> Answers:
+        return self._in_batches(images, self.perceiver.answer)
+
+    def _in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Any]) -> Any:
+        images = self._checked(images)
+        parts = []
+        for start in range(0, len(images), AT_ONCE):
+            part = images[start : start + AT_ONCE]
+            found = run(np.resize(part, (AT_ONCE, *part.shape[1:])))
+            parts.append(jax.tree.map(lambda values, kept=len(part): np.asarray(values)[:kept], found))
+        return jax.tree.map(lambda *values: np.concatenate(values), *parts)
+
+    def _checked(self, images: np.ndarray) -> np.ndarray:
+        images = np.asarray(images)
+        if images.ndim != 3 or images.shape[1:] != (self.size, self.size) or not len(images):
+            raise UserError(
+                f"images of shape {images.shape}: this model takes (B, {self.size}, {self.size}), B at least 1; `prepare` "
+                "makes one of a camera's frame"
+            )
+        if images.dtype == bool:
+            return images.astype(np.uint8) * np.uint8(255)
+        if images.dtype != np.uint8 or not np.isin(images, (0, 255)).all():
+            raise UserError(
+                f"images of {images.dtype}: this model takes uint8 of 0 and 255 alone, or bool; `prepare` makes them"
+            )
+        return images
+
+
+def load_model(name: str | Path, like: str | Path | None = None) -> Model:
+    """Released weights by name, or the folder of a finished run. `like`: a folder of recordings that tells where pins stand untouched,
+    for networks over pins that learnt in simulation alone. Raises UserError."""
+    folder = model_folder(Path(name))
+    experiment = load_settings(folder)
+    frame = None if like is None else frame_for(Path(like), experiment)
+    encoder = None
+    if holds_model(folder / NETWORK):
+        net: Any = read_net(folder / NETWORK)
+        encoder = ready(lambda variables, seen: encode(net, variables, seen), load_best(folder / NETWORK))
+    return Model(folder, experiment, perceiver(folder, experiment, True, frame), encoder)

@@ -1,0 +1,65 @@
+"""Trained models from Python: what goes in is checked, what comes out is what the commands give."""
+
+import numpy as np
+import pytest
+
+from jaxunshear import load_model
+from jaxunshear.applications.perceiver import UNSHEARED
+from jaxunshear.errors import UserError
+from jaxunshear.image.dots import dots
+from jaxunshear.image.framing import undeformed
+
+
+@pytest.fixture(scope="module")
+def model():
+    return load_model("standard")
+
+
+@pytest.fixture(scope="module")
+def images(model):
+    """Of a few pushed lattices, as a camera would show them."""
+    paired = model.experiment.paired
+    lattice = undeformed(model.experiment.sensor, paired.camera, paired.preprocess)
+    push = np.random.default_rng(0).normal(0, 2, (3, 1, 2))
+    drawn = np.asarray(dots(np.float32(lattice.place + push), 2.0, model.size))[..., 0]
+    return np.stack([model.prepare(np.uint8(255 * frame)) for frame in drawn])
+
+
+def test_images_codes_and_poses_of_released_weights(model, images):
+    assert images.shape == (3, model.size, model.size) and images.dtype == np.uint8
+    unsheared = model.unshear(images)
+    assert unsheared.shape == images.shape and 0 <= unsheared.min() < unsheared.max() <= 1
+    codes = model.codes(images)
+    assert len(codes.pose) == 3 and codes.pose.ndim == 2 and codes.shear is None  # released weights leave it out
+    pose = model.pose(images)
+    np.testing.assert_array_equal(
+        pose[UNSHEARED]["edge_mm"], model.perceiver.answer(images).poses[UNSHEARED]["edge_mm"]
+    )
+
+
+def test_how_many_images_come_at_once_does_not_matter(model, images):
+    many = np.concatenate([images] * 12)
+    np.testing.assert_allclose(model.unshear(many)[33:], model.unshear(images), atol=1e-6)
+    np.testing.assert_allclose(model.unshear(images > 0), model.unshear(images), atol=0)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda images: images[0], r"images of shape .*: this model takes"),
+        (lambda images: images[:, ::2, ::2], r"images of shape .*: this model takes"),
+        (lambda images: images[:0], "B at least 1"),
+        (lambda images: images.astype(float), "images of float64: this model takes uint8"),
+        (lambda images: images // 2, "uint8 of 0 and 255 alone"),
+    ],
+)
+def test_what_is_no_image_is_refused_by_name(model, images, change, complaint):
+    with pytest.raises(UserError, match=complaint):
+        model.unshear(change(images))
+
+
+def test_models_that_are_none_are_refused_by_name(tmp_path):
+    with pytest.raises(UserError, match="holds no experiment.json"):
+        load_model(tmp_path)
+    with pytest.raises(UserError, match="reads pins of any sensor"):
+        load_model("skin")
