@@ -59,7 +59,7 @@ def test_what_is_no_image_is_refused_by_name(model, images, change, complaint):
 
 
 def test_models_that_are_none_are_refused_by_name(tmp_path):
-    with pytest.raises(UserError, match="holds no experiment.json"):
+    with pytest.raises(UserError, match=r"holds no experiment\.json"):
         load_model(tmp_path)
     with pytest.raises(UserError, match="reads pins of any sensor"):
         load_model("skin")
