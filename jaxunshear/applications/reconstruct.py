@@ -105,13 +105,16 @@ def _largest(regions: np.ndarray) -> np.ndarray:
 
 
 def interpolated(fused: Fused) -> np.ndarray:
-    """(K, K): what was felt, and between it linear over the cells that were not; NaN outside of all that was felt."""
+    """(K, K): what was felt, and between it linear over the cells that were not, from the felt ones beside them; NaN outside of all
+    that was felt."""
     felt = ~np.isnan(fused.value)
-    if np.count_nonzero(felt) < 3:
-        return np.full(felt.shape, np.nan)
-    x, y = np.meshgrid(fused.x, fused.y)
-    between = LinearNDInterpolator(np.stack([x[felt], y[felt]], -1), fused.value[felt])
-    return np.where(felt, fused.value, between(x, y))
+    rim = felt & ndimage.binary_dilation(~felt, np.ones((3, 3)), border_value=True)
+    if np.count_nonzero(rim) < 3 or felt.all():
+        return np.where(felt.all(), fused.value, np.nan)
+    whole, (x, y) = fused.value.copy(), np.meshgrid(fused.x, fused.y)
+    between = LinearNDInterpolator(np.stack([x[rim], y[rim]], -1), fused.value[rim])
+    whole[~felt] = between(x[~felt], y[~felt])
+    return whole
 
 
 class Likeness(NamedTuple):
