@@ -98,7 +98,7 @@ def table(results: dict[str, Any]) -> str:
         lines.append(f"{'recovery':<16}" + "".join(shown))
     for reader, errors in results.get("readers", {}).items():
         lines += _errors(f"reader {reader}", errors, names)
-    for way, shares in results["coverage"].items():
+    for way, shares in results.get("coverage", {}).items():
         widths = results["half_width"][way]
         lines.append(
             f"{way}: {', '.join(f'{name} {share:.1%} within {widths[name]:.3g}' for name, share in shares.items())}"

@@ -233,7 +233,7 @@ def test_of_taps_alone_their_poses_are_told(tmp_path, read_page):
     results = make_run(tmp_path, networks=("posenet",), pairing="")
     text = read_page(write_report(tmp_path))
     assert f"{results['pose_mae']['tap']['z_mm']:.2f} mm taps" in text and "out of training: 24 taps." in text
-    for words in ("Recovery", "What it does", "How slides are paired", "slides 400", "alike", "Where the pins"):
+    for words in ("Recovery", "What it does", "How slides are paired", "slides 400", "How alike", "Where the pins"):
         assert words not in text, words
     assert not (tmp_path / "montage.png").exists()
 
