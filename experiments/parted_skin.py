@@ -6,7 +6,8 @@ Over pins. A recording has no two slides that are known to be alike, and no pose
 pose code of a slide agrees with that of its tap, that the shear code is noisy, and that it has a trunk of its own whose decoder does not
 teach the pose code. Both rows learn from true poses, too, as recorded.py does.
 
-Expected: docs/results/parted_skin.json; half an hour on a core. The pose code lets go of the slide; the shear code is left empty. For a whole table
+Expected: docs/results/parted_skin.json; half an hour on a core. The pose code lets go of the slide; the shear code is left empty. For a
+whole table
 
     jaxunshear ablate runs/sweeps/parted_skin/rows/ROW --leakage
 """
