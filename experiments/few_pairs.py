@@ -7,8 +7,8 @@ shares within the larger ones, has a tap and four slides: 1 % are 14 poses. Thre
 that PoseNet learns from, which must come out of the network as they went in. Beside both, slides that have no tap: two to the same pose
 must be unsheared alike. No way knows a pose: taps and slides need no label, but the last must know which slides were to one pose.
 
-Expected: docs/results/few_pairs.json; three quarters of an hour on a core. With a tenth of the pairs, and taps, errors of 1.1 to 1.2 times those
-of all pairs and taps; with a hundredth, and slides, of 1.2 to 1.6 times.
+Expected: docs/results/few_pairs.json; three quarters of an hour on a core. With a tenth of the pairs, and taps, errors of 1.1 to
+1.2 times those of all pairs and taps; with a hundredth, and slides, of 1.2 to 1.6 times.
 """
 
 from dataclasses import replace
