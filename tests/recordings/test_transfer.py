@@ -101,7 +101,9 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path, monkeyp
 
     expected = expected_of(made.rest_px(), made.SIZE)
     preprocess = Preprocess(size=made.SIZE)
-    monkeypatch.setattr(transfer, "perceiver", lambda *_: Perceiver(preprocess, None, (), answers, expected))
+    monkeypatch.setattr(
+        transfer, "perceiver", lambda *_: Perceiver(preprocess, None, (), lambda seen: seen, answers, expected)
+    )
     read = transfer._read
 
     def with_labels(experiment, model, settings, contacts, kind):
