@@ -12,12 +12,13 @@ Expected: docs/results/few_pairs.json; three quarters of an hour on a core. With
 """
 
 from dataclasses import replace
+from pathlib import Path
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import PINS, Experiment
-from jaxunshear.model.settings import PinNet, UnshearNet
+from jaxunshear.config import load_variable
+from jaxunshear.experiment import PINS
 from jaxunshear.sweep.settings import Sweep
 
+PARTED = load_variable(Path(__file__).with_name("parted.py"), sweep=Sweep).base
 FIELDS = ("train_pins.tap_weight", "train_pins.alike_weight")
 WAYS = {"pairs alone": (0.0, 0.0), "and taps": (0.5, 0.0), "and slides": (0.5, 1.0)}
 SHARES = {1.0: tuple(WAYS)[:2], 0.1: tuple(WAYS), 0.01: tuple(WAYS)}
@@ -25,16 +26,10 @@ SHARES = {1.0: tuple(WAYS)[:2], 0.1: tuple(WAYS), 0.01: tuple(WAYS)}
 sweep = Sweep(
     name="few_pairs",
     claim="Errors over the share of poses whose slides have their tap, without and with taps that have no slide.",
-    base=Experiment(
+    base=replace(
+        PARTED,
         name="few_pairs",
         claim="With taps that no slide belongs to, a tenth of the pairs is enough.",
-        networks=("disentangled", "posenet"),
-        targets=("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle"),
-        sensor=sensor_of("parted"),
-        paired=PAIRED["parted"],
-        pose=POSE["parted"],
-        unshear=UnshearNet(input="pins"),
-        pins=PinNet(shear_code=2, apart=True, shear_noise=0.1),
         train_pins=replace(PINS, epochs=13, pose_weight=0.0),
     ),
     rows=tuple(

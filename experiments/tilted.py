@@ -10,27 +10,28 @@ Expected: docs/results/tilted.json; a quarter of an hour on one core.
 """
 
 from dataclasses import replace
+from pathlib import Path
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import PINS, Experiment
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.config import load_variable
+from jaxunshear.dataset.configs import PAIRED, POSE
+from jaxunshear.experiment import PINS
+from jaxunshear.model.settings import PinNet
 from jaxunshear.sweep.settings import Sweep
 
+PARTED = load_variable(Path(__file__).with_name("parted.py"), sweep=Sweep).base
 ROWS = {"an upright sensor": (("paired.ranges.tilt_deg", 0.0),), "a sensor that leans": ()}
 
 sweep = Sweep(
     name="tilted",
     claim="Networks that have seen the sensor lean unshear it leaning.",
-    base=Experiment(
+    base=replace(
+        PARTED,
         name="tilted",
         claim="A slide of a leaning sensor is learnt like one of an upright one.",
-        networks=("disentangled", "posenet"),
         other_tilts_deg=(0.0, 25.0),
-        targets=("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle"),
-        sensor=sensor_of("tilted"),
         paired=PAIRED["tilted"],
         pose=POSE["tilted"],
-        unshear=UnshearNet(input="pins"),
+        pins=PinNet(),
         train_pins=replace(PINS, pose_weight=0.0),
     ),
     rows=tuple(ROWS.values()),

@@ -10,12 +10,15 @@ Expected: docs/results/twisted.json; a quarter of an hour on one core.
 """
 
 from dataclasses import replace
+from pathlib import Path
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import PINS, Experiment
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.config import load_variable
+from jaxunshear.dataset.configs import PAIRED
+from jaxunshear.experiment import PINS
+from jaxunshear.model.settings import PinNet
 from jaxunshear.sweep.settings import Sweep
 
+PARTED = load_variable(Path(__file__).with_name("parted.py"), sweep=Sweep).base
 ROWS = {
     "slides that do not twist": (("paired.ranges.twist_deg", 0.0),),
     "slides that twist by 5 deg": (),
@@ -25,16 +28,13 @@ ROWS = {
 sweep = Sweep(
     name="twisted",
     claim="Networks that have seen slides twist take the twist out of pins.",
-    base=Experiment(
+    base=replace(
+        PARTED,
         name="twisted",
         claim="The twist of a slide is learnt like its shift.",
-        networks=("disentangled", "posenet"),
         other_twists_deg=(0.0, 5.0, 20.0),
-        targets=("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle"),
-        sensor=sensor_of("twisted"),
         paired=PAIRED["twisted"],
-        pose=POSE["parted"],
-        unshear=UnshearNet(input="pins"),
+        pins=PinNet(),
         train_pins=replace(PINS, pose_weight=0.0),
     ),
     rows=tuple(ROWS.values()),

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from jaxunshear.applications.perceiver import Answers, Perceiver, frame_for, perceiver
+from jaxunshear.applications.perception import BATCH, in_batches
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.preprocess import View, prepare_frame
@@ -24,7 +24,6 @@ from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import encode
 from jaxunshear.training.checkpoint import holds_model, load_best, read_net
 
-AT_ONCE = 32  # images: one shape to compile
 NETWORK = "disentangled"
 
 
@@ -84,13 +83,9 @@ class Model:
         return self._in_batches(images, self.perceiver.answer)
 
     def _in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Any]) -> Any:
+        """A few images are not filled up to a whole batch: to find their pins takes longer than to compile once more."""
         images = self._checked(images)
-        parts = []
-        for start in range(0, len(images), AT_ONCE):
-            part = images[start : start + AT_ONCE]
-            found = run(np.resize(part, (AT_ONCE, *part.shape[1:])))
-            parts.append(jax.tree.map(lambda values, kept=len(part): np.asarray(values)[:kept], found))
-        return jax.tree.map(lambda *values: np.concatenate(values), *parts)
+        return in_batches(run, images, min(BATCH, len(images)))
 
     def _checked(self, images: np.ndarray) -> np.ndarray:
         images = np.asarray(images)

@@ -95,13 +95,15 @@ def unshearers(model: Path, experiment: Experiment, names: tuple[str, ...]) -> d
     return {name: unshearer(model / name, lattice) for name in names}
 
 
-def in_batches(run: Callable[[np.ndarray], Array], given: np.ndarray) -> np.ndarray:
-    """`run` of any number of images or pins, (N, ...), in batches of one shape to compile."""
+def in_batches(run: Callable[[np.ndarray], Any], given: np.ndarray, at_once: int = BATCH) -> Any:
+    """`run` of any number of images or pins, (N, ...), in batches of one shape to compile; what it gives are arrays (B, ...), or a tree
+    of them."""
     parts = []
-    for start in range(0, len(given), BATCH):
-        part = given[start : start + BATCH]
-        parts.append(jax.device_get(run(np.resize(part, (BATCH, *part.shape[1:]))))[: len(part)])
-    return np.concatenate(parts)
+    for start in range(0, len(given), at_once):
+        part = given[start : start + at_once]
+        found = jax.device_get(run(np.resize(part, (at_once, *part.shape[1:]))))
+        parts.append(jax.tree.map(lambda values, kept=len(part): values[:kept], found))
+    return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
 def look_of(
