@@ -9,7 +9,7 @@ demo: $(READY)
 	$(BIN)/jaxunshear run experiments/demo.py
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not long"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not long"
 
 check: $(READY)
 	$(BIN)/ruff check .

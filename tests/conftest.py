@@ -53,6 +53,14 @@ def pytest_unconfigure() -> None:
         shutil.rmtree(os.environ[COMPILED], ignore_errors=True)
 
 
+# They take a worker a minute and more; begun last, they would keep one waiting for the other.
+FIRST = ("test_run.py", "test_laboratory.py", "test_gradient.py", "test_loop.py", "test_calibrate.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.name not in FIRST)
+
+
 class Answer(NamedTuple):
     code: int
     out: str

@@ -22,7 +22,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.baselines import training_taps
 from jaxunshear.evaluation.found import FOUND, INPUTS, batches_of, found_pairs
-from jaxunshear.evaluation.gather import FIELDS, IMAGES, PINS, Gathered, gather
+from jaxunshear.evaluation.gather import BATCH, FIELDS, IMAGES, PINS, Gathered, gather
 from jaxunshear.evaluation.measurements import BARS, rounded
 from jaxunshear.evaluation.networks import load
 from jaxunshear.evaluation.paper import PAPER
@@ -41,7 +41,6 @@ from jaxunshear.targets import of_ranges, true_values
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
 
-BATCH = 32
 KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
 BOOTSTRAP_SEED = 0
 Scored = tuple[
@@ -140,9 +139,10 @@ def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     targets = stored.targets(experiment.targets)
     test = recorded.what_to_test(experiment, stored, targets, run_dir, data_dir)
     readers = readers_of(experiment, data_dir, run_dir) if stored.count("taps", "train") else {}
-    slides, taps = recorded.gathered_of(experiment, run_dir, stored, test, targets, of_batches(readers))
+    run = recorded.networks_of(experiment, run_dir, stored)
+    slides, taps = recorded.gathered_of(experiment, run, test, targets, of_batches(readers))
     results = recorded.results_of(experiment, stored, targets, slides, taps, test)
-    known = recorded.gathered_of(experiment, run_dir, stored, test, targets, split="validation")
+    known = recorded.gathered_of(experiment, run, test, targets, split="validation")
     results["half_width"] = half_widths(recorded.errors_of(*known))
     results["coverage"] = coverage(results["half_width"], recorded.errors_of(slides, taps))
     results["counts"]["reader_taps"] = {name: reader.taps for name, reader in readers.items()}

@@ -11,6 +11,7 @@ from jaxunshear.image.png import eight_bit
 from jaxunshear.progress import Progress
 from jaxunshear.targets import Targets, true_values
 
+BATCH = 32  # contacts that are scored at once
 LABELS = ("stimulus", "pose_id", "pose", "edge", "move", "residual_mm", "iterations", "stuck", "slipping", "free")
 PINS = ("canonical_pins", "sheared_pins")
 IMAGES = ("canonical", "sheared")
@@ -45,19 +46,19 @@ def gather(
     `inputs`: the fields that are tap and sheared, and what else `run` takes; `named`: those that are kept as labels;
     `readers`: by name, poses by kind of what `run` puts out, scored beside its own.
 
-    A last, shorter batch is filled up by repeating its first contact, so `run` compiles once; the surplus is dropped.
+    Shorter batches are filled up to BATCH by repeating their first contact, so `run` compiles once for all that it is fed; the surplus
+    is dropped.
     """
     kept = np.unique(np.linspace(0, total - 1, min(keep, total)).round().astype(np.int64))
     scores: list[dict[str, np.ndarray]] = []
     labels: list[dict[str, np.ndarray]] = []
     images: list[dict[str, np.ndarray]] = []
     pins: list[dict[str, np.ndarray]] = []
-    full = start = 0
+    start = 0
     with Progress(title, total) as progress:
         for batch in batches:
             size = len(batch[inputs[1]])
-            full = max(full, size)
-            outputs, similar = run(*(_filled(batch[name], full) for name in inputs))
+            outputs, similar = run(*(_filled(batch[name], max(BATCH, size)) for name in inputs))
             poses = {k: {q: np.asarray(v)[:size] for q, v in pose.items()} for k, pose in outputs.poses.items()}
             scores.append({name: np.asarray(value)[:size] for name, value in similar.items()})
             true = true_values(targets, batch)

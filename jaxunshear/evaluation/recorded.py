@@ -15,8 +15,8 @@ import numpy as np
 from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.dataset.recorded_reading import RecordedSet
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.gather import IMAGES, PINS, Gathered, gather
-from jaxunshear.evaluation.networks import load
+from jaxunshear.evaluation.gather import BATCH, IMAGES, PINS, Gathered, gather
+from jaxunshear.evaluation.networks import Run, load
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import Reads
@@ -28,7 +28,6 @@ from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.targets import Targets, names_of, to_json, true_values
 from jaxunshear.training.examples import pairs_of, pins_of
 
-BATCH = 32
 KEPT = 72  # slides whose pins are found, and from which the montage is chosen
 SEED = 0  # of the bootstrap
 LABELS = ("pose", "move", "pose_id", "stimulus", "number", "sure")
@@ -55,21 +54,24 @@ def what_to_test(
     return Test(slides, taps, paired and slides is not None)
 
 
+def networks_of(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Run:
+    """The networks of a run, for contacts of a recorded set. Raises UserError where one is missing."""
+    pins = pins_of(stored.frame) if over_pins(experiment) else None
+    return load(run_dir, experiment.networks, None, experiment.train.precision, pins)
+
+
 def gathered_of(
     experiment: Experiment,
-    run_dir: Path,
-    stored: RecordedSet,
+    run: Run,
     test: Test,
     targets: Targets,
     readers: Mapping[str, Reads] = MappingProxyType({}),
     split: str = "test",
 ) -> tuple[Gathered | None, Gathered | None]:
-    """Scores of a split's slides and of its taps, by the networks and by `readers`.
+    """Scores of a split's slides and of its taps, by the networks `run` and by `readers`.
 
-    Raises UserError where a network is missing, or no slide and no tap is labelled."""
-    pins = pins_of(stored.frame) if over_pins(experiment) else None
-    run = load(run_dir, experiment.networks, None, experiment.train.precision, pins)
-    inputs = ("canonical_pins", "sheared_pins") if pins else IMAGES
+    Raises UserError where no slide and no tap is labelled."""
+    inputs = ("canonical_pins", "sheared_pins") if over_pins(experiment) else IMAGES
     slides = taps = None
     if test.slides is not None and (count := test.slides.length(split)):
         if test.paired:

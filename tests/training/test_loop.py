@@ -303,6 +303,7 @@ def test_schedules():
     np.testing.assert_allclose([steps(399), steps(400), steps(799), steps(800)], [1e-4, 2e-5, 2e-5, 1e-5], rtol=1e-6)
 
 
+@pytest.mark.long
 def test_overfits_four_images(tmp_path):
     """Both images come back from the sheared one, also with averaged weights and running statistics."""
     net = UnshearNet(size=32, widths=(8, 16, 16), pose_channels=16, shear_channels=16)
