@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
+from jaxunshear.earlier import LATER
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
 from jaxunshear.scene.sensor import Sensor, sensor_named
@@ -112,7 +113,8 @@ def to_json(experiment: Experiment) -> dict[str, Any]:
 
 
 def from_json(data: Any, source: str = "experiment.json") -> Experiment:
-    """The inverse of `to_json`; unknown and missing fields and wrong types are refused by name."""
+    """The inverse of `to_json`; unknown and missing fields and wrong types are refused by name, but those that an earlier version did not
+    write (`earlier.py`)."""
     return build(data, Experiment, source, "")
 
 
@@ -277,21 +279,27 @@ def _fits(value: Any, kind: Any) -> bool:
 def build(data: Any, kind: Any, source: str, name: str) -> Any:
     if groups := _groups(kind):
         given = set(data) if isinstance(data, dict) else set()
-        own = next((group for group in groups if set(_hints(group)) == given), groups[0])
+        own = next((group for group in groups if given and _fills(given, set(_hints(group)))), groups[0])
         hints = _hints(own)
-        if not isinstance(data, dict) or set(data) != set(hints):
-            odd = sorted(set(data) ^ set(hints)) if isinstance(data, dict) else ["all of it"]
+        if not isinstance(data, dict) or not _fills(given, set(hints)):
+            odd = sorted((given ^ set(hints)) - (set(hints) & set(LATER))) if isinstance(data, dict) else ["all of it"]
             raise UserError(
                 f"{source} does not fit this version: see {name or 'its top level'}, {', '.join(odd)}; run it again"
             )
         parts = {
-            field: build(data[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in hints.items()
+            field: build(data[field] if field in data else LATER[field], hint, source, f"{name}.{field}".lstrip("."))
+            for field, hint in hints.items()
         }
         return own(**parts)
     value = _tupled(data)
     if not _fits(value, kind):
         raise UserError(f"{source}: {name} takes {_describe(kind)}, not {data!r}")
     return value
+
+
+def _fills(given: set[str], fields: set[str]) -> bool:
+    """Whether a file that gives these has all that is not LATER, and nothing else."""
+    return given <= fields and fields - given <= set(LATER)
 
 
 def _tupled(data: Any) -> Any:

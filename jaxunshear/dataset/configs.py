@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.dataset.settings import PairedData, PoseData, Ranges, Recorded
+from jaxunshear.earlier import without_later
 from jaxunshear.errors import UserError
 from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
@@ -23,8 +24,6 @@ NOT_STORED = (
     "labelled",
     "unlabelled",
 )  # of `Recorded`: where it lies, and what is made of it
-# fields that came after sets were made, in whatever group, and what these have: they are described as before
-LATER = {"poses_a_slide": 1, "twist_deg": 0.0, "tilt_deg": 0.0}
 Settings = PairedData | PoseData | Recorded
 
 FITTED: dict[str, Any] = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share
@@ -123,16 +122,10 @@ def describe(settings: Settings, sensor: Sensor) -> dict:
     fields = dataclasses.asdict(settings)
     for name in NOT_STORED if isinstance(settings, Recorded) else ("config",):  # a name only
         del fields[name]
-    fields = _as_before(fields)
+    fields = without_later(fields)
     version = version_of(settings)
     whole = {"set": set_name(settings), "version": version, "sensor": dataclasses.asdict(sensor), "settings": fields}
     return json.loads(json.dumps(whole))
-
-
-def _as_before(fields: dict[str, Any]) -> dict[str, Any]:
-    """Without what is LATER."""
-    kept = {name: value for name, value in fields.items() if name not in LATER or LATER[name] != value}
-    return {name: _as_before(value) if isinstance(value, dict) else value for name, value in kept.items()}
 
 
 def floats(thing: Any) -> Any:

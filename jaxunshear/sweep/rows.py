@@ -17,6 +17,7 @@ from typing import Any
 from jaxunshear.config import replaced, show, to_json, validate
 from jaxunshear.dataset.configs import VERSION, floats
 from jaxunshear.dataset.settings import PoseData, Recorded
+from jaxunshear.earlier import without_later
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import (
     ALL_NETWORKS,
@@ -101,7 +102,7 @@ def row_digest(experiment: Experiment, ablation: bool) -> str:
     """Eight hexadecimal digits of all that decides a row's numbers; names, claims and the networks' order do not."""
     networks = tuple(sorted(experiment.networks))
     whole = dataclasses.replace(experiment, name="", claim="", networks=networks)
-    return _digest({"experiment": to_json(whole), "ablation": ablation})
+    return _digest({"experiment": without_later(to_json(whole)), "ablation": ablation})
 
 
 def training_part(experiment: Experiment, network: str) -> Experiment:
@@ -134,7 +135,7 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(part, pins=without_turns(part.pins))
     if network in WITHOUT_CODES:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))
-    own = _digest({"experiment": to_json(part), "network": network})
+    own = _digest({"experiment": without_later(to_json(part)), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
 
 

@@ -26,6 +26,7 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxunshear import storage
+from jaxunshear.earlier import LATER, is_later
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
 from jaxunshear.targets import Targets, from_json
@@ -179,7 +180,8 @@ def write_settings(folder: Path, settings: dict[str, Any]) -> None:
         return storage.write_json(path, settings)
     old, new = _flat(storage.read_json(path)), _flat(settings)
     for name in old | new:
-        if old.get(name) != new.get(name):
+        lacking = name not in old and is_later(name, new[name])
+        if old.get(name) != new.get(name) and not lacking:
             change = f"{name} = {old.get(name)}, now {new.get(name)}"
             raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
 
@@ -192,7 +194,8 @@ def read_net(folder: Path) -> Any:
     try:
         stored = storage.read_json(path)
         kind = NETS[stored["kind"]]
-        fields = {field.name: stored["net"][field.name] for field in dataclasses.fields(kind)}
+        fields = LATER | stored["net"]
+        fields = {field.name: fields[field.name] for field in dataclasses.fields(kind)}
         return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
     except (KeyError, TypeError) as error:
         raise UserError(f"{path} lacks or misnames {error}: delete {folder} and train again") from error

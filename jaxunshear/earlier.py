@@ -1,0 +1,34 @@
+"""Settings that came after others had been stored: one table for all that reads or compares stored settings. Imports nothing.
+
+A setting that is added does nothing at the value given here. So a file that lacks it is read as if that value stood in it, and the
+names of data sets, of rows and of trainings leave it out at that value: what was made before is found again.
+"""
+
+from typing import Any
+
+LATER: dict[str, Any] = {
+    "poses_a_slide": 1,
+    "twist_deg": 0.0,
+    "tilt_deg": 0.0,
+    "other_twists_deg": (),
+    "other_tilts_deg": (),
+    "apart": False,
+    "shear_noise": 0.0,
+    "swap_weight": 0.0,
+    "agreement_weight": 0.0,
+    "paired_share": 1.0,
+    "tap_weight": 0.0,
+    "alike_weight": 0.0,
+}
+
+
+def is_later(name: str, value: Any) -> bool:
+    """Whether a stored file may lack the setting of this dotted name, which has `value` today."""
+    last = name.rpartition(".")[2]
+    return last in LATER and LATER[last] == (tuple(value) if isinstance(value, list) else value)
+
+
+def without_later(fields: dict[str, Any]) -> dict[str, Any]:
+    """Nested settings without what is LATER and does nothing."""
+    kept = {name: value for name, value in fields.items() if not is_later(name, value)}
+    return {name: without_later(value) if isinstance(value, dict) else value for name, value in kept.items()}

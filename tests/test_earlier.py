@@ -1,0 +1,72 @@
+"""What earlier versions stored is read, compared and named as if the settings that came later stood in it."""
+
+import dataclasses
+
+import pytest
+
+from jaxunshear.config import from_json, replaced, to_json
+from jaxunshear.dataset.configs import describe
+from jaxunshear.earlier import LATER, is_later, without_later
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+from jaxunshear.model.settings import PinUnshear
+from jaxunshear.run import _keep_settings
+from jaxunshear.storage import read_json, write_json
+from jaxunshear.training.checkpoint import read_net, write_settings
+
+NOW = Experiment(name="now", claim="none")
+
+
+def groups(kind):
+    """The dataclasses that an experiment is made of."""
+    found = [dataclasses.fields(kind)]
+    for value in vars(kind).values():
+        found += groups(value) if dataclasses.is_dataclass(value) else []
+    return found
+
+
+def test_what_came_later_does_nothing_at_its_default():
+    fields = [field for group in groups(NOW) for field in group if field.name in LATER]
+    assert {field.name for field in fields} == set(LATER)
+    assert all(field.default == LATER[field.name] for field in fields)
+
+
+def test_an_earlier_file_is_todays_experiment():
+    earlier = without_later(to_json(NOW))
+    assert not {"other_tilts_deg"} & earlier.keys() and not set(LATER) & earlier["pins"].keys()
+    assert from_json(earlier) == NOW
+    changed = replaced(NOW, "train_pins.paired_share", 0.1)
+    assert without_later(to_json(changed))["train_pins"]["paired_share"] == 0.1
+    assert "twist_deg" not in describe(NOW.paired, NOW.sensor)["settings"]["ranges"]
+
+
+@pytest.mark.parametrize("name", ["epochs", "claim"])
+def test_what_was_always_there_may_not_lack(name):
+    earlier = without_later(to_json(NOW))
+    (earlier if name in earlier else earlier["train"]).pop(name)
+    with pytest.raises(UserError, match=rf"does not fit this version: see .*, {name}; run"):
+        from_json(earlier)
+
+
+def test_an_earlier_run_goes_on(tmp_path):
+    write_json(tmp_path / "experiment.json", without_later(to_json(NOW)))
+    (tmp_path / "disentangled").mkdir()
+    _keep_settings(NOW, tmp_path)
+    assert from_json(read_json(tmp_path / "experiment.json")) == NOW
+    with pytest.raises(UserError, match=r"another train_pins\.tap_weight"):
+        _keep_settings(replaced(NOW, "train_pins.tap_weight", 0.5), tmp_path)
+
+
+def test_an_earlier_training_is_the_same_training(tmp_path):
+    net = PinUnshear()
+    settings = {"kind": "pin_unshear", "net": vars(net), "training": dataclasses.asdict(NOW.train_pins)}
+    write_json(tmp_path / "model.json", without_later(settings))
+    write_settings(tmp_path, settings)
+    assert read_net(tmp_path) == net
+    other = {**settings, "net": {**settings["net"], "apart": True}}
+    with pytest.raises(UserError, match=r"net\.apart = None, now True"):
+        write_settings(tmp_path, other)
+
+
+def test_lists_of_json_are_tuples():
+    assert is_later("other_tilts_deg", []) and not is_later("other_tilts_deg", [5.0])
