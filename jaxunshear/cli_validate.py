@@ -27,7 +27,7 @@ def add_parser(commands: Any) -> None:
         "--contacts", metavar="N", type=int, default=400, help="of each folder, at random; 0: all (400)"
     )
     parser.add_argument(
-        "--told", action="store_true", help="leave edge and tilt of the object where the labels have them"
+        "--as-labelled", action="store_true", help="leave edge and tilt of the object where the labels have them"
     )
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the draw (0)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for validate.png and validate.txt")
@@ -60,10 +60,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         arguments.contacts or None,
         arguments.seed,
         arguments.out,
-        told=arguments.told,
+        as_labelled=arguments.as_labelled,
         refit=arguments.refit,
     )
     if arguments.json is not None:
-        told = {"command": command, "machine": machine(), "versions": versions(), "seed": arguments.seed, **found}
-        write_json(arguments.json, told)
+        reported = {"command": command, "machine": machine(), "versions": versions(), "seed": arguments.seed, **found}
+        write_json(arguments.json, reported)
     return 0

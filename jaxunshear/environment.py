@@ -38,9 +38,11 @@ def settle() -> None:
     for name in aside:
         del os.environ[name]
     os.environ.update(new)
-    told = ", ".join(sorted(name for name in aside if name.startswith("JAX_")))
-    if told:
-        warnings.warn(f"set aside, since it would give other results under the same name: {told}", Note, stacklevel=2)
+    reported = ", ".join(sorted(name for name in aside if name.startswith("JAX_")))
+    if reported:
+        warnings.warn(
+            f"set aside, since it would give other results under the same name: {reported}", Note, stacklevel=2
+        )
 
 
 def check_environment() -> None:
@@ -53,8 +55,8 @@ def check_environment() -> None:
             raise UserError(f"XLA_FLAGS: {flag} would give other results under the same name: leave it out")
     asked = {name: os.environ[name] for name in DEVICES if os.environ.get(name, "") not in ("", "cpu")}
     if asked and not _starts():
-        told = ", ".join(f"{name}={value}" for name, value in asked.items())
-        raise UserError(f"{told}: JAX cannot start with that on this machine; unset it, or name what is there")
+        reported = ", ".join(f"{name}={value}" for name, value in asked.items())
+        raise UserError(f"{reported}: JAX cannot start with that on this machine; unset it, or name what is there")
 
 
 def _starts() -> bool:

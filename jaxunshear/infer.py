@@ -98,7 +98,7 @@ def unshear_recordings(
     write_text(out / "NOTE.txt", "\n".join([note, frames, f"Networks: {model.name}", *notes]) + "\n")
     log(f"{len(table)} images unsheared, {len(recordings) - len(table)} left out; see {out / 'poses.csv'}")
     errors.report(log)
-    _tell([*notes, *([note] if note else [])], log)
+    _print_summary([*notes, *([note] if note else [])], log)
     return _measured(
         [
             _row("unshear.images", len(table), "1"),
@@ -147,7 +147,7 @@ def pose_of_recordings(
     log(csv_text(table).rstrip("\n"))
     note = note or (lambda text: print(text, file=sys.stderr))
     errors.report(note)
-    _tell([*recordings.notes, learnt_note(experiment)], note)
+    _print_summary([*recordings.notes, learnt_note(experiment)], note)
     return _measured([*rows_out, *errors.rows()])
 
 
@@ -332,7 +332,7 @@ def _recorded(recordings: "Recordings", row: int) -> dict[str, str]:
     return cells
 
 
-def _tell(notes: list[str], log: Log) -> None:
+def _print_summary(notes: list[str], log: Log) -> None:
     for note in (*notes[:9], *notes[9:][-1:]):
         log(f"note: {note}")
     if len(notes) > 10:

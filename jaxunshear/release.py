@@ -77,8 +77,8 @@ def release(run_dir: Path, out: Path) -> Path:
         write_weights(part / name, variables[name], PARTS[name])
         model = read_json(run_dir / name / MODEL)
         origins = {key: model[key] for key in ORIGINS if key in model}
-        told = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
-        write_json(part / name / MODEL, told | origins)
+        reported = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
+        write_json(part / name / MODEL, reported | origins)
     if not results.get("simulated", True):
         write_json(part / FRAME, read_json(run_dir / FRAME))
         settings["paired"] |= {
@@ -104,8 +104,8 @@ def _made_on(results: dict[str, Any]) -> list[str]:
     others = {json.dumps(machine) for machine in results.get("trained_on", {}).values()} - {
         json.dumps(results["machine"])
     }
-    told = [*(("Trained on", machine) for machine in sorted(others)), ("Machine", json.dumps(results["machine"]))]
-    lines = [line for name, machine in told for line in ("", f"{name}: {machine}")]
+    reported = [*(("Trained on", machine) for machine in sorted(others)), ("Machine", json.dumps(results["machine"]))]
+    lines = [line for name, machine in reported for line in ("", f"{name}: {machine}")]
     return [*lines, "", f"Versions: {json.dumps(results['versions'])}", ""]
 
 
@@ -151,7 +151,9 @@ def _recorded_card(results: dict[str, Any], name: str) -> str:
 def _turning(ranges: dict[str, float]) -> str:
     """Of slides that twist and sensors that lean, in words."""
     ways = {"twist_deg": "twisting", "tilt_deg": "of a sensor that leans"}
-    return "".join(f", {told} by up to {ranges[field]:g} deg" for field, told in ways.items() if ranges.get(field))
+    return "".join(
+        f", {reported} by up to {ranges[field]:g} deg" for field, reported in ways.items() if ranges.get(field)
+    )
 
 
 def _simulated_card(results: dict[str, Any], name: str) -> str:

@@ -66,7 +66,7 @@ def _run(experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Pa
                 from jaxunshear.evaluation.evaluate import evaluate
 
                 results, worked = evaluate(experiment, folder, data, command), True
-                _tell(results, folder)
+                _print_summary(results, folder)
             else:
                 from jaxunshear.report.report import write_report
 
@@ -81,18 +81,18 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
     """experiment.json, or a refusal to mix the work of two different experiments in one folder."""
     path = folder / "experiment.json"
     wanted = to_json(experiment)
-    begun = any(
+    started = any(
         each.name not in (path.name, LOCK, TIMES) for each in folder.iterdir()
     )  # else data at most, which lie elsewhere
     if path.exists():
         try:
             stored = to_json(from_json(read_json(path), str(path)))
         except UserError as error:
-            if begun:
+            if started:
                 raise UserError(f"{error}; to start anew give another --out, or delete {folder}") from error
             stored = {}
         changed = [name for name in configs.differences(stored, wanted) if name != "claim"]
-        if changed and begun:
+        if changed and started:
             raise UserError(
                 f"{folder} holds a run with another {', '.join(changed[:3])}: give another --out, or delete that folder"
             )
@@ -139,16 +139,16 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     training, examples = training_of(experiment, network), open_examples(experiment, network, data, folder)
     if recorded_of(experiment):
         write_json(folder / FRAME, stored_of(experiment, data).frame)
-    whole = examples
+    full = examples
     if training.paired_share < 1:
-        examples = few_pairs(whole, training.paired_share, experiment.seed)
+        examples = few_pairs(full, training.paired_share, experiment.seed)
     task, fields = task_of(experiment, network, examples, folder)
     batches = examples.reader.train_batches(training.batch, seed, training.shift, fields)
     beside = max(1, training.batch // 2)
     if training.tap_weight:
         batches = with_taps(batches, taps_of(experiment, data), beside, seed)
     if training.alike_weight:
-        batches = with_alike(batches, whole, beside, seed)
+        batches = with_alike(batches, full, beside, seed)
     begin = start_folder(training.start, network)
     summary = train(
         task,
@@ -209,9 +209,9 @@ def _keep_time(folder: Path, stage: str, seconds: float) -> None:
     write_json(folder / TIMES, _times(folder) | {stage: round(seconds, 3)})
 
 
-def _tell(results: dict[str, Any], folder: Path) -> None:
+def _print_summary(results: dict[str, Any], folder: Path) -> None:
     if not results["simulated"]:
-        _tell_recorded(results, folder)
+        _print_recorded(results, folder)
         return
     from jaxunshear.evaluation.measurements import measurements
 
@@ -224,7 +224,7 @@ def _tell(results: dict[str, Any], folder: Path) -> None:
         print(f"{row['name']:<40} {row['value']} {row['unit']}{bar}")
 
 
-def _tell_recorded(results: dict[str, Any], folder: Path) -> None:
+def _print_recorded(results: dict[str, Any], folder: Path) -> None:
     """Recordings have any targets: a table for a person, and the file that holds the rest."""
     from jaxunshear.evaluation.score import shown_kind
     from jaxunshear.evaluation.unseen import table

@@ -54,7 +54,7 @@ def test_a_notebooks_backend_draws_nothing_here(tmp_path, name):
     ("name", "value"),
     [("JAX_PLATFORMS", "nowhere"), ("XLA_FLAGS", "--nonsense"), ("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")],
 )
-def test_devices_and_flags_that_cannot_be_are_told_before_any_work(tmp_path, name, value):
+def test_devices_and_flags_that_cannot_be_are_reported_before_any_work(tmp_path, name, value):
     words = ("-m", "jaxunshear", "run", "experiments/tiny.py", "--out", tmp_path / "runs", "--data", tmp_path / "sets")
     answer = process(*words, **{name: value})
     assert (answer.returncode, answer.stdout, answer.stderr.count("\n")) == (2, "", 1), answer.stderr
@@ -62,7 +62,7 @@ def test_devices_and_flags_that_cannot_be_are_told_before_any_work(tmp_path, nam
     assert not list(tmp_path.iterdir())
 
 
-def test_no_home_is_told_in_one_line(command, monkeypatch):
+def test_no_home_is_reported_in_one_line(command, monkeypatch):
     def home():
         raise RuntimeError("Could not determine home directory.")
 
@@ -75,7 +75,7 @@ def test_no_home_is_told_in_one_line(command, monkeypatch):
 
 
 @pytest.mark.parametrize("words", [("run", "tiny.py", "--out", "a"), ("calibrate", "a/b"), ("verify", "--json", "a/x")])
-def test_a_loop_of_links_is_told_in_one_line(command, tmp_path, monkeypatch, words):
+def test_a_loop_of_links_is_reported_in_one_line(command, tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)
     Path("a").symlink_to("b")
     Path("b").symlink_to("a")

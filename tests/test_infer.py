@@ -143,7 +143,7 @@ def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(monkeypatch, m
     assert measured["rows"][-1]["value"] == pytest.approx(1 / infer.BATCH)
 
 
-def test_pose_tells_both_readings_of_each_image(command, model, folder, tmp_path):
+def test_pose_gives_both_readings_of_each_image(command, model, folder, tmp_path):
     answer = command("pose", folder, "--force", "--model", model, "--json", tmp_path / "pose.json")
     assert answer.code == 0, answer.err
     assert "simulated touches only" in answer.err

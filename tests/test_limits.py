@@ -65,13 +65,13 @@ def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
     ("field", "value"),
     [("camera.mm_across", "60"), ("camera.frame_px", "300"), ("preprocess.offset", "0.1"), ("preprocess.block", "0.2")],
 )
-def test_posenet_reads_pairs_that_look_like_its_taps(group, field, value):
+def test_posenet_reads_pairs_that_see_like_its_taps(group, field, value):
     line = refusal(f"--{group}.{field} {value}")
     assert line.startswith(f"--pose.{field} ") and f"differs from paired.{field} (" in line
     validate(override(PLAIN, [f"--paired.{field}", value, f"--pose.{field}", value]))
 
 
-def test_without_a_posenet_of_taps_pairs_may_look_otherwise():
+def test_without_a_posenet_of_taps_pairs_may_see_otherwise():
     words = ["--paired.camera.mm_across", "60", "--networks"]
     validate(override(PLAIN, [*words, "disentangled,posenet_sheared"]))
     assert "differs" in refusal("--paired.camera.mm_across 60 --networks disentangled --train.pose_weight 0.1")

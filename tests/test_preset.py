@@ -19,10 +19,10 @@ DEMO, RECORDED, SWEEP = (ROOT / "experiments" / f"{name}.py" for name in ("demo"
 def test_sensor_camera_and_friction_are_the_calibrated_ones():
     before = load_experiment(DEMO)
     before = replace(before, paired=replace(before.paired, camera=replace(before.paired.camera, frame_px=200)))
-    after, told = with_preset(before, SHIPPED), json.loads(SHIPPED.read_text())["preset"]
-    assert after.sensor.pin_spacing_mm == told["sensor"]["pin_spacing_mm"] != before.sensor.pin_spacing_mm
+    after, reported = with_preset(before, SHIPPED), json.loads(SHIPPED.read_text())["preset"]
+    assert after.sensor.pin_spacing_mm == reported["sensor"]["pin_spacing_mm"] != before.sensor.pin_spacing_mm
     for data, frame in ((after.paired, 200), (after.pose, 256)):
-        assert (data.friction, data.camera.mm_across) == (told["friction"], told["camera"]["mm_across"])
+        assert (data.friction, data.camera.mm_across) == (reported["friction"], reported["camera"]["mm_across"])
         assert data.camera.frame_px == frame
     back = {"sensor": before.sensor, "paired": before.paired, "pose": before.pose}
     assert replace(after, **back) == before
@@ -30,7 +30,7 @@ def test_sensor_camera_and_friction_are_the_calibrated_ones():
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("{", "not valid JSON"),
         ("[]", "holds no preset"),
@@ -39,16 +39,16 @@ def test_sensor_camera_and_friction_are_the_calibrated_ones():
         ('{"preset": {"friction": 0.3}}', "preset, camera, sensor"),
     ],
 )
-def test_files_that_tell_no_sensor_are_refused_in_one_line(tmp_path, text, told):
+def test_files_that_give_no_sensor_are_refused_in_one_line(tmp_path, text, reported):
     file = tmp_path / "calibration.json"
     file.write_text(text)
-    with pytest.raises(UserError, match=told) as refused:
+    with pytest.raises(UserError, match=reported) as refused:
         read_preset(file)
     assert str(file) in str(refused.value) and "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (("run", DEMO, "--sensor-from", "nowhere.json"), "nowhere.json is no file"),
         (("data", RECORDED, "--sensor-from", SHIPPED), "simulated touches"),
@@ -57,7 +57,7 @@ def test_files_that_tell_no_sensor_are_refused_in_one_line(tmp_path, text, told)
         (("evaluate", ".", "--sensor-from", SHIPPED), "stay as they are"),
     ],
 )
-def test_the_command_line_refuses_what_does_not_go_together(capsys, words, told):
+def test_the_command_line_refuses_what_does_not_go_together(capsys, words, reported):
     assert cli.main([str(word) for word in words]) == 2
     line = capsys.readouterr().err
-    assert told in line and line.count("\n") == 1
+    assert reported in line and line.count("\n") == 1

@@ -91,7 +91,7 @@ def test_a_card_names_the_machine_that_trained_where_another_one_measured():
     assert text.count("Trained on: ") == 1 and '"gpu: one"' in text
 
 
-def test_a_card_tells_how_far_slides_twist_and_the_sensor_leans():
+def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
     settings = RESULTS["settings"]
     ranges = settings["paired"]["ranges"]
     assert "mm along each axis. Beyond" in card(RESULTS, "mine")
@@ -121,8 +121,8 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head)
     ]
     np.testing.assert_allclose(*poses, atol=0.05)
     for name in ("disentangled", "posenet"):
-        told = read_json(made / name / "model.json")
-        assert {key: told[key] for key in LEARNT} == LEARNT and "training" not in told
+        reported = read_json(made / name / "model.json")
+        assert {key: reported[key] for key in LEARNT} == LEARNT and "training" not in reported
     assert not (made / "entangled").exists()  # which this run has not trained
     assert read_json(made / "experiment.json")["name"] == "mine"
     arrays = np.load(made / "disentangled" / "weights.npz").files
@@ -174,14 +174,14 @@ def test_a_damaged_run_is_not_released(run, tmp_path, file, text, line):
 @pytest.mark.parametrize(
     "spoil", [lambda data: data[: len(data) // 2], lambda data: b"", lambda data: b"x" * len(data)]
 )
-def test_damaged_weights_are_told(run, tmp_path, spoil):
+def test_damaged_weights_are_reported(run, tmp_path, spoil):
     file = release(run, tmp_path / "new") / "posenet" / "weights.npz"
     file.write_bytes(spoil(file.read_bytes()))
     with pytest.raises(UserError, match="damaged"):
         checkpoint.load_best(file.parent)
 
 
-def test_weights_of_another_network_under_a_true_digest_are_told_apart(run, tmp_path):
+def test_weights_of_another_network_under_a_true_digest_are_reported_apart(run, tmp_path):
     file = release(run, tmp_path / "new") / "posenet" / "weights.npz"
     with np.load(file) as kept:
         arrays = dict(kept)

@@ -115,7 +115,7 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
 
 
 @pytest.mark.long
-def test_a_network_is_taught_by_a_posenet_and_told_poses(finished, command, tmp_path):
+def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, tmp_path):
     """Results do not know that PoseNet; released weights hold the head that reads poses off the code, and no DS."""
     words = [TINY, "--out", tmp_path, "--data", finished / "datasets", "--networks", "disentangled,posenet"]
     words += ["--train.pose_weight", 1, "--train.pose_target", "label", "--train.label_weight", 0.5]

@@ -153,7 +153,7 @@ def test_recorded_labels_fill_the_outputs_from_end_to_end():
     np.testing.assert_allclose(wanted, [0, 1], atol=1e-2)
 
 
-def test_rows_with_an_unknown_label_tell_nothing_of_ranges():
+def test_rows_with_an_unknown_label_give_nothing_of_ranges():
     poses = recorded()
     unknown = poses.copy()
     unknown[:, 0] = 1e3

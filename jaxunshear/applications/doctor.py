@@ -26,7 +26,7 @@ from jaxunshear.progress import Progress
 SAMPLED = 40  # images whose pins are found, shared by the folders
 LEAST_SAMPLED = 8  # in each of many folders
 UNITS = ("mm",) * 3 + ("deg",) * 3
-MOST_TOLD = 20  # images that cannot be read, by name
+MOST_LISTED = 20  # images that cannot be read, by name
 
 
 @dataclass(frozen=True)
@@ -142,9 +142,9 @@ def _sizes(
         for row, size in sizes.items()
         if size != usual
     ]
-    left = len(problems) - MOST_TOLD
+    left = len(problems) - MOST_LISTED
     more = [Problem.at(recordings.files[rows[0]].parent, f"{left} more images with such faults")] if left > 0 else []
-    return sizes, problems[:MOST_TOLD] + more
+    return sizes, problems[:MOST_LISTED] + more
 
 
 def _usual(sizes: dict[int, tuple[int, int]]) -> tuple[int, int]:

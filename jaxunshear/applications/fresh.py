@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxunshear.contact.indentation import indentation
 from jaxunshear.contact.simulate import follow
-from jaxunshear.dataset.chunks import look
+from jaxunshear.dataset.chunks import render
 from jaxunshear.dataset.shots import draw_paired
 from jaxunshear.dataset.splits import BLOCK
 from jaxunshear.experiment import Experiment, simulated_of
@@ -49,7 +49,7 @@ def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: 
     good = contacts.converged[slid] & contacts.converged[tapped]
     slid, tapped = slid[good], tapped[good]
     rows = np.concatenate([tapped, slid])
-    images, pins = look(settings, experiment.sensor, contacts.pins[rows], rows, shots.age[rows])
+    images, pins = render(settings, experiment.sensor, contacts.pins[rows], rows, shots.age[rows])
     half = len(slid)
     return FreshContacts(
         shots.scenes.stimulus[slid],
@@ -67,4 +67,4 @@ def untouched_images(experiment: Experiment, count: int) -> np.ndarray:
     """(N, S, S) uint8 of {0, 255}: the sensor that touches nothing, with the light, noise and wear of other images."""
     paired, _ = simulated_of(experiment, "this")
     tips = np.repeat(pin_tips(experiment.sensor)[None], count, axis=0)
-    return look(paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count))[0]
+    return render(paired, experiment.sensor, tips, SEED + np.arange(count), np.linspace(0, 1, count))[0]

@@ -46,13 +46,13 @@ def of_compliance(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> Inv
 
 def pins_per_force(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> np.ndarray:
     """(2P, 3N) px/N: how far pins move in the image, per unit of force on each contact node, where they have not moved yet."""
-    whole = dome(sensor)
+    full = dome(sensor)
 
     def seen(tip: jax.Array) -> jax.Array:
         return to_image_px(camera, preprocess, project(camera, tip, sensor))
 
-    slope = np.asarray(jax.vmap(jax.jacfwd(seen))(jnp.asarray(whole.pins, jnp.float32)), float)
-    return np.einsum("pij,pjn->pin", slope, whole.g.reshape(len(slope), 3, -1)).reshape(2 * len(slope), -1)
+    slope = np.asarray(jax.vmap(jax.jacfwd(seen))(jnp.asarray(full.pins, jnp.float32)), float)
+    return np.einsum("pij,pjn->pin", slope, full.g.reshape(len(slope), 3, -1)).reshape(2 * len(slope), -1)
 
 
 def indentation_of(inverse: Inverse, motion: np.ndarray) -> np.ndarray:

@@ -62,10 +62,10 @@ def solids(
     there = np.flatnonzero(~np.isnan(walks.seen[walk, :, 0]))[::EVERY]
     images = unpack(walks.images[walk, there], experiment.paired.preprocess.size)
     motion = motions_of(lattice, images) if unshear is None else unshear(images)
-    whole = float(np.abs(line.points).max()) + CELL_MM  # also what a walk that ended early has not felt
+    full = float(np.abs(line.points).max()) + CELL_MM  # also what a walk that ended early has not felt
     found = {}
     for name, maker in makers.items():
-        fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), whole)
+        fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), full)
         shape = maker.shape(fused)
         true = _distance(stimulus_named(course.stimulus), np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
         off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]

@@ -85,7 +85,7 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
     targets = {name: read_targets(model / name) for name in wanted}
     reads = [name for name in ("posenet", "posenet_sheared") if name in nets]
     names = names_of(targets[reads[0]]) if reads else ()
-    run = ready(partial(_look, nets, targets, recorded_too), variables)
+    run = ready(partial(_forward, nets, targets, recorded_too), variables)
     if over_pins(experiment):
         if isinstance(experiment.paired, Recorded):
             frame, rest = frame_from(read_json(model / FRAME)), None
@@ -125,7 +125,7 @@ def expected_by(model: Path, experiment: Experiment) -> Expected:
     return expected_of(place, paired.preprocess.size)
 
 
-def _look(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, variables: Any, seen: Any) -> Any:
+def _forward(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, variables: Any, seen: Any) -> Any:
     """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
 
     def pose(name: str, given: Any) -> Any:

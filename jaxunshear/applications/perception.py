@@ -45,7 +45,7 @@ Perceive = Callable[
 ]  # NaN where pins are needed and not identified for sure
 # (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each
 # (B,); of networks over pins both are pins (B, P, 2) px
-Look = Callable[[Mapping[str, Any], Array], tuple[Array, dict[str, Array]]]
+Forward = Callable[[Mapping[str, Any], Array], tuple[Array, dict[str, Array]]]
 BATCH = 32
 # images (N, S, S) uint8 of {0, 255} -> (N, P, 2) px, motions of the unsheared pins; NaN rows where pins are not identified for sure
 Unshear = Callable[[np.ndarray], np.ndarray]
@@ -106,13 +106,13 @@ def in_batches(run: Callable[[np.ndarray], Any], given: np.ndarray, at_once: int
     return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
-def look_of(
+def forward_of(
     nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32", by_head: bool = False
-) -> Look:
-    """Of networks by name, in the order in which they look; `targets` by network. With `by_head` the answer of the head of a network
+) -> Forward:
+    """Of networks by name, in the order in which they run; `targets` by network. With `by_head` the answer of the head of a network
     that unshears counts, too: alone, or in a mean with PoseNet's."""
 
-    def look(variables, given):
+    def forward(variables, given):
         seen, answers = _unit(given) if given.dtype == np.uint8 else given, []
         known: Targets = ()
         for name, net in nets.items():
@@ -129,10 +129,10 @@ def look_of(
             seen = unshear(net, variables[name], given)
         return seen, reduce(partial(posenet.mean_pose, targets=known), answers)
 
-    return look
+    return forward
 
 
-def read_look(model: Path, way: str, precision: str = "float32") -> tuple[Look, Any, Targets]:
+def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[Forward, Any, Targets]:
     """A way of looking, its networks' variables and the poses that it reads, from the folder of a run. Raises `UserError`."""
     names = WAYS[way]
     for name in names:
@@ -141,7 +141,7 @@ def read_look(model: Path, way: str, precision: str = "float32") -> tuple[Look, 
     variables = {name: load_best(model / name) for name in names}
     targets = {name: read_targets(model / name) for name in names}
     if way not in OF_CODE:
-        return look_of(nets, targets, precision), variables, targets[names[-1]]
+        return forward_of(nets, targets, precision), variables, targets[names[-1]]
     if pose_head.of(variables["disentangled"]) is None:
         raise UserError(
             f"{model / 'disentangled'} has no head that reads the pose code, which networks over images get by "
@@ -151,7 +151,7 @@ def read_look(model: Path, way: str, precision: str = "float32") -> tuple[Look, 
         raise UserError(
             f"{model / 'disentangled'} does not tell what its head reads: train it again, or perceive another way"
         )
-    return look_of(nets, targets, precision, by_head=True), variables, targets["disentangled"]
+    return forward_of(nets, targets, precision, by_head=True), variables, targets["disentangled"]
 
 
 def _lattice_of(experiment: Experiment) -> Lattice:
@@ -193,12 +193,12 @@ def _of_pins(folder: Path, lattice: Lattice) -> Unshear:
 
 
 def _perception(model: Path, see: See, way: str) -> Perceive:
-    look, variables, targets = read_look(model, way)
+    forward, variables, targets = load_forward(model, way)
     if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
         raise UserError(f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg")
 
     def edge(variables, given):
-        _, pose = look(variables, given)
+        _, pose = forward(variables, given)
         return pose["edge_mm"], pose["edge_deg"]
 
     run = ready(edge, variables)

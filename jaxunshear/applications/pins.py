@@ -14,7 +14,7 @@ from jaxunshear.dataset.recordings import Recordings, read_image, read_recording
 from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import Layout, fit_lattice
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import Found, look
+from jaxunshear.image.pins import Found, detect
 from jaxunshear.image.preprocess import View
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.track import Track
@@ -96,7 +96,7 @@ def _found(recordings: Recordings, view: View) -> tuple[list[Found], list[str], 
     with Progress(f"pins {recordings.path.name}", len(recordings)) as progress:
         for row, name, image in recordings.frames(view):
             began = time.perf_counter()
-            found.append(look(image))
+            found.append(detect(image))
             spent += time.perf_counter() - began
             if row in wanted:
                 drawn[len(names)] = image

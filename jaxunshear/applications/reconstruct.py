@@ -55,10 +55,10 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
 
     Rows with a NaN (an image whose pins were not identified) are left out.
     """
-    told = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
-    put = place[told] if place.ndim == 3 else place
-    x, y = np.moveaxis(to_target(point[told], put), -1, 0)
-    reach = max(cover_mm, np.abs(point[told, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM)
+    reported = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
+    put = place[reported] if place.ndim == 3 else place
+    x, y = np.moveaxis(to_target(point[reported], put), -1, 0)
+    reach = max(cover_mm, np.abs(point[reported, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM)
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
 
     def gathered(weights: np.ndarray) -> np.ndarray:
@@ -67,7 +67,7 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
 
     total = gathered(np.ones_like(x))
     touched = total > LEAST
-    mean = np.divide(gathered(value[told]), total, out=np.full(total.shape, np.nan), where=touched)
+    mean = np.divide(gathered(value[reported]), total, out=np.full(total.shape, np.nan), where=touched)
     middle = (edges[1:] + edges[:-1]) / 2
     return Fused(middle, middle, mean)
 
@@ -111,10 +111,10 @@ def interpolated(fused: Fused) -> np.ndarray:
     rim = felt & ndimage.binary_dilation(~felt, np.ones((3, 3)), border_value=True)
     if np.count_nonzero(rim) < 3 or felt.all():
         return np.where(felt.all(), fused.value, np.nan)
-    whole, (x, y) = fused.value.copy(), np.meshgrid(fused.x, fused.y)
+    full, (x, y) = fused.value.copy(), np.meshgrid(fused.x, fused.y)
     between = LinearNDInterpolator(np.stack([x[rim], y[rim]], -1), fused.value[rim])
-    whole[~felt] = between(x[~felt], y[~felt])
-    return whole
+    full[~felt] = between(x[~felt], y[~felt])
+    return full
 
 
 class Likeness(NamedTuple):

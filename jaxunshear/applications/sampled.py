@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.grey import is_binary, middle_level, to_grey, white_of
-from jaxunshear.image.pins import Found, find_pins, look
+from jaxunshear.image.pins import Found, detect, find_pins
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
 from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.tracking import follow_all
@@ -78,7 +78,7 @@ def seen(named: list[tuple[str, np.ndarray]]) -> Seen:
     pixels = Pixels(kind, float(white), _negative(preprocess, some))
     if pixels.negative:
         images, view = _prepared(preprocess, [_inverted(raw) for raw in raws])
-    found = [look(image) for image in images]
+    found = [detect(image) for image in images]
     samples = (Sample(name, image, each.pins) for (name, _), image, each in zip(usable, images, found, strict=True))
     side = view.box[2] - view.box[0] if view.box else min(raws[0].shape[:2])
     return Seen(pixels, _pins(found, preprocess.size, side), tuple(samples))

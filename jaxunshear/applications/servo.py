@@ -25,7 +25,7 @@ from jaxunshear.applications.controller import Gains, Memory, control
 from jaxunshear.applications.perception import Perceive
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Skins
-from jaxunshear.dataset.chunks import RENDER, look, pack
+from jaxunshear.dataset.chunks import RENDER, pack, render
 from jaxunshear.dataset.configs import VERSION
 from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
@@ -100,10 +100,10 @@ def follow_contour(
     made = made_with(sensor, settings, digests)
     walks = _stored(file, course, tuple(ways), made) or _at_starts(course, line, tuple(ways), settings, made)
     total = walks.point.shape[1]
-    steer, tell = jax.jit(control, static_argnums=0), edge_teller(stimulus)
+    steer, report = jax.jit(control, static_argnums=0), edge_teller(stimulus)
     with Progress(f"servo {course.stimulus}", total, "steps", done=int(walks.steps)) as progress:
         while walks.steps < total and np.any(walks.end == WALKING):
-            _take_step(walks, course, sensor, settings, line, ways, steer, tell)
+            _take_step(walks, course, sensor, settings, line, ways, steer, report)
             progress.advance()
             if walks.steps % SAVE_EVERY == 0:
                 _store(file, course, walks)
@@ -117,8 +117,8 @@ def made_with(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) 
     """A digest of all but the course that decides walks: simulator, sensor, how images are made of it, the networks of each way."""
     seen = {name: dataclasses.asdict(getattr(settings, name)) for name in ("camera", "nuisance", "preprocess")}
     contact = {"version": VERSION, "sensor": dataclasses.asdict(sensor), "friction": settings.friction}
-    whole = {**contact, **seen, "seed": settings.seed, "networks": dict(digests)}
-    return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:16]
+    full = {**contact, **seen, "seed": settings.seed, "networks": dict(digests)}
+    return hashlib.sha256(json.dumps(full, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def first_points(course: Course, line: Outline) -> np.ndarray:
@@ -170,13 +170,13 @@ def _take_step(
     line: Outline,
     ways: Mapping[str, Perceive | None],
     steer: Callable,
-    tell: Callable,
+    report: Callable,
 ) -> None:
     step, rows = int(walks.steps), np.flatnonzero(walks.end == WALKING)
     images, ended = _touch(walks, course, sensor, settings, step, rows)
     walks.images[:, step] = pack(images)
     here = walks.point[:, step]
-    walks.true[:, step] = tell(here)
+    walks.true[:, step] = report(here)
     _perceive(walks, ways, images, step, rows)
 
     walks.arc_mm[rows], before = advance(line, walks.arc_mm[rows], here[rows, :2], WINDOW_MM), walks.arc_mm[rows]
@@ -229,7 +229,7 @@ def _touch(
     seen = rows[finite]
     if len(seen):
         fresh, few = np.zeros(len(seen)), min(RENDER, count)
-        images[seen] = look(settings, sensor, contacts.pins[finite], number[finite], fresh, few)[0]
+        images[seen] = render(settings, sensor, contacts.pins[finite], number[finite], fresh, few)[0]
     walks.simulate_s += time.perf_counter() - began
     return images, ended
 

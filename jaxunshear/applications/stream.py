@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.applications.perceiver import UNSHEARED, expected_by, perceiver
-from jaxunshear.applications.perception import Look, read_look
+from jaxunshear.applications.perception import Forward, load_forward
 from jaxunshear.applications.sources import Frame
 from jaxunshear.dataset.preparing import Frame as PinFrame
 from jaxunshear.dataset.recordings import PROBES
@@ -80,9 +80,9 @@ def robot_of(
 def step_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Step:
     """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already.
     `way` is one of perception's that unshear."""
-    look, variables, targets = read_look(model, way, precision)
+    forward, variables, targets = load_forward(model, way, precision)
     names = names_of(targets)
-    run = ready(perceive_of(look, names), variables)
+    run = ready(perceive_of(forward, names), variables)
     size = experiment.paired.preprocess.size
 
     def step(image: np.ndarray) -> tuple[np.ndarray, dict[str, float], float]:
@@ -93,12 +93,12 @@ def step_of(model: Path, experiment: Experiment, precision: str = "float32", way
     return step
 
 
-def perceive_of(look: Look, names: tuple[str, ...]) -> Callable[[Any, Array], tuple[Array, Array]]:
+def perceive_of(forward: Forward, names: tuple[str, ...]) -> Callable[[Any, Array], tuple[Array, Array]]:
     """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
     the quantities of the pose and the confidence."""
 
     def perceive(variables, image):
-        seen, pose = look(variables, image[None])
+        seen, pose = forward(variables, image[None])
         return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in names), confidence(seen[0])])
 
     return perceive
@@ -128,7 +128,7 @@ def stream(
     preprocess = robot.preprocess
     seen = steady_view(preprocess)
     errors: dict[str, list[float]] = {}
-    whole, networks, confident, skipped, last, missed = [], [], [], 0, -1, 0
+    total_ms, networks, confident, skipped, last, missed = [], [], [], 0, -1, 0
     problems: dict[str, int] = {}
     began = time.perf_counter()
     try:
@@ -162,13 +162,13 @@ def stream(
             elif inline and after is not None:
                 line["image_png"] = base64.b64encode(png(eight_bit(after), FAST)).decode()
             networks.append(1e3 * (answered - asked))
-            whole.append(1e3 * (time.perf_counter() - came))
+            total_ms.append(1e3 * (time.perf_counter() - came))
             confident.append(sure)
-            _write(out, line | {"ms": round(whole[-1], 3)})
+            _write(out, line | {"ms": round(total_ms[-1], 3)})
     except KeyboardInterrupt:  # a camera's usual end
-        if not live or not whole:
+        if not live or not total_ms:
             raise
-    used = len(whole)
+    used = len(total_ms)
     return {
         "frames": used + skipped + missed,
         "used": used,
@@ -179,7 +179,7 @@ def stream(
         "frames_per_s": used / max(time.perf_counter() - began, 1e-9),
         "confidence": float(np.mean(confident)) if used else None,
         "pose_mae": {name: float(np.mean(values)) for name, values in errors.items()},
-        "latency_ms": _spread(whole),
+        "latency_ms": _spread(total_ms),
         "networks_ms": _spread(networks),
     }
 

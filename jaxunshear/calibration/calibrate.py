@@ -84,21 +84,21 @@ def calibrate(
     radius = _with_scale(fit_pin_radius(groups, after_sensor, fitted.values, solved), fitted)
     after_sensor = replace(after_sensor, pin_radius_mm=radius[0])
     after = replace(fitted.values, housing=fit_housing(groups, after_sensor, fitted.values, solved))
-    told: Summaries = {RECORDED: _merged([_summaries(group, group.seen, group.seen.sure) for group in groups])}
+    reported: Summaries = {RECORDED: _merged([_summaries(group, group.seen, group.seen.sure) for group in groups])}
     pictures = [(f"recorded: {part.name}", part.images[0]) for part in recorded[:2]]
     for kind, own, values, tips in (
         (BEFORE, sensor, before, tips_before),
         (AFTER, after_sensor, after, tips_after),
     ):
-        told[kind], picture = _simulated(groups, own, values, tips)
+        reported[kind], picture = _simulated(groups, own, values, tips)
         pictures.append((kind, picture))
     parameters = _parameters(start, fitted, sensor, radius, held)
     lost = {"the fit, where each counts for 3 px": fitted.dropped}
     for where, tips in (("the images before, left out", tips_before), ("the images after, left out", tips_after)):
         lost[where] = sum(int((~converged).sum()) for _, converged in tips)
-    notes += _told(held, fitted, lost)
+    notes += _reported(held, fitted, lost)
     results: dict[str, Any] = {
-        "rows": rows_of(told),
+        "rows": rows_of(reported),
         "parameters": parameters,
         "preset": _preset(after_sensor, after),
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
@@ -111,7 +111,7 @@ def calibrate(
     if out is not None:
         write_json(Path(out) / "calibration.json", results)
         write_text(Path(out) / "calibration.txt", text + "\n")
-        write_bytes(Path(out) / "calibration.png", curves(told, pictures))
+        write_bytes(Path(out) / "calibration.png", curves(reported, pictures))
     return results
 
 
@@ -273,7 +273,7 @@ def _preset(sensor: Sensor, values: Values) -> dict[str, Any]:
     return {"sensor": asdict(sensor), "camera": camera, "friction": values.friction}
 
 
-def _told(held: Collection[str], fitted: Fitted, lost: dict[str, int]) -> list[str]:
+def _reported(held: Collection[str], fitted: Fitted, lost: dict[str, int]) -> list[str]:
     notes = [OVERALL_MODULUS]
     for name, low in fitted.low.items():
         if name.startswith("surface_mm"):

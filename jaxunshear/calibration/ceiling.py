@@ -26,11 +26,11 @@ def features(contacts: Motions) -> np.ndarray:
     place = end[:, [0, 2]] if contacts.across else end[:, [2]]
     columns = np.column_stack([place, cos, sin, axis[:, :2], own, twist])
     spread = columns.std(axis=0)
-    told = spread > 1e-6
-    return (columns[:, told] - columns[:, told].mean(axis=0)) / spread[told]
+    reported = spread > 1e-6
+    return (columns[:, reported] - columns[:, reported].mean(axis=0)) / spread[reported]
 
 
-def told_by_labels(contacts: Motions, motion: np.ndarray, seed: int = 0) -> np.ndarray:
+def explained_by_labels(contacts: Motions, motion: np.ndarray, seed: int = 0) -> np.ndarray:
     """(N, P, 2) of motions (N, P, 2) px, each from the labels of contacts of other folds: kernel ridge regression, with the width and
     the ridge that do best over all folds."""
     x, y = features(contacts), np.nan_to_num(less_mean(motion)).reshape(len(motion), -1)
@@ -40,12 +40,12 @@ def told_by_labels(contacts: Motions, motion: np.ndarray, seed: int = 0) -> np.n
     for width in WIDTHS:
         kernel = np.exp(-square / (2 * width**2 * x.shape[1]))
         for ridge in RIDGES:
-            told = np.zeros_like(y)
+            reported = np.zeros_like(y)
             for k in range(min(FOLDS, len(x))):
                 here, others = fold == k, fold != k
                 inner = kernel[np.ix_(others, others)] + ridge * np.eye(others.sum())
-                told[here] = kernel[np.ix_(here, others)] @ np.linalg.solve(inner, y[others])
-            off = np.sum((told - y) ** 2)
+                reported[here] = kernel[np.ix_(here, others)] @ np.linalg.solve(inner, y[others])
+            off = np.sum((reported - y) ** 2)
             if off < error:
-                best, error = told, off
+                best, error = reported, off
     return best.reshape(motion.shape)

@@ -75,7 +75,7 @@ def fit(
         if not elsewhere and old - cost < SETTLED * old:
             break
     spread = _bootstrap(slopes, problem.redrawer(problem.values(x)), _weights(base), x, prior)
-    return _told(problem, x, spread, before, base)
+    return _reported(problem, x, spread, before, base)
 
 
 def _weights(residual: np.ndarray) -> np.ndarray:
@@ -116,21 +116,21 @@ def _bootstrap(slopes, redraw: Callable[[np.random.Generator], np.ndarray], weig
     )
 
 
-def _told(problem: Problem, x: np.ndarray, spread: np.ndarray, before: float, residual: np.ndarray) -> Fitted:
+def _reported(problem: Problem, x: np.ndarray, spread: np.ndarray, before: float, residual: np.ndarray) -> Fitted:
     ends = np.percentile(spread, [2.5, 97.5], axis=0)
     ends = ends - np.median(spread, axis=0) + x  # the draws scatter about their own middle; the fit is what is reported
-    told = {}
+    reported = {}
     for k, name in enumerate(problem.names):
         start = getattr(problem.start, name) if k < len(problem.scalars) else None
-        told[name] = [
+        reported[name] = [
             float(start * np.exp(e)) if start is not None else float(problem.start.surface_mm[_group(problem, k)] + e)
             for e in ends[:, k]
         ]
     width = (ends[1] - ends[0]) / (2 * 1.96 * problem.prior())
     return Fitted(
         problem.values(x),
-        {name: pair[0] for name, pair in told.items()},
-        {name: pair[1] for name, pair in told.items()},
+        {name: pair[0] for name, pair in reported.items()},
+        {name: pair[1] for name, pair in reported.items()},
         {name: bool(w < DETERMINED) for name, w in zip(problem.names, width, strict=True)},
         before,
         _error(residual),

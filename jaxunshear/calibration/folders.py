@@ -8,7 +8,7 @@ import numpy as np
 from jaxunshear.calibration.alignment import STEPS, Matter, find_frame
 from jaxunshear.calibration.calibrate import LEAST_LABELLED
 from jaxunshear.calibration.calibrated import Calibrated
-from jaxunshear.calibration.ceiling import told_by_labels
+from jaxunshear.calibration.ceiling import explained_by_labels
 from jaxunshear.calibration.held_out import Parts
 from jaxunshear.calibration.labels import Frame, Motions, framed, motions, to_paths
 from jaxunshear.calibration.matching import read_labels
@@ -92,15 +92,15 @@ def read_folder(parts: Parts, known: Calibrated) -> tuple[Folder | str, list[dic
     return folder, left_out
 
 
-def frame_names(told: bool) -> tuple[str, ...]:
-    """What is found of the frame. `told`: edge and tilt are where the labels have them."""
-    return ("surface_mm",) if told else tuple(STEPS)
+def frame_names(as_labelled: bool) -> tuple[str, ...]:
+    """What is found of the frame. `as_labelled`: edge and tilt are where the labels have them."""
+    return ("surface_mm",) if as_labelled else tuple(STEPS)
 
 
-def align(folder: Folder, known: Calibrated, told: bool, start: Frame) -> Aligned:
+def align(folder: Folder, known: Calibrated, as_labelled: bool, start: Frame) -> Aligned:
     """How a folder's labels and images go together, from images that are not compared; the search begins at `start`."""
     matter = with_values(folder.matter, known)
-    frame = find_frame(matter, start, frame_names(told))
+    frame = find_frame(matter, start, frame_names(as_labelled))
     return Aligned(frame, folder.angle - matter.turn(frame), matter.side, len(matter.contacts))
 
 
@@ -133,7 +133,7 @@ def _result(name: str, seen: Seen, contacts: Motions, moved: np.ndarray, side: i
         name,
         recorded,
         simulated,
-        told_by_labels(contacts, recorded),
+        explained_by_labels(contacts, recorded),
         seen.lattice.shell,
         np.nanmean(seen.place, axis=0) * (128 / seen.size),
         mm_per_px(values, sensor, 128, flat),

@@ -23,10 +23,10 @@ class Scored(NamedTuple):
 
 
 def refitted(
-    folders: list[Folder], before: Calibrated, used: tuple[str, ...], aligned: list[Aligned], told: bool
+    folders: list[Folder], before: Calibrated, used: tuple[str, ...], aligned: list[Aligned], as_labelled: bool
 ) -> Point:
     """`before`, refitted to the images that align the folders, which its `used` names beside those given, and the frames."""
-    framed = frame_names(told)
+    framed = frame_names(as_labelled)
     with Progress("refit", slopes_of(len(folders), framed=framed), unit="slopes") as progress:
         matters, frames = [folder.matter for folder in folders], [one.frame for one in aligned]
         found = refit(matters, before, frames, framed=framed, advance=progress.advance)
@@ -37,7 +37,7 @@ def refitted(
 
 
 def gains(
-    before: list[Scored], after: list[Scored], calibrated: Calibrated, known: Calibrated, told: bool
+    before: list[Scored], after: list[Scored], calibrated: Calibrated, known: Calibrated, as_labelled: bool
 ) -> list[Row]:
     """Values before (`calibrated`) and after the refit (`known`), and R2 gained on compared contacts: by each value alone with the
     frame found anew, by finding the frame (`frame`, before the refit), and by all together."""
@@ -52,9 +52,9 @@ def gains(
     with Progress("gains", len(UNITS), unit="values") as progress:
         for name in UNITS:
             alone = with_value(calibrated, name, value_of(known, name))
-            rows += _gained(name, first, _r2(_compared(before, alone, told, frames)))
+            rows += _gained(name, first, _r2(_compared(before, alone, as_labelled, frames)))
             progress.advance()
-    if not told:
+    if not as_labelled:
         begin = [part.folder.start for part in before]
         rows += _gained("frame", _r2(_compared(before, calibrated, True, begin)), first)
     return rows + _gained("all", first, last)
@@ -68,18 +68,18 @@ def gains_table(rows: list[Row]) -> str:
     lines: list[dict[str, Any]] = []
     for name in (*UNITS, "frame", "all"):
         line = {"changed": name, "before": known.get(f"before.{name}"), "after": known.get(f"after.{name}")}
-        told = {f"r2 gained, {kind}s": known.get(f"gain.r2.{kind}.{name}") for kind in KINDS}
-        lines += [line | told] if any(value is not None for value in told.values()) else []
+        reported = {f"r2 gained, {kind}s": known.get(f"gain.r2.{kind}.{name}") for kind in KINDS}
+        lines += [line | reported] if any(value is not None for value in reported.values()) else []
     return plain_table(lines, ("changed", "before", "after", *(f"r2 gained, {kind}s" for kind in KINDS)))
 
 
 Scores = dict[str, tuple[float, int]]  # of taps and slides: R2, contacts
 
 
-def _compared(parts: list[Scored], known: Calibrated, told: bool, begin: list[Frame]) -> list[Compared]:
+def _compared(parts: list[Scored], known: Calibrated, as_labelled: bool, begin: list[Frame]) -> list[Compared]:
     found = []
     for part, frame in zip(parts, begin, strict=True):
-        compared, _ = compare(part.folder, align(part.folder, known, told, frame), known)
+        compared, _ = compare(part.folder, align(part.folder, known, as_labelled, frame), known)
         found += [] if compared is None else [compared]
     return found
 

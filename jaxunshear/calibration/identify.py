@@ -208,7 +208,7 @@ def run(
 
 
 def _fit_row(
-    name: str, start, fit: Descent, truth: np.ndarray, told: dict[str, Any], model_mm: float
+    name: str, start, fit: Descent, truth: np.ndarray, reported: dict[str, Any], model_mm: float
 ) -> dict[str, Any]:
     """`*_std`: what noise alone would leave; `model_mm`: rms distance of the fit's pins, coarser in increments, nodes and the
     compliance between its knots, from the noiseless ones at the true values."""
@@ -222,8 +222,8 @@ def _fit_row(
         "ratio": fit.best[1],
         "friction_error": fit.best[0] / truth[0] - 1,
         "ratio_error": fit.best[1] / truth[1] - 1,
-        "friction_std": told["friction_std"],
-        "ratio_std": told["ratio_std"],
+        "friction_std": reported["friction_std"],
+        "ratio_std": reported["ratio_std"],
         "loss": fit.loss.min(),
         "model_mm": model_mm,
         "seconds": fit.seconds,
@@ -262,14 +262,14 @@ def _figure(fits: dict, truth: np.ndarray, axes: list[np.ndarray], losses: np.nd
 
     from jaxunshear.style import STYLE
 
-    looks = {"L-BFGS-B": ("#d9822b", "-"), "Gauss-Newton": ("#1f6feb", "--")}
+    glances = {"L-BFGS-B": ("#d9822b", "-"), "Gauss-Newton": ("#1f6feb", "--")}
     with rc_context(STYLE):
         figure = Figure(figsize=(8.6, 3.6), layout="constrained")
         left, right = figure.subplots(1, 2)
         right.contour(*axes, np.log10(losses), levels=14, colors="#9aa4b2", linewidths=0.7)
         for number, ((name, _), fit) in enumerate(fits.items()):
-            colour, dash = looks[name]
-            label = name if number < len(looks) else None
+            colour, dash = glances[name]
+            label = name if number < len(glances) else None
             left.plot(np.arange(1, len(fit.loss) + 1), np.minimum.accumulate(fit.loss), dash, color=colour, label=label)
             better = np.flatnonzero(fit.loss == np.minimum.accumulate(fit.loss))
             right.plot(*fit.tried[better].T, dash, marker=".", markersize=4, linewidth=1.2, color=colour, label=label)

@@ -40,12 +40,13 @@ def validate(
     seed: int = 0,
     out: Path | None = None,
     log: Log = print,
-    told: bool = False,
+    as_labelled: bool = False,
     refit: Path | None = None,
 ) -> dict[str, Any]:
-    """Compares `each` contacts of every folder at `path` (None: all), drawn at random, that the calibration has not seen. `told`: with
-    edge and tilt of the object where the labels have them. `refit`: a file for the calibration, refitted pin by pin to the images that
-    align the folders, which is then compared; rows tell what each value gained.
+    """Compares `each` contacts of every folder at `path` (None: all), drawn at random, that the calibration has not seen.
+
+    `as_labelled`: with edge and tilt of the object where the labels have them. `refit`: a file for the calibration, refitted pin by pin
+    to the images that align the folders, which is then compared; rows say what each value gained.
 
     Returns `rows` (name, unit, value, contacts), `notes`, and `left_out` (image, why). With `out`, writes validate.txt and
     validate.png there, which show no recorded image. Raises `UserError` where nothing can be compared.
@@ -56,21 +57,21 @@ def validate(
     split, more = held_out(path, each, seed, used)
     notes += more
     folders, left_out = _folders(split, calibrated, notes)
-    scored, lost = _scored(folders, calibrated, told, [folder.start for folder in folders], notes)
+    scored, lost = _scored(folders, calibrated, as_labelled, [folder.start for folder in folders], notes)
     if not scored:
         raise UserError(f"{path}: no folder has labelled contacts that can be compared: {notes[-1]}")
     gained: list[Row] = []
     if refit is not None:
         folders, aligned = [part.folder for part in scored], [part.aligned for part in scored]
-        known, frames = refitted(folders, calibrated, used, aligned, told)
+        known, frames = refitted(folders, calibrated, used, aligned, as_labelled)
         write_json(
             refit, {"preset": known.preset, "image_names": known.used, "notes": [f"{calibrated.name}, refitted"]}
         )
         notes.append(f"{refit.name}: refitted to the contacts that align; the rest of this is of it")
-        again, lost = _scored(folders, known, told, frames, notes)
+        again, lost = _scored(folders, known, as_labelled, frames, notes)
         if not again:
             raise UserError(f"{path}: after the refit no folder can be compared: {notes[-1]}")
-        gained = gains(scored, again, calibrated, known, told)
+        gained = gains(scored, again, calibrated, known, as_labelled)
         scored = again
     left_out += lost
     for why in sorted({one["why"] for one in left_out}):
@@ -127,12 +128,12 @@ def _folders(split: list[Parts], calibrated: Calibrated, notes: list[str]) -> tu
 
 
 def _scored(
-    folders: list[Folder], known: Calibrated, told: bool, begin: Sequence[Frame], notes: list[str]
+    folders: list[Folder], known: Calibrated, as_labelled: bool, begin: Sequence[Frame], notes: list[str]
 ) -> tuple[list[Scored], list[dict[str, str]]]:
     """The folders aligned, from the frames `begin`, and compared, with notes, and the images left out."""
     found, left_out = [], []
     for folder, start in zip(folders, begin, strict=True):
-        aligned = align(folder, known, told, start)
+        aligned = align(folder, known, as_labelled, start)
         notes.append(f"{folder.name}: {aligned.note}")
         compared, lost = compare(folder, aligned, known)
         left_out += lost

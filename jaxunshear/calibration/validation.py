@@ -141,7 +141,7 @@ def rows_of(parts: list[Compared]) -> list[Row]:
         mine = [part for part in mine if len(part.recorded)]
         if not mine:
             continue
-        rows += _scores(kind, mine, whole=True)
+        rows += _scores(kind, mine, full=True)
         for shell in np.unique(mine[0].shell):
             rows += _scores(f"{kind}.ring.{shell}", [part.ring(shell) for part in mine])
         for name, chosen in _subsets(mine):
@@ -173,7 +173,7 @@ def _binned(
             yield f"{quantity}.{low:.1f}-{high:.1f}", chosen
 
 
-def _scores(name: str, parts: list[Compared], whole: bool = False) -> list[Row]:
+def _scores(name: str, parts: list[Compared], full: bool = False) -> list[Row]:
     recorded = np.concatenate([part.recorded.reshape(-1, 2) for part in parts])
     simulated = np.concatenate([part.simulated.reshape(-1, 2) for part in parts])
     ceiling = np.concatenate([part.ceiling.reshape(-1, 2) for part in parts])
@@ -187,7 +187,7 @@ def _scores(name: str, parts: list[Compared], whole: bool = False) -> list[Row]:
         ("motion_px", "px", float(rms(recorded))),
         ("ceiling_r2", "1", r2(recorded, ceiling)),
     ]
-    if whole:
+    if full:
         figures.append(("ceiling_residual_px", "px", float(rms(recorded - ceiling))))
     return [
         {"name": f"{measure}.{name}", "unit": unit, "value": value, "contacts": contacts}

@@ -43,8 +43,8 @@ class Way:
 
     def _compiled(self) -> tuple[Any, float]:
         """The program, and the seconds that compiling it took."""
-        lowered, begun = jax.jit(self.call).lower(*self.arguments), time.perf_counter()
-        return lowered.compile(), time.perf_counter() - begun
+        lowered, started = jax.jit(self.call).lower(*self.arguments), time.perf_counter()
+        return lowered.compile(), time.perf_counter() - started
 
     def _operations(self) -> float:
         with native.taking("counted"):
@@ -60,16 +60,16 @@ def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int =
     cases = list(_cases(net))
     rows = []
     with Progress("bench needs", len(cases), unit="cases") as progress:
-        for name, left_out, whole, less in cases:
-            rows.append({"name": name, "left_out": left_out, "size": size} | _measured(whole, less, rounds))
+        for name, left_out, full, less in cases:
+            rows.append({"name": name, "left_out": left_out, "size": size} | _measured(full, less, rounds))
             progress.advance(1)
     return rows
 
 
-def _measured(whole: Way, less: Way, rounds: int) -> dict[str, Any]:
+def _measured(full: Way, less: Way, rounds: int) -> dict[str, Any]:
     works: dict[str, Callable[[], Any]] = {}
     found: dict[str, dict[str, float]] = {}
-    for kind, way in (("with", whole), ("without", less)):
+    for kind, way in (("with", full), ("without", less)):
         run, spent = way.compiled()
         found[kind] = {"operations": way.operations(), "compile_s": spent}
         works[kind] = functools.partial(_run, run, way.arguments)

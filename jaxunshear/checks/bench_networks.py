@@ -15,7 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from jaxunshear.applications.perception import look_of
+from jaxunshear.applications.perception import forward_of
 from jaxunshear.applications.stream import perceive_of
 from jaxunshear.checks.clock import SIZE, matrix_product, seconds
 from jaxunshear.dataset.settings import Ranges
@@ -177,8 +177,8 @@ def _stream_sides(size: int, batch: int) -> Sides:
                 pose_net, posenet.outputs_of(TARGETS), key
             ),
         }
-        look = look_of({"disentangled": net, "posenet": pose_net}, {"posenet": TARGETS})
-        run = ready(perceive_of(look, names_of(TARGETS)), variables)
+        forward = forward_of({"disentangled": net, "posenet": pose_net}, {"posenet": TARGETS})
+        run = ready(perceive_of(forward, names_of(TARGETS)), variables)
         return lambda: jax.device_get(run(image)) is None
 
     def theirs(compiled: bool) -> Work:
@@ -225,9 +225,9 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int)
         rows[name] = {"name": name, "size": size, "batch": batch}
         try:
             work = make()
-            begun = time.perf_counter()
+            started = time.perf_counter()
             work()
-            rows[name]["compile_s"] = time.perf_counter() - begun
+            rows[name]["compile_s"] = time.perf_counter() - started
             work()
             ready[name] = work
         except ModuleNotFoundError as missing:

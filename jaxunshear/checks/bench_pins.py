@@ -16,7 +16,7 @@ from jaxunshear.dataset.configs import PAIRED, sensor_of
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.pins import look
+from jaxunshear.image.pins import detect
 from jaxunshear.image.settings import Nuisance
 from jaxunshear.image.tracking import follow_pins, usual_motions
 from jaxunshear.progress import Progress
@@ -59,7 +59,7 @@ def _rows(config: str, size: int, seed: int, frames: int) -> list[dict[str, Any]
 
 def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> dict[str, Any]:
     """Of images (N, S, S) with true pins (N, P, 2) px: errors of found pins, identities, and milliseconds a frame."""
-    found, find_ms = _timed(look, images)
+    found, find_ms = _timed(detect, images)
     tracks, follow_ms = _timed(lambda each: follow_pins(lattice, each), found)
     usual = usual_motions(lattice, tracks)
     for row, track in enumerate(tracks):
@@ -71,7 +71,7 @@ def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> dict[str,
     mistaken = off > 0.5 * lattice.spacing
     sure = np.array([track.sure for track in tracks])
     right = off[~np.isnan(off) & ~mistaken]
-    whole = find_ms + follow_ms
+    full = find_ms + follow_ms
     return {
         "frames": len(images),
         "sure": float(sure.mean()),
@@ -81,8 +81,8 @@ def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> dict[str,
         "extra": float(np.mean([track.extra for track in tracks])),
         "find_ms": float(np.median(find_ms)),
         "follow_ms": float(np.median(follow_ms)),
-        "ms": float(np.median(whole)),
-        "ms_p95": float(np.percentile(whole, 95)),
+        "ms": float(np.median(full)),
+        "ms_p95": float(np.percentile(full, 95)),
     }
 
 

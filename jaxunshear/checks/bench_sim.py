@@ -68,12 +68,12 @@ def main_settings(effort: Effort, batches: Sequence[int] = (64, 1, 16)) -> Itera
                 f"{name}, batch {batch}", name, LEVELS[name], batch, scenes=effort.slow if batch == 1 else None
             )
     for batch in batches:
-        whole = {
+        full = {
             "unabridged": unabridged(LEVELS["auto"]),
             "default": LEVELS["default"],
             "reference": LEVELS["reference"],
         }
-        for name, how in whole.items():
+        for name, how in full.items():
             label = "auto, nothing left out" if name == "unabridged" else name
             few = max(effort.slow // (9 if batch < 64 else 1), 1)
             yield Setting(f"{label}, batch {batch}", name, how, batch, scenes=few)

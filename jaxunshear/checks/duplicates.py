@@ -16,16 +16,16 @@ from jaxunshear.scene.stimuli import stimulus_named
 
 def follow_duplicated(sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7) -> Contacts:
     """`simulate.follow` of one path (K, 6) over the disk, with all nodes and the first `twice` of them once more."""
-    whole = dome(sensor)
-    count = len(whole.nodes)
+    full = dome(sensor)
+    count = len(full.nodes)
     index = np.concatenate([np.arange(count), np.arange(twice)])
     columns = (3 * index[:, None] + np.arange(3)).ravel()
-    scale = np.trace(whole.w) / len(whole.w)
-    w = whole.w[np.ix_(columns, columns)] / scale
+    scale = np.trace(full.w) / len(full.w)
+    w = full.w[np.ix_(columns, columns)] / scale
     inverse = np.linalg.inv(w + RHO * np.eye(len(w)))
     poses, _ = increments(Paths(np.zeros(1, int), np.array([friction]), points[None]), level, sensor.dome_radius_mm)
     with jax.enable_x64(level.precision == "float64"):
-        fields = (w, inverse, w, whole.nodes[index], sensor.dome_radius_mm)
+        fields = (w, inverse, w, full.nodes[index], sensor.dome_radius_mm)
         system = System(*(jnp.asarray(field, level.precision) for field in fields))
         path = jnp.asarray(poses[0, :, None], level.precision)
         mu = jnp.asarray([friction], level.precision)
@@ -42,7 +42,7 @@ def follow_duplicated(sensor: Sensor, points: np.ndarray, friction: float, level
         states = contact_state(skin, mu)
         skin, quality, states = jax.device_get((skin, quality, states))
     force = skin.force[0].astype(np.float64) / scale
-    pins = whole.pins + (whole.g[:, columns] @ force.ravel()).reshape(-1, 3)
+    pins = full.pins + (full.g[:, columns] @ force.ravel()).reshape(-1, 3)
     converged = (quality.residual_mm <= quality.tolerance_mm) & np.isfinite(pins).all()
     total, nodes = force.sum(axis=0)[None], np.array([len(index)])
     never = np.zeros(1, bool)

@@ -141,8 +141,8 @@ def _everywhere(m: int, poisson: float, r: np.ndarray, z: np.ndarray) -> _Sample
     padded = [np.pad(part, ((0, 0), (0, CHUNK - part.shape[1])), mode="edge") for part in parts]
     with jax.enable_x64(True):
         made = [jax.device_get(_sample(m, poisson, *jnp.asarray(part))) for part in padded]
-    whole = [np.concatenate(field)[: r.size] for field in zip(*made, strict=True)]
-    return _Sample(*(field.reshape(*r.shape, *field.shape[1:]) for field in whole))
+    full = [np.concatenate(field)[: r.size] for field in zip(*made, strict=True)]
+    return _Sample(*(field.reshape(*r.shape, *field.shape[1:]) for field in full))
 
 
 def made_up_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
@@ -166,9 +166,9 @@ def made_up_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
     here = np.einsum("qn,eni->eqi", values, found[mesh.elements])
     sloping = np.einsum("eqnx,eni->eqix", slopes, found[mesh.elements])
 
-    def share(miss: np.ndarray, whole: np.ndarray) -> float:
+    def share(miss: np.ndarray, full: np.ndarray) -> float:
         axes = tuple(range(2, miss.ndim))
-        return float(np.sqrt(np.sum(weight * np.sum(miss**2, axes)) / np.sum(weight * np.sum(whole**2, axes))))
+        return float(np.sqrt(np.sum(weight * np.sum(miss**2, axes)) / np.sum(weight * np.sum(full**2, axes))))
 
     return share(here - exact.field, exact.field), share(sloping - exact.slopes, exact.slopes)
 

@@ -123,9 +123,9 @@ def trace(
     count = len(body.nodes)
 
     def spread(values: np.ndarray, filler: float) -> np.ndarray:
-        whole = np.full((*values.shape[:2], count, *values.shape[3:]), filler)
-        whole[:, :, chosen] = values
-        return whole
+        full = np.full((*values.shape[:2], count, *values.shape[3:]), filler)
+        full[:, :, chosen] = values
+        return full
 
     force = np.concatenate([np.zeros_like(force[:1]), force]) * newtons
     return Trace(spread(force, 0.0), spread(slip, 0.0), spread(gap, np.inf), bool(settled.all()), iterations.sum(0))

@@ -102,10 +102,10 @@ def _linear(sensor: Sensor, depths: Sequence[float], level: str) -> tuple[Contac
 
 def _linear_radii(sensor: Sensor, skins: Skins) -> np.ndarray:
     """(B,) mm, from the nodes along +x, one of each ring."""
-    whole = dome(sensor)
-    along = np.flatnonzero((np.abs(whole.nodes[:, 1]) < 1e-9) & (whole.nodes[:, 0] > -1e-9))
+    full = dome(sensor)
+    along = np.flatnonzero((np.abs(full.nodes[:, 1]) < 1e-9) & (full.nodes[:, 0] > -1e-9))
     radii = []
     for force, point in zip(skins.force_n, skins.point, strict=True):
-        place = whole.nodes[along] + (whole.w @ force.ravel()).reshape(-1, 3)[along]
+        place = full.nodes[along] + (full.w @ force.ravel()).reshape(-1, 3)[along]
         radii.append(contact_radius(place[:, 0], place[:, 2] - point[3], force[along, 2] > 0))
     return np.array(radii)

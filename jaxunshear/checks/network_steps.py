@@ -110,10 +110,10 @@ def infer(net: Net, variables: Any, images: Any) -> dict[str, Any]:
     if isinstance(net, UNet):
         return {"unsheared": unet.unshear(net, variables, images)}
     z_p, z_s = unshearnet.encode(net, variables, images)
-    told = {"unsheared": jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), "z_p": z_p}
+    reported = {"unsheared": jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), "z_p": z_p}
     if z_s is not None:
-        told |= {"z_s": z_s, "sheared": jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))}
-    return told
+        reported |= {"z_s": z_s, "sheared": jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))}
+    return reported
 
 
 def _parts(net: Net, variables: Any) -> str:

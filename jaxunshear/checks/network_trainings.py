@@ -59,7 +59,7 @@ def training_cases() -> Iterator[NetworkCase]:
         yield from _images(net)
         yield from _batches(net)
     for trained in (SHALLOW, POSENET, UNET):
-        yield from _whole(trained)
+        yield from _entire(trained)
 
 
 def steps_case(
@@ -176,7 +176,7 @@ def _batches(net: Net) -> Iterator[NetworkCase]:
     yield steps_case("one pose only", net, change=one_pose)
 
 
-def _whole(net: Net) -> Iterator[NetworkCase]:
+def _entire(net: Net) -> Iterator[NetworkCase]:
     """Through the loop: as usual, and with a learning rate that throws the weights away after a good start."""
     diverging = replace(TRAINING, schedule="steps", drops=((float(BROKEN_FROM), 1e30),))
     words = (*SAYS_WHERE, KEPT, "whose numbers are", "learning_rate")

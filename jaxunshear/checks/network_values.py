@@ -91,11 +91,11 @@ def _saturated(net: Net) -> Found:
     variables = {"params": params, "batch_stats": learnt(net)["batch_stats"]}
     state, batch = start._replace(**variables, average=variables), _floats(net, 1)
     after, terms = step(state, batch, np.float32(TRAINING.learning_rate), np.float32(TRAINING.patch_weight))
-    told = dict(use(variables, images_of(batch)))
-    outputs = np.asarray(told["outputs" if isinstance(net, PoseNet) else "unsheared"])
+    reported = dict(use(variables, images_of(batch)))
+    outputs = np.asarray(reported["outputs" if isinstance(net, PoseNet) else "unsheared"])
     wrong = "" if np.isin(outputs, (0, 1)).mean() > 0.9 else "the outputs are not saturated: nothing was tried"
     loss, gradient = (float(terms[name]) for name in ("pose" if isinstance(net, PoseNet) else "supervised", "gradient"))
-    return Found({"terms": terms, "state": after, "told": told}, wrong=wrong, loss=loss, gradient=gradient)
+    return Found({"terms": terms, "state": after, "answers": reported}, wrong=wrong, loss=loss, gradient=gradient)
 
 
 def _loud(layer: Any) -> Any:
@@ -188,14 +188,14 @@ def _precision(net: Net, kind: Any, bar: float) -> Found:
     images = images_of(_floats(net, UNSEEN))
     names = ("outputs",) if isinstance(net, PoseNet) else ("unsheared", "sheared")
 
-    def told(kind: Any) -> dict[str, np.ndarray]:
+    def reported(kind: Any) -> dict[str, np.ndarray]:
         cast = jax.tree.map(lambda leaf: jnp.asarray(leaf, kind), (learnt(net), images))
         found = jax.jit(lambda variables, images: infer(net, variables, images))(*cast)
         return {name: np.asarray(found[name], np.float64) for name in names}
 
-    usual = told(jnp.float32)
+    usual = reported(jnp.float32)
     with jax.enable_x64(kind == jnp.float64):
-        other = told(kind)
+        other = reported(kind)
     difference = np.concatenate([(usual[name] - other[name]).ravel() for name in names])
     error = np.abs(difference).max() if kind == jnp.float64 else np.sqrt(np.mean(difference**2))
     spread = min(float(values.std(0).max()) for values in usual.values())

@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from skimage.draw import ellipse, rectangle
 
-from jaxunshear.dataset.chunks import look
+from jaxunshear.dataset.chunks import render
 from jaxunshear.dataset.configs import PAIRED
 from jaxunshear.image.pins import glance
 from jaxunshear.image.preprocess import View, prepare_frame
@@ -40,7 +40,7 @@ def touched(sensor: Sensor, camera: Camera, count: int, seed: int, size: int = 1
     )
     rng = np.random.default_rng(seed)
     tips = np.array([_moved(sensor, rng) for _ in range(count)])
-    return look(settings, sensor, tips, np.arange(count), rng.random(count))[0]
+    return render(settings, sensor, tips, np.arange(count), rng.random(count))[0]
 
 
 def _moved(sensor: Sensor, rng: Generator) -> np.ndarray:
@@ -158,8 +158,8 @@ def _picture(image: np.ndarray, rng: Generator) -> np.ndarray:
 
 
 def _prepared(grey: np.ndarray) -> np.ndarray:
-    whole = (0, 0, len(grey), len(grey))
-    return prepare_frame(Preprocess(size=len(grey)), grey, View(whole))
+    full = (0, 0, len(grey), len(grey))
+    return prepare_frame(Preprocess(size=len(grey)), grey, View(full))
 
 
 def _blurred(image: np.ndarray, rng: Generator) -> np.ndarray:

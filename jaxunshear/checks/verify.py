@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from jaxunshear.checks import elements, laws, normal, periodic, shear, whole_dome
+from jaxunshear.checks import elements, full_dome, laws, normal, periodic, shear
 from jaxunshear.checks.half_space import half_space
 from jaxunshear.checks.tables import Row, vanishes
 from jaxunshear.scene.sensor import TACTIP_331
@@ -59,8 +59,8 @@ _LAWS = (
     *(laws.closed_loop, laws.of_increments, laws.of_tolerance),
 )
 _DOME = (
-    *(whole_dome.turned, whole_dome.mirrored, whole_dome.resumed, whole_dome.frictionless),
-    *(whole_dome.edge_sweep, whole_dome.tilted),
+    *(full_dome.turned, full_dome.mirrored, full_dome.resumed, full_dome.frictionless),
+    *(full_dome.edge_sweep, full_dome.tilted),
 )
 CHECKS: tuple[Check, ...] = (
     *(elements.patch_test, elements.made_up_orders),

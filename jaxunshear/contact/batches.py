@@ -105,13 +105,13 @@ def _with_loaded(part: Batch, start: Skins, turned: np.ndarray) -> Batch:
 
 def nothing_solved(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts, Skins]:
     """The undeformed dome, as converged."""
-    count, whole = len(paths), dome(sensor)
+    count, full = len(paths), dome(sensor)
     none, nothing = np.zeros(count), np.zeros(count, np.int64)
-    pins = np.repeat(whole.pins[None].astype(level.precision), count, axis=0)
-    free = np.full(count, len(whole.nodes))
+    pins = np.repeat(full.pins[None].astype(level.precision), count, axis=0)
+    free = np.full(count, len(full.nodes))
     good = np.ones(count, bool)
     contacts = Contacts(pins, none, good, nothing, nothing, nothing, free, np.zeros((count, 3)), nothing, ~good)
-    return contacts, Skins(np.zeros((count, len(whole.nodes), 3)), paths.points[:, -1])
+    return contacts, Skins(np.zeros((count, len(full.nodes), 3)), paths.points[:, -1])
 
 
 def _untouched(sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level) -> tuple[Contacts, Skins, np.ndarray]:
@@ -135,8 +135,8 @@ def _solve(
     sensor: Sensor, obstacles: Obstacles, paths: Paths, part: Batch, level: Level, batch: int, start: Skins | None
 ) -> tuple[Contacts, Skins, np.ndarray]:
     """One batch, padded by repeating its last scene."""
-    count, whole = len(paths), dome(sensor)
-    rotation, place = _turned_back(part.turn), sixfold(len(whole.nodes))[part.turn][:, part.nodes]  # (b, n)
+    count, full = len(paths), dome(sensor)
+    rotation, place = _turned_back(part.turn), sixfold(len(full.nodes))[part.turn][:, part.nodes]  # (b, n)
     poses, _ = increments(paths, level, sensor.dome_radius_mm)
     poses[..., YAW] += np.radians(60.0 * part.turn)[:, None]
     poses[..., TILT_X:] = np.einsum("bji,btj->bti", rotation[:, :2, :2], poses[..., TILT_X:])
@@ -169,7 +169,7 @@ def _solve(
     solved = Skin(*(field[:count] for field in skin))
     turned = np.zeros((count, len(part.nodes), 3))
     turned[..., 3 - unknowns :] = solved.force[:, : len(part.nodes)] * newtons
-    on_nodes = np.zeros((count, len(whole.nodes), 3))
+    on_nodes = np.zeros((count, len(full.nodes), 3))
     np.put_along_axis(on_nodes, place[..., None], np.einsum("bij,bnj->bni", rotation, turned), 1)
     pins = _pins(sensor, on_nodes, level.precision)
     residual, goal = quality.residual_mm[:count], quality.tolerance_mm[:count]
@@ -182,7 +182,7 @@ def _solve(
         quality.iterations[:count],
         stuck,
         slipping,
-        len(whole.nodes) - stuck - slipping,
+        len(full.nodes) - stuck - slipping,
         on_nodes.sum(axis=1),
         np.full(count, len(part.nodes)),
         np.zeros(count, bool),
@@ -193,19 +193,19 @@ def _solve(
 
 def _pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
     """Displaced pin tips (B, P, 3) under forces (B, N, 3) on the contact nodes."""
-    whole = dome(sensor)
+    full = dome(sensor)
     used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    matrix = _matrices(sensor, precision)[1].reshape(len(whole.nodes), 3, -1)[used]
+    matrix = _matrices(sensor, precision)[1].reshape(len(full.nodes), 3, -1)[used]
     moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.reshape(-1, matrix.shape[-1])
-    return (whole.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
+    return (full.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
 
 
 def _needs_more(
     sensor: Sensor, obstacles: Obstacles, paths: Paths, part: Batch, pose: np.ndarray, force_n: np.ndarray
 ) -> np.ndarray:
     """(B,) whether the contact reaches the last ring, or a node beside it that was left out ends inside the stimulus."""
-    whole = dome(sensor)
-    last_ring = part.nodes >= len(whole.nodes) - 6 * (len(ring_arcs(sensor)) - 1)
+    full = dome(sensor)
+    last_ring = part.nodes >= len(full.nodes) - 6 * (len(ring_arcs(sensor)) - 1)
     beyond = np.any(force_n[:, last_ring] != 0, axis=(1, 2))
     loaded = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
     near = np.any(_beside(sensor)[part.nodes[loaded]], axis=0)
@@ -214,18 +214,18 @@ def _needs_more(
     if not len(beside):
         return beyond
     columns = (3 * part.nodes[loaded][:, None] + np.arange(3)).ravel()
-    matrix = whole.w[np.ix_((3 * beside[:, None] + np.arange(3)).ravel(), columns)]
+    matrix = full.w[np.ix_((3 * beside[:, None] + np.arange(3)).ravel(), columns)]
     moved = (force_n[:, loaded].reshape(len(paths), -1) @ matrix.T).reshape(len(paths), -1, 3)
-    gap = gaps(obstacles, whole.nodes[beside], sensor.dome_radius_mm, paths.stimulus, pose, moved)
+    gap = gaps(obstacles, full.nodes[beside], sensor.dome_radius_mm, paths.stimulus, pose, moved)
     return beyond | (np.min(gap, axis=1) < -PENETRATION_MM)
 
 
 @lru_cache(maxsize=4)
 def _matrices(sensor: Sensor, precision: str) -> tuple[np.ndarray, np.ndarray]:
     """w of the dome, scaled to a unit mean diagonal, and g transposed, in one precision."""
-    whole = dome(sensor)
-    scaled = (whole.w / (np.trace(whole.w) / len(whole.w))).astype(precision)
-    return scaled, np.ascontiguousarray(whole.g.T.astype(precision))
+    full = dome(sensor)
+    scaled = (full.w / (np.trace(full.w) / len(full.w))).astype(precision)
+    return scaled, np.ascontiguousarray(full.g.T.astype(precision))
 
 
 @lru_cache(maxsize=4)
@@ -238,14 +238,14 @@ def _beside(sensor: Sensor) -> np.ndarray:
 @lru_cache(maxsize=16)
 def system_of(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tuple[System, float]:
     """The contact nodes `chosen` (int64 bytes), padded by nodes far from any stimulus; newtons per scaled force."""
-    whole = dome(sensor)
+    full = dome(sensor)
     index = np.frombuffer(chosen, np.int64)
     size = padded(len(index), NODE_COUNTS)
     parts = np.arange(3) if friction else np.array([2])
     rows, all_rows = (3 * index[:, None] + parts).ravel(), (3 * index[:, None] + np.arange(3)).ravel()
     found, count = len(rows), len(parts) * size
     matrix, _ = _matrices(sensor, precision)
-    scale = np.trace(whole.w) / len(whole.w)
+    scale = np.trace(full.w) / len(full.w)
     w = np.zeros((count, count), precision)
     w[:found, :found] = matrix.take(rows, 0).take(rows, 1)
     w[np.arange(found, count), np.arange(found, count)] = 1
@@ -255,7 +255,7 @@ def system_of(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> 
     if not friction:
         spread[:found, : len(all_rows)] = matrix[np.ix_(rows, all_rows)]
     nodes = np.full((size, 3), 1e3)
-    nodes[: len(index)] = whole.nodes[index]
+    nodes[: len(index)] = full.nodes[index]
     as_array = partial(jnp.asarray, dtype=precision)
     shared = as_array(w)
     system = System(

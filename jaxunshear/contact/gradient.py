@@ -121,8 +121,8 @@ def pin_model(
     parts = []
     for ratio in ratios or (own,):
         other = replace(sensor, skin_modulus_mpa=ratio * sensor.gel_modulus_mpa)
-        whole, (dw, dg) = domes.dome(other), domes.sensitivity(other)
-        parts.append((whole.w[np.ix_(rows, rows)], dw[np.ix_(rows, rows)], whole.g[:, rows], dg[:, rows]))
+        full, (dw, dg) = domes.dome(other), domes.sensitivity(other)
+        parts.append((full.w[np.ix_(rows, rows)], dw[np.ix_(rows, rows)], full.g[:, rows], dg[:, rows]))
     force = np.zeros((len(paths), len(index), 3)) if start is None else start.force_n[:, index]
     w, w_slope, g, g_slope = (jnp.asarray(np.stack(part)) for part in zip(*parts, strict=True))
     return PinModel(

@@ -18,10 +18,10 @@ def indentation(sensor: Sensor, skins: Skins) -> np.ndarray:
 
 def per_force(sensor: Sensor) -> np.ndarray:
     """(P, 3N) mm/N: the same per unit of force on each contact node."""
-    whole = dome(sensor)
-    outward = whole.nodes - np.array([0, 0, sensor.dome_radius_mm])
+    full = dome(sensor)
+    outward = full.nodes - np.array([0, 0, sensor.dome_radius_mm])
     outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)
-    inward = -np.einsum("ni,nim->nm", outward, whole.w.reshape(*outward.shape, -1))
+    inward = -np.einsum("ni,nim->nm", outward, full.w.reshape(*outward.shape, -1))
     corners, shares = _above_pins(sensor, outward)
     return np.einsum("pk,pkm->pm", shares, inward[corners])
 

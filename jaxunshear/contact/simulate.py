@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxunshear.contact.batches import Stimuli, dome, nothing_solved, obstacles_of, plan_paths, solve_batches
 from jaxunshear.contact.plan import STRONGER, Level
-from jaxunshear.contact.scope import check_batch, check_begun, check_paths, check_scenes, check_start, level_named
+from jaxunshear.contact.scope import check_batch, check_paths, check_scenes, check_start, check_started, level_named
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import Scenes
@@ -54,7 +54,7 @@ def follow(
     if start is not None:
         check_start(paths, start, len(dome(sensor).nodes))
     else:
-        check_begun(paths)
+        check_started(paths)
     if not len(paths):
         return nothing_solved(sensor, paths, chosen)
     obstacles = obstacles_of(names)

@@ -27,14 +27,14 @@ class Engine(NamedTuple):
 
     plan: Callable[..., list[np.ndarray]]  # (sensor, names, scenes) -> index batches
     simulate: Callable[..., Any]  # (sensor, names, scenes) -> Contacts
-    look: Callable[..., tuple[np.ndarray, np.ndarray]]  # (settings, sensor, tips, number, age) -> images, pins in px
+    render: Callable[..., tuple[np.ndarray, np.ndarray]]  # (settings, sensor, tips, number, age) -> images, pins in px
 
 
 def simulator() -> Engine:
     """The real one."""
     from jaxunshear.contact import simulate
 
-    return Engine(simulate.plan, simulate.simulate, look)
+    return Engine(simulate.plan, simulate.simulate, render)
 
 
 def _usable(contacts) -> np.ndarray:
@@ -85,7 +85,7 @@ def _chunk(settings, sensor: Sensor, shots: Shots, batch: np.ndarray, engine: En
     images = np.zeros((len(batch), -(-size * size // 8)), np.uint8)
     pins = np.zeros((*tips.shape[:2], 2), np.float32)
     if usable.any():
-        seen, places = engine.look(settings, sensor, tips[usable], batch[usable], shots.age[batch[usable]])
+        seen, places = engine.render(settings, sensor, tips[usable], batch[usable], shots.age[batch[usable]])
         images[usable] = pack(seen)
         pins[usable] = places
         usable &= images.any(axis=-1)  # a frame that is not finite comes out black
@@ -108,7 +108,7 @@ def usable_rows(paths: Iterable[Path], wanted: np.ndarray) -> Iterator[tuple[dic
             yield chunk, int(place), int(chunk["number"][place])
 
 
-def look(
+def render(
     settings: PairedData | PoseData,
     sensor: Sensor,
     tips: np.ndarray,
@@ -122,7 +122,7 @@ def look(
     for start in range(0, len(tips), at_once):
         rows = np.arange(start, min(start + at_once, len(tips)))
         padded = np.resize(rows, at_once)
-        image, place = _look()(
+        image, place = _render()(
             settings.camera,
             settings.nuisance,
             settings.preprocess,
@@ -138,7 +138,7 @@ def look(
 
 
 @functools.cache
-def _look():
+def _render():
     import jax
 
     from jaxunshear.image import camera as cameras

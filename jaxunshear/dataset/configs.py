@@ -124,8 +124,8 @@ def describe(settings: Settings, sensor: Sensor) -> dict:
         del fields[name]
     fields = without_later(fields)
     version = version_of(settings)
-    whole = {"set": set_name(settings), "version": version, "sensor": dataclasses.asdict(sensor), "settings": fields}
-    return json.loads(json.dumps(whole))
+    full = {"set": set_name(settings), "version": version, "sensor": dataclasses.asdict(sensor), "settings": fields}
+    return json.loads(json.dumps(full))
 
 
 def floats(thing: Any) -> Any:

@@ -174,11 +174,11 @@ def _by_name(table: Table, column: str, names: set[str]) -> tuple[dict[str, Row]
     uneven = [
         (row, f"{cells} cells where the heading has {width}: this row is not used") for row, cells in table.uneven
     ]
-    problems = [problem for wrong in (uneven, absent, again) for problem in _told(table, wrong)]
+    problems = [problem for wrong in (uneven, absent, again) for problem in _reported(table, wrong)]
     return {name: row for name, row in by_name.items() if name not in differ}, problems
 
 
-def _told(table: Table, wrong: list[Wrong]) -> list[Problem]:
+def _reported(table: Table, wrong: list[Wrong]) -> list[Problem]:
     """One problem for all rows that have the same, with the first of them: there may be thousands."""
     if not wrong:
         return []
@@ -204,7 +204,7 @@ def _six(
             values[i] = [float(row.cells[name]) for name in names]
         else:
             bad.append((row.number, f"{wrong} is {_shown(row.cells[wrong])}, no usable number: this {what} is unknown"))
-    return values, _told(table, bad)
+    return values, _reported(table, bad)
 
 
 def _ids(table: Table, rows: Sequence[Row | None]) -> tuple[np.ndarray, list[Problem]]:
@@ -217,7 +217,7 @@ def _ids(table: Table, rows: Sequence[Row | None]) -> tuple[np.ndarray, list[Pro
             bad.append((row.number, f"pose_id is {_shown(cell)}, no whole number"))
         else:
             ids[i] = int(number)
-    return ids, _told(table, bad)
+    return ids, _reported(table, bad)
 
 
 def _number(cell: str, limit: float = FARTHEST) -> float | None:

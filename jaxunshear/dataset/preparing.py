@@ -88,7 +88,7 @@ def frame_of_files(
 ) -> Frame:
     """From up to LATTICE_FRAMES of the files, evenly spaced, seen at `size` px; `turned` where pins are dark in white."""
     from jaxunshear.image.fitting import fit_lattice, layout_of
-    from jaxunshear.image.pins import look
+    from jaxunshear.image.pins import detect
     from jaxunshear.image.preprocess import prepare_frame
     from jaxunshear.image.understood import inverse
 
@@ -97,7 +97,7 @@ def frame_of_files(
     for row in rows:
         try:
             image = prepare_frame(_at(preprocess, size), read_image(files[row]), view)
-            found.append(look(inverse(image) if turned else image))
+            found.append(detect(inverse(image) if turned else image))
         except UserError:
             continue  # told when all frames are read
     lattice = fit_lattice([each.pins for each in found], layout_of(sensor))
@@ -145,7 +145,7 @@ def _at(preprocess: Preprocess, size: int) -> Preprocess:
 
 def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: Frame) -> dict:
     from jaxunshear.image.lattice import make_lattice
-    from jaxunshear.image.pins import look
+    from jaxunshear.image.pins import detect
     from jaxunshear.image.preprocess import prepare_frame
     from jaxunshear.image.tracking import follow_pins
 
@@ -164,7 +164,7 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
         except UserError as error:
             problem[i] = str(error)
             continue
-        track = follow_pins(lattice, look(seen[i]))
+        track = follow_pins(lattice, detect(seen[i]))
         usable[i], sure[i] = True, track.sure
         pins[i] = to_image(frame, lattice.place + track.motion)
     return {
@@ -182,14 +182,14 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
 def _second_pass(path: Path, frame: Frame, usual: Any) -> dict:
     """The frames that were not sure once more, with the help of the motions that are usual in training."""
     from jaxunshear.image.lattice import make_lattice
-    from jaxunshear.image.pins import look
+    from jaxunshear.image.pins import detect
     from jaxunshear.image.tracking import follow_pins
 
     chunk = load_chunk(path)
     lattice = make_lattice(to_found(frame, frame.place), frame.shell)
     rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
     for row, image in zip(rows, unpack(chunk["seen"], frame.pins_px), strict=True):
-        track = follow_pins(lattice, look(image), usual)
+        track = follow_pins(lattice, detect(image), usual)
         if track.sure:
             chunk["sure"][row] = True
             chunk["pins"][row] = to_image(frame, lattice.place + track.motion)

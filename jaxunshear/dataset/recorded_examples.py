@@ -41,7 +41,7 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[s
     for split, count in counts["written"].items():
         if not count:
             raise UserError(f"no frame of split '{split}' can be read; the first: {_left_out(contacts, problem)[:1]}")
-    whole = np.isfinite(np.concatenate([chunk["pins"] for chunk in chunks])).all(axis=(1, 2))
+    full = np.isfinite(np.concatenate([chunk["pins"] for chunk in chunks])).all(axis=(1, 2))
     more = {
         "frame": {
             "box": frame.view.box,
@@ -55,7 +55,7 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[s
         },
         "pins": {
             "sure": round(float(sure[usable].mean()), 6),
-            "all_seen": round(float(whole[usable].mean()), 6),
+            "all_seen": round(float(full[usable].mean()), 6),
             "white": [round(float(q), 6) for q in np.quantile(white[usable], (0.01, 0.5, 0.99))],
         },
         "notes": list(contacts.notes),

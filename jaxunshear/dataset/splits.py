@@ -25,9 +25,9 @@ def splits_of(seed: int, stimulus: str, poses: int) -> np.ndarray:
 
 def train_poses(seed: int, stimulus: str, poses: int) -> int:
     """How many of them are for training; takes no time for any number."""
-    whole, rest = divmod(poses, BLOCK)
-    last = (split_of(seed, stimulus, whole * BLOCK + place) for place in range(rest))
-    return whole * (BLOCK - 2) + sum(split == 0 for split in last)
+    full, rest = divmod(poses, BLOCK)
+    last = (split_of(seed, stimulus, full * BLOCK + place) for place in range(rest))
+    return full * (BLOCK - 2) + sum(split == 0 for split in last)
 
 
 @lru_cache

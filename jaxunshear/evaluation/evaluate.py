@@ -90,8 +90,8 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
 
 def _trained_on(experiment: Experiment, run_dir: Path) -> dict[str, Any]:
     """The machine that trained each network, of those that say so."""
-    told = {name: read_json_if_sound(run_dir / name / "summary.json") for name in experiment.networks}
-    return {name: summary["trained_on"] for name, summary in told.items() if summary and summary.get("trained_on")}
+    reported = {name: read_json_if_sound(run_dir / name / "summary.json") for name in experiment.networks}
+    return {name: summary["trained_on"] for name, summary in reported.items() if summary and summary.get("trained_on")}
 
 
 def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
@@ -125,7 +125,7 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
         further[FOUND] = gather(run, batches_of(found, BATCH), count, 0, targets, title, INPUTS, readers=reads)
     results = results_of(experiment, gathered, further)
     if found:
-        results["tests"][FOUND]["followed"] = found.told
+        results["tests"][FOUND]["followed"] = found.reported
     results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
     stored = read_metadata(paired, experiment.sensor, data_dir)["counts"]
     results["counts"] |= {name: stored[name] for name in ("contacts", "retried", "dropped")}

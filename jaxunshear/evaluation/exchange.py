@@ -40,10 +40,10 @@ def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchange
         return None
     table = reader.shared("test").row
     side = min(table.shape[1:])
-    whole = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
-    if not whole:
+    full = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
+    if not full:
         return None
-    true = reader.take("test", whole[0].reshape(-1), (FEEDS,))[FEEDS].reshape(side, side, -1, 2)
+    true = reader.take("test", full[0].reshape(-1), (FEEDS,))[FEEDS].reshape(side, side, -1, 2)
     z_p, z_s = pinnets.encode(net, variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
     assert z_s is not None
     every = np.indices((side, side)).reshape(2, -1)

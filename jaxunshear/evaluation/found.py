@@ -26,7 +26,7 @@ class FoundPairs(NamedTuple):
     """Test pairs whose tap and slide were both followed for sure."""
 
     pairs: Batch  # `sheared_pins` and SEEN_TAP (N, P, 2) px, NaN where a pin is not seen; `canonical_pins` true ones
-    told: dict[
+    reported: dict[
         str, Any
     ]  # of taps and slides, what share was followed, how far found pins are off, how many are missing
 
@@ -36,19 +36,19 @@ def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str], split: 
     count = reader.length(split)
     rows = np.unique(np.linspace(0, count - 1, min(MOST, count)).round().astype(int))
     batch = reader.take(split, rows, fields)
-    told: dict[str, Any] = {}
+    reported: dict[str, Any] = {}
     places: dict[str, np.ndarray] = {}
     sure = np.ones(len(rows), bool)
     for kind, image, true in (("tap", *_named(0)), ("sheared", *_named(1))):
         motion, known = followed(lattice, batch[image][..., 0], alone=True)
         places[true] = (lattice.place + motion).astype(np.float32)
-        told[kind] = _told(places[true][known], batch[true][known], len(rows))
+        reported[kind] = _reported(places[true][known], batch[true][known], len(rows))
         sure &= known
     if not sure.any():
         return None
     pairs = {name: values for name, values in batch.items() if name not in IMAGES}
     pairs |= {PINS[1]: places[PINS[1]], SEEN_TAP: places[PINS[0]]}
-    return FoundPairs({name: values[sure] for name, values in pairs.items()}, told)
+    return FoundPairs({name: values[sure] for name, values in pairs.items()}, reported)
 
 
 def batches_of(found: FoundPairs, batch: int) -> Iterator[Batch]:
@@ -60,7 +60,7 @@ def _named(index: int) -> tuple[str, str]:
     return IMAGES[index], PINS[index]
 
 
-def _told(found: np.ndarray, true: np.ndarray, images: int) -> dict[str, float]:
+def _reported(found: np.ndarray, true: np.ndarray, images: int) -> dict[str, float]:
     seen = np.isfinite(found).all(-1)
     squares = np.sum(np.square(found - true), axis=-1)[seen]
     return {

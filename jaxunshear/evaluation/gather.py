@@ -64,8 +64,8 @@ def gather(
             true = true_values(targets, batch)
             scores[-1] |= pose_scores(poses, true)
             for name, read in readers.items():
-                told = {k: {q: v[:size] for q, v in pose.items()} for k, pose in read(outputs).items()}
-                scores[-1] |= pose_scores(told, true, f"read/{name}")
+                reported = {k: {q: v[:size] for q, v in pose.items()} for k, pose in read(outputs).items()}
+                scores[-1] |= pose_scores(reported, true, f"read/{name}")
             labels.append({name: np.asarray(batch[name]) for name in named})
             inside = kept[(kept >= start) & (kept < start + size)] - start
             images.append(

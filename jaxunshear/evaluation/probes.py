@@ -18,7 +18,7 @@ from scipy import linalg
 
 HIDDEN, LAYERS = 128, 2
 STEPS, BATCH, RATE, DECAY = 1000, 128, 2e-3, 1e-3
-LOOKS = 20  # at the fifth that is kept out of fitting
+CHECKS = 20  # at the fifth that is kept out of fitting
 RIDGES = (1e-6, 1e-4, 1e-2, 1.0)  # times the number of examples
 LOG_DEVIATIONS = (-6.0, 2.0)  # least and most, of what is scaled to a deviation of one
 LEAST = 1e-12  # spread of a number that does not vary
@@ -132,7 +132,7 @@ def _trained(x, y, x_out, y_out, others, gaussian):
         chosen = jax.tree.map(partial(jnp.where, off < best), state[0], chosen)
         return (state, jnp.minimum(off, best), chosen), None
 
-    keys = jax.random.split(jax.random.fold_in(key, 1), (LOOKS, STEPS // LOOKS))
+    keys = jax.random.split(jax.random.fold_in(key, 1), (CHECKS, STEPS // CHECKS))
     carry = ((params, optimiser.init(params)), error(params, x_out, y_out), params)
     (_, _, chosen), _ = jax.lax.scan(look, carry, keys)
     return says(chosen, others)

@@ -49,8 +49,8 @@ def pixels(images: np.ndarray) -> np.ndarray:
     images = np.asarray(images, np.float64)[..., 0] / (255 if images.dtype == np.uint8 else 1)
     cell = max(1, images.shape[1] // SIDE)
     side = images.shape[1] // cell
-    whole = images[:, : side * cell, : side * cell].reshape(len(images), side, cell, side, cell)
-    return whole.mean(axis=(2, 4)).reshape(len(images), -1)
+    full = images[:, : side * cell, : side * cell].reshape(len(images), side, cell, side, cell)
+    return full.mean(axis=(2, 4)).reshape(len(images), -1)
 
 
 def places(pins: np.ndarray) -> np.ndarray:

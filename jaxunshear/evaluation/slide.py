@@ -17,20 +17,20 @@ from jaxunshear.evaluation.spread import LEVEL, interval, redrawn_means
 SLIPPED = 0.99  # share of the touching skin that slips, from which on a slide counts as slipped
 SEED = 0
 
-Told = Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
+Known = Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
 
 
 def slides_read(
     codes: Sequence[np.ndarray],
-    told: Sequence[Told],
+    reported: Sequence[Known],
     groups: np.ndarray,
     poses: np.ndarray,
     slipped: np.ndarray | None = None,
 ) -> list[dict[str, Any]]:
     """A row a quantity. `codes` (N, F) and `told` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
     test poses; `slipped` (M,) which test slides have, where that is known."""
-    names = list(told[0])
-    learnt, calibrating, true = (np.concatenate(list(each.values()), axis=1) for each in told)
+    names = list(reported[0])
+    learnt, calibrating, true = (np.concatenate(list(each.values()), axis=1) for each in reported)
     count = len(calibrating)
     mean, deviation = gaussian(codes[0], learnt, np.concatenate(codes[1:]), groups)
     off = np.abs(mean[:count] - calibrating) / deviation[:count]

@@ -51,7 +51,7 @@ def timed(run: Callable[[np.ndarray], Array], image: np.ndarray, calls: int = CA
     """Milliseconds of one call with one image (1, S, S, 1) float32, or one contact's pins."""
     spent = []
     for _ in range(calls + 3):  # the first compile and warm up
-        begun = time.perf_counter()
+        started = time.perf_counter()
         np.asarray(run(image))
-        spent.append(1e3 * (time.perf_counter() - begun))
+        spent.append(1e3 * (time.perf_counter() - started))
     return {"median": float(np.median(spent[3:])), "p95": float(np.percentile(spent[3:], 95))}

@@ -50,7 +50,7 @@ def score_recordings(
         )
     settings = replace(settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs="")
     for network in experiment.networks:
-        check_kept_out(run_dir / network, [Exam(settings, whole=True)])
+        check_kept_out(run_dir / network, [Exam(settings, entire=True)])
     contacts = everything(settings)
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
     stored = _prepared(experiment, run_dir, contacts, settings, folder)
@@ -111,7 +111,7 @@ def table(results: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _errors(told: str, errors: dict[str, dict[str, float]], names: list[str]) -> list[str]:
+def _errors(reported: str, errors: dict[str, dict[str, float]], names: list[str]) -> list[str]:
     ways = [way for way in ("tap", "sheared", "unsheared", "sheared_learnt") if way in errors]
     rows = [f"{way:<16}" + "".join(f"{errors[way][name]:>10.3f}" for name in names) for way in ways]
-    return [f"{told:<16}" + "".join(f"{name:>10}" for name in names), *rows]
+    return [f"{reported:<16}" + "".join(f"{name:>10}" for name in names), *rows]

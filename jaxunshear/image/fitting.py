@@ -15,7 +15,7 @@ from jaxunshear.scene.sensor import Sensor, pin_lattice
 BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
 TURN_DEG = 1.5
 ALIKE = 1.1  # how much worse a turn may match and still be the same lattice turned by its own symmetry
-WHOLE = 0.7  # of a layout's pins: images that show fewer tell nothing of it
+ENOUGH = 0.7  # of a layout's pins: images that show fewer tell nothing of it
 MOST = 60  # images, evenly spaced: more do not change the mean
 
 
@@ -74,11 +74,11 @@ def fit_lattice(frames: list[np.ndarray], layout: Layout) -> Lattice:
 
     Raises UserError where they do not look like pins of this layout.
     """
-    whole = [found for found in frames if len(found) >= WHOLE * len(layout.flat)]
-    if not whole:
+    full = [found for found in frames if len(found) >= ENOUGH * len(layout.flat)]
+    if not full:
         most = max((len(found) for found in frames), default=0)
         raise UserError(f"at most {most} pins are found in an image, where {layout.name} has {len(layout.flat)}")
-    frames = whole[:: -(-len(whole) // MOST)]
+    frames = full[:: -(-len(full) // MOST)]
     place = _first_guess(frames, layout)
     for _ in range(2):
         lattice = make_lattice(place, layout.shell)

@@ -50,7 +50,7 @@ def rated(lattice: Lattice, found: np.ndarray, which: np.ndarray) -> Rating:
     return Rating(off, float(np.sum(off > CALM) + 0.5 * np.sum(~known)))
 
 
-def mended(lattice: Lattice, found: np.ndarray, tree: cKDTree, which: np.ndarray) -> np.ndarray:
+def repaired(lattice: Lattice, found: np.ndarray, tree: cKDTree, which: np.ndarray) -> np.ndarray:
     """Rows (P,) of the found pins (N, 2) px, -1 for none, with fewer doubtful ones where that can be had."""
     rating = rated(lattice, found, which)
     for reach in ERASED:

@@ -47,7 +47,7 @@ def _as_found(lattice: Lattice, track: Track, again: np.ndarray, found: Found) -
     neighbours put it. That these expect the pin elsewhere is doubt, and was judged before.
     """
     rows = np.flatnonzero(again & track.seen)
-    dots = found.pins[found.whole]
+    dots = found.pins[found.single]
     if not (len(rows) and len(dots)):
         return track
     distance, nearest = cKDTree(dots).query(lattice.place[rows] + track.motion[rows])

@@ -13,14 +13,14 @@ from skimage.segmentation import watershed
 # A part of more than this times the usual pin's area, or length, may be several pins that touch.
 MERGED_AREA = 1.45
 MERGED_LENGTH = 1.6
-WHOLE = (0.65, 1.35)  # of the usual pin's area: a pin that something touches, or hides in part, is off by more
+SINGLE = (0.65, 1.35)  # of the usual pin's area: a pin that something touches, or hides in part, is off by more
 
 
 class Found(NamedTuple):
-    """The pins of an image, and what is needed to look again."""
+    """The pins of an image, and what is needed to search again."""
 
     pins: np.ndarray  # (N, 2) px, centroids as (column, row)
-    whole: np.ndarray | None = None  # (N,) bool: a part of its own, of a pin's usual size
+    single: np.ndarray | None = None  # (N,) bool: a part of its own, of a pin's usual size
     white: np.ndarray | None = None  # (S, S) bool, without parts as long as those of the housing ring
     radius: float = 0.0  # px, of the usual pin; 0 where there is none
 
@@ -31,21 +31,21 @@ def find_pins(image: np.ndarray) -> np.ndarray:
     Pins that touch are parted at the waist. The housing ring and specks are left out: they are too long, too large,
     too small or too far from other pins.
     """
-    return look(image).pins
+    return detect(image).pins
 
 
-def look(image: np.ndarray) -> Found:
+def detect(image: np.ndarray) -> Found:
     """`find_pins`, with what it saw."""
-    return _looked(image, _parted)
+    return _detected(image, _parted)
 
 
 def glance(image: np.ndarray) -> np.ndarray:
     """`find_pins` in a third of the time, and in a tenth for noise: pins that touch are set in a row of equal steps, a fraction of a pixel
     off. Good for what many pins have in common."""
-    return _looked(image, _in_a_row).pins
+    return _detected(image, _in_a_row).pins
 
 
-def _looked(image: np.ndarray, part: "_Part") -> Found:
+def _detected(image: np.ndarray, part: "_Part") -> Found:
     image = np.asarray(image)
     if image.ndim != 2:
         raise ValueError(f"find_pins takes one image (S, S), got shape {image.shape}")
@@ -63,10 +63,10 @@ def _looked(image: np.ndarray, part: "_Part") -> Found:
     centre = np.concatenate([centre[~merged], *(piece[0] for piece in pieces)])
     area = np.concatenate([area[~merged], *(piece[1] for piece in pieces)])
     usual = _usual(area)
-    whole = (np.arange(len(area)) < np.sum(~merged)) & (area > WHOLE[0] * usual) & (area < WHOLE[1] * usual)
+    single = (np.arange(len(area)) < np.sum(~merged)) & (area > SINGLE[0] * usual) & (area < SINGLE[1] * usual)
     pins = np.flatnonzero((area > 0.4 * usual) & (area < 3 * usual))
     pins = pins[in_company(centre[pins])]
-    return Found(centre[pins], whole[pins], white, float(np.sqrt(usual / np.pi)))
+    return Found(centre[pins], single[pins], white, float(np.sqrt(usual / np.pi)))
 
 
 class _Parts(NamedTuple):

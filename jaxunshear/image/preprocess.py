@@ -234,9 +234,9 @@ def _fit_circle(points: np.ndarray) -> _Circle | None:
 
 
 def _square(row: float, column: float, side: float) -> tuple[int, int, int, int]:
-    whole = round(side)
-    left, top = round(column + 0.5 - whole / 2), round(row + 0.5 - whole / 2)
-    return left, top, left + whole, top + whole
+    full = round(side)
+    left, top = round(column + 0.5 - full / 2), round(row + 0.5 - full / 2)
+    return left, top, left + full, top + full
 
 
 def _middle(shape: tuple[int, ...]) -> tuple[int, int, int, int]:

@@ -22,10 +22,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from jaxunshear.image.growing import filled, mended, rated
+from jaxunshear.image.growing import filled, rated, repaired
 from jaxunshear.image.lattice import DEGREES, Lattice
 from jaxunshear.image.measuring import measured
-from jaxunshear.image.pins import Found, look
+from jaxunshear.image.pins import Found, detect
 from jaxunshear.image.track import Track, judged
 
 LIMIT = 0.75  # of the spacing: beyond it a found pin is another one
@@ -37,7 +37,7 @@ STEP = 0.6  # of the spacing, by which neighbours on the grid of motions may dif
 GRID = 15  # points along a mode, at most
 TRIED = 6  # of the grid's motions
 CLOSE = 0.1  # share of the pins that are at fault in a motion worth mending at once
-MENDED = 2  # of the others
+REPAIRED = 2  # of the others
 
 
 class Usual(NamedTuple):
@@ -59,7 +59,7 @@ class Followed(NamedTuple):
 def followed(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, alone: bool = False) -> Followed:
     """The pins of binary images (S, S) of one camera. `alone`: each image by itself, as a robot sees it; else the sure ones help with
     the others."""
-    found = [look(image) for image in images]
+    found = [detect(image) for image in images]
     tracks = [follow_pins(lattice, each) for each in found] if alone else follow_all(lattice, found)
     sure = np.array([track.sure for track in tracks], bool)
     motion = np.array([track.motion for track in tracks]).reshape(-1, *lattice.place.shape)
@@ -76,7 +76,7 @@ def motions_of(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray) -> n
 
 def tracks_of(lattice: Lattice, images: Iterable[np.ndarray]) -> list[Track]:
     """Every pin's identity and motion in binary images (S, S) of one camera, in their order."""
-    return follow_all(lattice, [look(image) for image in images])
+    return follow_all(lattice, [detect(image) for image in images])
 
 
 def follow_all(lattice: Lattice, frames: list[Found]) -> list[Track]:
@@ -107,7 +107,7 @@ def follow_pins(lattice: Lattice, seen: Found, usual: Usual | None = None) -> Tr
         best = min(best, _ended(lattice, seen, tree, which), key=_worth)
         if best.sure:
             return best
-    for _, which in sorted(left, key=lambda pair: pair[0])[:MENDED]:
+    for _, which in sorted(left, key=lambda pair: pair[0])[:REPAIRED]:
         best = min(best, _ended(lattice, seen, tree, which), key=_worth)
         if best.sure:
             break
@@ -116,7 +116,7 @@ def follow_pins(lattice: Lattice, seen: Found, usual: Usual | None = None) -> Tr
 
 def _ended(lattice: Lattice, seen: Found, tree: cKDTree, which: np.ndarray) -> Track:
     """From rows (P,) of the found pins: mended, then measured where that leaves doubt."""
-    which = mended(lattice, seen.pins, tree, which)
+    which = repaired(lattice, seen.pins, tree, which)
     motion = np.where(which[:, None] >= 0, seen.pins[which] - lattice.place, np.nan)
     return measured(lattice, judged(lattice, motion, which, len(seen.pins)), seen)
 

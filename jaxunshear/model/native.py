@@ -181,8 +181,8 @@ def _load() -> bool:
 def _library(compiler: list[str]) -> ctypes.CDLL:
     """For this source, compiler, processor, user and JAX, from the cache folder where it is there and whole."""
     macros = _run([*compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull])  # tell compiler and processor
-    told = "\n".join([*compiler, *FLAGS, jaxlib.__version__, str(getattr(os, "getuid", str)())]).encode()
-    key = hashlib.sha256(b"".join(source.read_bytes() for source in SOURCES) + told + macros).hexdigest()[:16]
+    reported = "\n".join([*compiler, *FLAGS, jaxlib.__version__, str(getattr(os, "getuid", str)())]).encode()
+    key = hashlib.sha256(b"".join(source.read_bytes() for source in SOURCES) + reported + macros).hexdigest()[:16]
     path = cache_folder().absolute() / f"compiled-{key}.so"
     with contextlib.suppress(OSError):  # not there, or empty
         return ctypes.CDLL(str(path))

@@ -11,8 +11,8 @@ def holds(variables: Mapping[str, Any], part: str) -> bool:
     """Whether these weights hold `part` of a network; a note where they do not hold the shear code."""
     there = part in variables["params"]
     if not there and part == "shear":
-        told = "these weights hold no shear code, as released ones do: z_p alone is given; a run's own hold both"
-        warnings.warn(told, Note, stacklevel=3)
+        reported = "these weights hold no shear code, as released ones do: z_p alone is given; a run's own hold both"
+        warnings.warn(reported, Note, stacklevel=3)
     return there
 
 

@@ -4,7 +4,7 @@ from jaxunshear.applications.doctor import Diagnosis, Part
 from jaxunshear.applications.halves import Column, Pairing
 from jaxunshear.applications.sampled import Seen
 
-MOST_TOLD = 30  # problems
+MOST_LISTED = 30  # problems
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
 
 
@@ -19,9 +19,9 @@ def text_of(diagnosis: Diagnosis) -> list[str]:
         lines += ["", *_part(part)]
     lines += ["", f"pairs: {_pairing(diagnosis.pairing)}"]
     lines += [f"lacking: {line}" for line in diagnosis.lacks]
-    lines += [f"broken: {problem}" for problem in diagnosis.problems[:MOST_TOLD]]
-    if len(diagnosis.problems) > MOST_TOLD:
-        lines.append(f"broken: {len(diagnosis.problems) - MOST_TOLD} more problems, listed by --json")
+    lines += [f"broken: {problem}" for problem in diagnosis.problems[:MOST_LISTED]]
+    if len(diagnosis.problems) > MOST_LISTED:
+        lines.append(f"broken: {len(diagnosis.problems) - MOST_LISTED} more problems, listed by --json")
     if not diagnosis.problems:
         lines.append("broken: nothing")
     lines += ["", *(f"works: {use.command}" for use in diagnosis.uses if use.works)]

@@ -22,11 +22,11 @@ def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContact
     """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth; a line for each way of DRAWN."""
     height = {at: each for at, each in geometry.height_mm.items() if at[0] != UNTOUCHED}
     sheared = correlation(np.nan_to_num(height["sheared", INVERSE]), contacts.indentation_mm)
-    whole = np.all([~np.isnan(each[:, 0]) for each in height.values()], axis=0)
+    full = np.all([~np.isnan(each[:, 0]) for each in height.values()], axis=0)
     kinds = list(dict.fromkeys(kind for kind, _ in height))
     lines = []
     for index, name in enumerate(names):
-        here = np.flatnonzero((contacts.stimulus == index) & whole)
+        here = np.flatnonzero((contacts.stimulus == index) & full)
         if len(here):
             row = int(here[np.argsort(sheared[here])[len(here) // 2]])
             lines += [
@@ -55,8 +55,8 @@ def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], 
     low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
     x, y = np.meshgrid(*(np.linspace(low[i], high[i], CELLS) for i in (0, 1)))
     for row, (name, heights) in enumerate(lines):
-        told = np.concatenate([height for height in heights.values() if not np.isnan(height[0])] or [np.zeros(2)])
-        span = np.percentile(told, [0.5, 99.5])
+        reported = np.concatenate([height for height in heights.values() if not np.isnan(height[0])] or [np.zeros(2)])
+        span = np.percentile(reported, [0.5, 99.5])
         for column, (kind, height) in enumerate(heights.items()):
             axes = figure.add_subplot(len(lines), columns, 1 + row * columns + column, projection="3d")
             axes.set_axis_off()

@@ -18,7 +18,7 @@ READ = (
 
 def headlines(results: dict[str, Any]) -> str:
     shown = _simulated(results) if words.simulated(results) else _recorded(results)
-    return page.cards(*shown, _whole_run(results))
+    return page.cards(*shown, _run_total(results))
 
 
 def _simulated(results: dict[str, Any]) -> list[str]:
@@ -83,7 +83,7 @@ def _error(value: float | None, quantity: str) -> str:
     return number(value, 2 if words.unit(quantity) == "mm" else 1)
 
 
-def _whole_run(results: dict[str, Any]) -> str:
+def _run_total(results: dict[str, Any]) -> str:
     machine, total = results["machine"], duration(sum(results["time_s"].values()))
     return page.card(
         "Whole run", "", total, f"sum of its stages; {machine['cores']} cores, {machine['device'].split(':')[0]}"

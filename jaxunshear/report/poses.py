@@ -70,8 +70,8 @@ def _lead(results: dict[str, Any], names: list[str]) -> str:
 
 
 def _brackets(results: dict[str, Any]) -> str:
-    told = words.spread(results)
-    return told[0].upper() + told[1:]
+    reported = words.spread(results)
+    return reported[0].upper() + reported[1:]
 
 
 def _recovery(results: dict[str, Any]) -> str:
@@ -86,9 +86,9 @@ def _recovery(results: dict[str, Any]) -> str:
             f"<p class=soft>Recovery, the part of the slide's damage that is undone, by the {kind} network: "
             f"{', '.join(undone) or 'none'}.</p>"
         )
-    told = "; ".join(f"{words.word(q)} {_recovered(found[q], spread[q])}" for q in words.targets(results))
+    reported = "; ".join(f"{words.word(q)} {_recovered(found[q], spread[q])}" for q in words.targets(results))
     return (
-        f"<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {kind} network: {told}. 1 is as good as taps, "
+        f"<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {kind} network: {reported}. 1 is as good as taps, "
         f"0 as bad as slides as felt.</p><p class=soft>{_of_paper(results)}</p>"
     )
 
@@ -100,11 +100,11 @@ def _recovered(value: float | None, interval: list[float] | None) -> str:
 def _of_paper(results: dict[str, Any]) -> str:
     """Its recoveries: of another sensor and other quantities, they give the scale."""
     error = results["paper"]["pose_mae"]
-    told = [
+    reported = [
         f"{(felt - error['disentangled'][q]) / (felt - error['tap'][q]):.2f} in {words.word(q)}"
         for q, felt in error["sheared"].items()
     ]
-    return f"The paper's disentangled network, on another sensor and task, has a recovery of {' and '.join(told)}."
+    return f"The paper's disentangled network, on another sensor and task, has a recovery of {' and '.join(reported)}."
 
 
 def _span(interval: list[float] | None, form: str) -> str:
@@ -160,16 +160,16 @@ def _apart(results: dict[str, Any]) -> list[str]:
 
 def _against(results: dict[str, Any], kind: str) -> str:
     found, spread = results["difference"][kind], results["spread"]["difference"][kind]
-    told = []
+    reported = []
     for name in words.targets(results):
         low, high = spread[name]
         verdict = "within chance" if low <= 0 <= high else "better" if high < 0 else "worse"
         form = f"+.{words.digits(results, name)}f"
         figure = f"{found[name]:{form}}{_span(spread[name], form)} {words.unit(name)}"
-        told.append(f"{words.word(name)} <b>{verdict}</b> ({figure})")
+        reported.append(f"{words.word(name)} <b>{verdict}</b> ({figure})")
     other = (
         "a PoseNet that learnt from slides directly"
         if kind == "sheared_learnt"
         else escape(words.kind_of(results, kind))
     )
-    return f"<p>Slide by slide, the disentangled network's slides against {other}: {'; '.join(told)}.</p>"
+    return f"<p>Slide by slide, the disentangled network's slides against {other}: {'; '.join(reported)}.</p>"

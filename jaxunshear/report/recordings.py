@@ -20,20 +20,22 @@ WAYS = {
 
 
 def recordings(results: dict[str, Any]) -> str:
-    told = results["recordings"]
+    reported = results["recordings"]
     rows = [
-        [kind, *(str(told[kind][split]) for split in SPLITS)] for kind in ("taps", "slides") if any(told[kind].values())
+        [kind, *(str(reported[kind][split]) for split in SPLITS)]
+        for kind in ("taps", "slides")
+        if any(reported[kind].values())
     ]
     folders = dict.fromkeys(results["settings"]["paired"][kind] for kind in ("tap_folder", "slide_folder"))
     named = ", ".join(f"<code>{escape(folder)}</code>" for folder in folders if folder)
     facts = [
-        f"Folder: {named} (digest {escape(told['digest'])}); sensor {escape(told['sensor'])}, {told['pins']} pins.",
-        f"Contacts: {told['contacts']}, {told['dropped']} of them left out. Pins are followed for sure in "
-        f"{told['pins_sure']:.1%} of the others, in {told['unsure']} they are not.",
+        f"Folder: {named} (digest {escape(reported['digest'])}); sensor {escape(reported['sensor'])}, {reported['pins']} pins.",
+        f"Contacts: {reported['contacts']}, {reported['dropped']} of them left out. Pins are followed for sure in "
+        f"{reported['pins_sure']:.1%} of the others, in {reported['unsure']} they are not.",
         f"Labels used, by their range in training: {'; '.join(map(_range, results['targets'])) or 'none'}.",
     ]
-    if told["labelled"] < 1:
-        facts.append(f"Labels of {told['labelled']:.0%} of the training slides teach.")
+    if reported["labelled"] < 1:
+        facts.append(f"Labels of {reported['labelled']:.0%} of the training slides teach.")
     if results["settings"]["paired"].get("unlabelled") == "read":
         facts.append("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
     lead = "Frames of a real sensor: networks learn from train, their best step is chosen on validation, all figures of test."
@@ -42,18 +44,18 @@ def recordings(results: dict[str, Any]) -> str:
         lead,
         page.table(["contacts", *SPLITS], rows),
         *(f"<p class=soft>{fact}</p>" for fact in facts),
-        _listed(f"Frames left out ({told['dropped']})", told["dropped_frames"], told["dropped"]),
-        _listed("Notes from reading them", told["notes"], len(told["notes"])),
+        _listed(f"Frames left out ({reported['dropped']})", reported["dropped_frames"], reported["dropped"]),
+        _listed("Notes from reading them", reported["notes"], len(reported["notes"])),
     )
 
 
 def intervals(results: dict[str, Any]) -> str:
     """Nothing of runs evaluated by an earlier version, or with few validation contacts."""
     widths, held = results.get("half_width", {}), results.get("coverage", {})
-    names = [name for name in words.targets(results) if any(name in told for told in held.values())]
+    names = [name for name in words.targets(results) if any(name in reported for reported in held.values())]
     rows = [
-        [words.kind_of(results, way), *(f"{number(widths[way][name])} ({told[name]:.1%})" for name in names)]
-        for way, told in held.items()
+        [words.kind_of(results, way), *(f"{number(widths[way][name])} ({reported[name]:.1%})" for name in names)]
+        for way, reported in held.items()
         if way in widths
     ]
     if not rows:

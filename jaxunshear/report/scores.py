@@ -87,8 +87,8 @@ def further(results: dict[str, Any]) -> str:
         if "followed" in test:
             depth = f"{depth}, their pins found in the images ({_followed(test['followed'])})"
         ways = {"twist_deg": "slides that twist", "tilt_deg": "sensors that lean"}
-        wide = {told: size for field, told in ways.items() if (size := test.get("ranges", {}).get(field))}
-        depth += "".join(f", {told} by up to {size:g} deg" for told, size in wide.items())
+        wide = {reported: size for field, reported in ways.items() if (size := test.get("ranges", {}).get(field))}
+        depth += "".join(f", {reported} by up to {size:g} deg" for reported, size in wide.items())
         lead = f"{test['contacts']} slides over {what}, {depth}: likeness of the images, then errors of pose; {words.spread(test)}"
         parts.append(
             page.section(f"Test of its own: {escape(name)}", lead, page.table(head, rows, (), [len(rows) - 1]))

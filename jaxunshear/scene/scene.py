@@ -92,9 +92,9 @@ def edge_teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
     def both(xy):
         return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
 
-    def tell(point: np.ndarray) -> np.ndarray:
+    def report(point: np.ndarray) -> np.ndarray:
         distance, normal = both(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))
         angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - point[:, 2]
         return np.stack([np.where(np.isnan(point[:, 0]), np.nan, distance), 180 - (180 - angle) % 360], -1)
 
-    return tell
+    return report

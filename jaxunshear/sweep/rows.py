@@ -72,8 +72,8 @@ def cells_of(sweep: Sweep) -> list[Cell]:
     """
     cells: dict[str, Cell] = {}
     for given, point, changes in _changes(sweep):
-        told = ", ".join(f"{name_of(fields, sweep)}={value_label(fields, value)}" for fields, value in changes)
-        label = given or told or "base"
+        reported = ", ".join(f"{name_of(fields, sweep)}={value_label(fields, value)}" for fields, value in changes)
+        label = given or reported or "base"
         cell = Cell(label, point, changes, _changed(sweep, changes, label))
         if label in cells and cells[label].experiment != cell.experiment:
             raise UserError(
@@ -101,8 +101,8 @@ def rows_of(sweep: Sweep, cells: list[Cell]) -> dict[tuple[str, int], Row]:
 def row_digest(experiment: Experiment, ablation: bool) -> str:
     """Eight hexadecimal digits of all that decides a row's numbers; names, claims and the networks' order do not."""
     networks = tuple(sorted(experiment.networks))
-    whole = dataclasses.replace(experiment, name="", claim="", networks=networks)
-    return _digest({"experiment": without_later(to_json(whole)), "ablation": ablation})
+    full = dataclasses.replace(experiment, name="", claim="", networks=networks)
+    return _digest({"experiment": without_later(to_json(full)), "ablation": ablation})
 
 
 def training_part(experiment: Experiment, network: str) -> Experiment:

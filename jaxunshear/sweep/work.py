@@ -92,13 +92,13 @@ def _data(task: dict[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def _training(task: dict[str, Any], folder: Path) -> dict[str, Any]:
-    experiment = _begun(task, folder)
+    experiment = _started(task, folder)
     run_stages(experiment, tuple(task["networks"]), folder.parent, Path(task["data"]), task["command"])
     return _trained(task, folder)
 
 
 def _row(task: dict[str, Any], folder: Path) -> dict[str, Any]:
-    experiment = _begun(task, folder)
+    experiment = _started(task, folder)
     stages, data = (*task["networks"], "evaluate"), Path(task["data"])
     results = run_stages(experiment, stages, folder.parent, data, task["command"])
     spoilt = _spoilt(experiment, folder, data, task["command"]) if task["ablation"] else None
@@ -119,7 +119,7 @@ def _spoilt(experiment: Experiment, folder: Path, data: Path, command: str) -> l
     return rows
 
 
-def _begun(task: dict[str, Any], folder: Path) -> Experiment:
+def _started(task: dict[str, Any], folder: Path) -> Experiment:
     """The task's experiment, and in `folder` copies of the trainings that others have finished for it."""
     for network, source in task["sources"].items():
         _reuse(Path(source), folder / network)

@@ -39,14 +39,14 @@ def check_state(state: State, step: int, batch: Batch, folder: Path) -> None:
 def _stop(what: str, step: int, batch: Batch, folder: Path) -> UserError:
     """The line that names the step, the term, the batch and how to get it again, what is kept, and what to do."""
     number = step - 1
-    told, hint = _looked_at(batch)
+    reported, hint = _inspected(batch)
     return UserError(
         f"training {folder} stopped: {what} not finite at step {step}, of batch {number} (batches({number}) begins with it "
-        f"again) {told}; {_kept(folder)}; {hint}"
+        f"again) {reported}; {_kept(folder)}; {hint}"
     )
 
 
-def _looked_at(batch: Batch) -> tuple[str, str]:
+def _inspected(batch: Batch) -> tuple[str, str]:
     """What is to be said of the batch, and the remedy."""
     arrays = {name: np.asarray(values) for name, values in jax.device_get(batch).items()}
     wrong = []

@@ -19,7 +19,7 @@ class Exam(NamedTuple):
     """A set that networks are scored on."""
 
     settings: PairedData | Recorded
-    whole: bool = False  # all of it is for the test, not the split of that name alone
+    entire: bool = False  # all of it is for the test, not the split of that name alone
     new_shapes: bool = False  # the test's point is that nobody has seen its stimuli
 
 
@@ -36,7 +36,7 @@ def known(origin: Origin, exam: Exam) -> str:
     where a folder's digest is; of other folders nothing can be told, and they are taken for others.
     """
     if isinstance(exam.settings, Recorded):
-        return _recorded(origin, exam.settings, exam.whole) if origin["set"] == RECORDED_SET else ""
+        return _recorded(origin, exam.settings, exam.entire) if origin["set"] == RECORDED_SET else ""
     return _simulated(origin, exam.settings, exam) if origin["set"] != RECORDED_SET else ""
 
 
@@ -53,7 +53,7 @@ def _simulated(origin: Origin, ours: PairedData, exam: Exam) -> str:
     if theirs["seed"] != ours.seed:
         return ""
     test = f"{set_name(ours)} {version_of(ours)} of seed {ours.seed} is tested"
-    if exam.whole:
+    if exam.entire:
         return f"{learnt}, and all of {test}: use another --paired.seed, or other weights"
     if _major(origin["version"]) >= BY_POSE:
         return ""
@@ -63,13 +63,13 @@ def _simulated(origin: Origin, ours: PairedData, exam: Exam) -> str:
     )
 
 
-def _recorded(origin: Origin, ours: Recorded, whole: bool) -> str:
+def _recorded(origin: Origin, ours: Recorded, entire: bool) -> str:
     theirs = origin["settings"]
     shared = folders_in(theirs["digest"]) & folders_in(ours.digest)
     if not shared:
         return ""
     learnt = f"learnt from recordings that are tested (digest {', '.join(sorted(shared))})"
-    if whole:
+    if entire:
         return f"{learnt}: test on others, or use weights that have not seen them"
     names = ("seed", "test", "validation")
     other = [f"paired.{name} {theirs[name]:g}" for name in names if theirs[name] != getattr(ours, name)]

@@ -31,7 +31,7 @@ from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
 from jaxunshear.training.settings import Training
-from jaxunshear.training.start import Start, begun
+from jaxunshear.training.start import Start, started
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Batch, Task, Tree
 
@@ -94,7 +94,7 @@ def train(
 
     def first(key, given):
         variables = task.init(key)
-        return fresh(begun(variables, given) if start else variables, optimiser)
+        return fresh(started(variables, given) if start else variables, optimiser)
 
     state = jax.jit(first, compiler_options=run_once())(key_init, start.variables if start else None)
     history: list[dict[str, Any]] = []

@@ -69,8 +69,8 @@ def _earlier_origins(folder: Path, model: dict[str, Any]) -> list[dict[str, Any]
     """Of weights that do not list what they took over: at most both sets of their experiment, unless they began from others."""
     experiment = read_json_if_sound(folder.parent / "experiment.json") or {}
     own = model.get("origin")
-    begun = "start" in model if own else any(experiment.get(name, {}).get("start") for name in TRAININGS)
-    if begun:
+    started = "start" in model if own else any(experiment.get(name, {}).get("start") for name in TRAININGS)
+    if started:
         raise UserError(f"{folder} began from weights whose data it does not tell: use weights that were trained anew")
     version = (own or {}).get("version", "before 3.0.0")
     origins = [own] if own else []

@@ -17,7 +17,7 @@ class Start(NamedTuple):
     digest: str
 
 
-def begun(fresh: Tree, start: Tree) -> Tree:
+def started(fresh: Tree, start: Tree) -> Tree:
     """`fresh` variables with those of `start` in the places of its own; modules of `start` that it lacks (a head) are left out, and parts
     that `start` lacks (released weights hold no shear code and no DS) stay fresh.
 

@@ -94,7 +94,7 @@ def test_taps_and_slides_of_each_layout(tmp_path, monkeypatch, columns, images, 
         _parser().parse_args(shlex.split(command)[1:])
 
 
-def test_too_few_images_to_tell_where_pins_stand(tmp_path):
+def test_too_few_images_to_give_where_pins_stand(tmp_path):
     (unshear,) = (use for use in examine(recorded(tmp_path / "tap")).uses if " unshear " in use.command)
     assert not unshear.works and "20 contacts or more" in unshear.why_not and "--like" in unshear.why_not
 

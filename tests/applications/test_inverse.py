@@ -49,16 +49,16 @@ def test_a_few_missing_pins_change_little(lattice, physical):
     motion = (pins_per_force(TACTIP_331, *SEEN) @ ring_pressed(4)).reshape(-1, 2)
     gaps = motion.copy()
     gaps[np.random.default_rng(0).choice(len(motion), 10, replace=False)] = np.nan
-    whole, some = indentation_of(physical, np.stack([motion, filled(lattice, gaps)]))
-    np.testing.assert_allclose(some, whole, atol=0.1 * whole.max())
+    full, some = indentation_of(physical, np.stack([motion, filled(lattice, gaps)]))
+    np.testing.assert_allclose(some, full, atol=0.1 * full.max())
 
 
 def test_pins_move_as_the_camera_sees_the_dome_move():
-    whole, force = dome(TACTIP_331), 1e-3 * ring_pressed(3)
-    tips = np.stack([whole.pins, whole.pins + (whole.g @ force).reshape(-1, 3)])
+    full, force = dome(TACTIP_331), 1e-3 * ring_pressed(3)
+    tips = np.stack([full.pins, full.pins + (full.g @ force).reshape(-1, 3)])
     place = np.asarray(to_image_px(*SEEN, project(SEEN[0], tips, TACTIP_331)), float)
-    told = (pins_per_force(TACTIP_331, *SEEN) @ force).reshape(-1, 2)
-    np.testing.assert_allclose(told, place[1] - place[0], atol=1e-4)
+    reported = (pins_per_force(TACTIP_331, *SEEN) @ force).reshape(-1, 2)
+    np.testing.assert_allclose(reported, place[1] - place[0], atol=1e-4)
 
 
 def test_a_linear_skin_is_learnt(lattice):
@@ -72,7 +72,7 @@ def test_a_linear_skin_is_learnt(lattice):
     np.testing.assert_allclose(found, share[150:] @ rises, atol=0.01)
 
 
-def test_pins_at_rest_tell_of_no_indentation(lattice, physical):
+def test_pins_at_rest_give_of_no_indentation(lattice, physical):
     still = np.zeros((2, *lattice.place.shape))
     np.testing.assert_array_equal(indentation_of(physical, still), 0)
 

@@ -28,7 +28,7 @@ def occupancy():
     return learn(LATTICE, PLACE, growth, distance)
 
 
-def test_both_sides_of_new_edges_are_told_apart(occupancy):
+def test_both_sides_of_new_edges_are_reported_apart(occupancy):
     growth, distance = taps(40, 1)
     said, apart = evidence(occupancy, growth), distance[:, occupancy.near]
     clear = np.abs(apart) > 1

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.applications.perception import TRUE, perceptions, read_look, unsheared_by, ways_of
+from jaxunshear.applications.perception import TRUE, load_forward, perceptions, unsheared_by, ways_of
 from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import UNSHEARING, Experiment
@@ -49,13 +49,13 @@ def images():
     return (np.random.default_rng(0).random((3, 32, 32)) < 0.3).astype(np.uint8) * 255
 
 
-def looked(model, way, images):
-    look, variables, _ = read_look(model, way)
-    return jax.jit(look)(variables, images)
+def viewed(model, way, images):
+    forward, variables, _ = load_forward(model, way)
+    return jax.jit(forward)(variables, images)
 
 
 def test_the_code_is_read_by_its_head_and_both_is_the_mean(model, images):
-    (seen, code), (drawn, image), (_, both) = (looked(model, way, images) for way in ("code", "disentangled", "both"))
+    (seen, code), (drawn, image), (_, both) = (viewed(model, way, images) for way in ("code", "disentangled", "both"))
     variables = checkpoint.load_best(model / "disentangled")
     z_p, _ = unshearnet.encode(NET, variables, images[..., None] / np.float32(255))
     outputs = pose_head.predict(variables["params"]["head"], z_p)
@@ -74,22 +74,22 @@ def test_released_weights_perceive_by_their_head(model, images, tmp_path):
         checkpoint.write_weights(tmp_path / name, checkpoint.load_best(model / name), PARTS[name])
         shutil.copy(model / name / "model.json", tmp_path / name)
     assert ways_of(tmp_path) == ways_of(model)
-    of_run = looked(model, "code", images)[1]
-    for name, answer in looked(tmp_path, "code", images)[1].items():
+    of_run = viewed(model, "code", images)[1]
+    for name, answer in viewed(tmp_path, "code", images)[1].items():
         np.testing.assert_allclose(answer, of_run[name], atol=0.1)  # kernels are float16
 
 
 def test_a_robot_gets_the_heads_edge(model, images):
     edge_mm, edge_deg = perceptions(model, Experiment("small", "none"), ("code",))["code"](images)
-    _, pose = looked(model, "code", images)
+    _, pose = viewed(model, "code", images)
     np.testing.assert_allclose(edge_mm, pose["edge_mm"], atol=1e-4)
     np.testing.assert_allclose(edge_deg, pose["edge_deg"], atol=1e-3)
 
 
 def test_the_code_alone_draws_nothing_and_both_encode_once(model, images):
     def products(way):
-        look, variables, _ = read_look(model, way)
-        compiled = jax.jit(lambda known, images: look(known, images)[1]).lower(variables, images).compile()
+        forward, variables, _ = load_forward(model, way)
+        compiled = jax.jit(lambda known, images: forward(known, images)[1]).lower(variables, images).compile()
         return compiled.cost_analysis()["flops"]
 
     code, image, both = map(products, ("code", "disentangled", "both"))
@@ -99,7 +99,7 @@ def test_the_code_alone_draws_nothing_and_both_encode_once(model, images):
     assert code < image < both < image + code - 0.9 * encoding
 
 
-def test_images_are_unsheared_whatever_tells_the_pose():
+def test_images_are_unsheared_whatever_gives_the_pose():
     assert {unsheared_by(way) for way in (TRUE, "code", "both", "disentangled")} == {"disentangled"}
     assert (unsheared_by("entangled"), unsheared_by("unet")) == ("entangled", "unet")
     assert not {unsheared_by("sheared"), unsheared_by("learnt")} & set(UNSHEARING)
@@ -118,14 +118,14 @@ def test_ways_that_ask_for_a_head_are_there_where_one_is(model, tmp_path):
     with pytest.raises(
         UserError, match="disentangled has no head that reads the pose code, which networks over images get by"
     ):
-        read_look(tmp_path, "both")
+        load_forward(tmp_path, "both")
 
 
-def test_a_head_that_tells_no_targets_and_an_edge_that_is_none_are_refused(model, tmp_path):
+def test_a_head_that_gives_no_targets_and_an_edge_that_is_none_are_refused(model, tmp_path):
     variables = checkpoint.load_best(model / "disentangled")
     kept(tmp_path / "older" / "disentangled", "unshear", NET, variables, ())
     with pytest.raises(UserError, match="disentangled does not tell what its head reads"):
-        read_look(tmp_path / "older", "code")
+        load_forward(tmp_path / "older", "code")
     kept(tmp_path / "other" / "disentangled", "unshear", NET, variables, of_ranges(("x_mm", "yaw_deg"), Ranges()))
     with pytest.raises(UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"):
         perceptions(tmp_path / "other", Experiment("small", "none"), ("code",))

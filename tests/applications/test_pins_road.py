@@ -15,7 +15,7 @@ from jaxunshear.applications.contour import outline
 from jaxunshear.applications.perception import perceptions, unshearers, unshearing_of, ways_of
 from jaxunshear.applications.walk_scores import walk_rows
 from jaxunshear.config import to_json
-from jaxunshear.dataset.chunks import look
+from jaxunshear.dataset.chunks import render
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
@@ -48,8 +48,8 @@ def model(tmp_path_factory):
         draw = np.random.default_rng(seed).normal
         shaken = jax.tree.map(lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype), fresh["params"])
         kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
-        told = {"kind": kind, "net": vars(net), "targets": targets_json(TARGETS)}
-        checkpoint.write_settings(folder / name, json.loads(json.dumps(told)))
+        reported = {"kind": kind, "net": vars(net), "targets": targets_json(TARGETS)}
+        checkpoint.write_settings(folder / name, json.loads(json.dumps(reported)))
         checkpoint.save(folder / name, 1, {"average": fresh | {"params": shaken}}, {"history": [], "best_step": 1})
         write_json(folder / name / checkpoint.SUMMARY, {"steps": 1})
     return folder
@@ -139,7 +139,7 @@ def test_a_stream_by_pins_has_no_head(command, model, tmp_path, seen):
 def test_frames_are_the_same_however_many_are_rendered_at_once():
     tips = np.repeat(pin_tips(EXPERIMENT.sensor)[None], 3, axis=0)
     given = (PAIRED, EXPERIMENT.sensor, tips, np.arange(3), np.zeros(3))
-    (few, pins), (many, same) = look(*given, 1), look(*given)
+    (few, pins), (many, same) = render(*given, 1), render(*given)
     np.testing.assert_array_equal(few, many)
     np.testing.assert_array_equal(pins, same)
     assert (few[0] != few[1]).any()  # each with noise of its own

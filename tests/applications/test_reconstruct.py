@@ -60,7 +60,7 @@ def test_what_a_walk_did_not_reach_still_counts():
     assert likeness(fused, filled_shape(fused), truth("disk", fused), line).iou < 0.05
 
 
-def test_nothing_felt_is_told():
+def test_nothing_felt_is_reported():
     line, point, evidence = walked("disk")
     fused = fuse(point, PLACE, -np.abs(evidence))
     got = likeness(fused, filled_shape(fused), truth("disk", fused), line)
@@ -85,17 +85,17 @@ def test_a_turned_sensor_feels_the_same_place():
 
 
 @pytest.mark.parametrize("name", ["disk", "clover"])
-def test_heights_are_interpolated_to_the_whole_object(name):
+def test_heights_are_interpolated_to_the_full_object(name):
     line, point, _ = walked(name)
     xy = to_target(point, PLACE)
     height = np.where(inside(name, xy), 3.0, 1.0)
     fused = fuse(point, PLACE, height)
-    whole = interpolated(fused)
-    got = likeness(fused, np.nan_to_num(whole, nan=-np.inf) > 2, truth(name, fused), line)
+    full = interpolated(fused)
+    got = likeness(fused, np.nan_to_num(full, nan=-np.inf) > 2, truth(name, fused), line)
     assert got.iou > 0.94 and got.iou_felt > 0.9
     felt = ~np.isnan(fused.value)
-    np.testing.assert_array_equal(whole[felt], fused.value[felt])
-    assert np.count_nonzero(~np.isnan(whole)) > np.count_nonzero(felt)
+    np.testing.assert_array_equal(full[felt], fused.value[felt])
+    assert np.count_nonzero(~np.isnan(full)) > np.count_nonzero(felt)
 
 
 @pytest.mark.parametrize(("name", "share"), [("disk", 1.0), ("clover", 1.0), ("teardrop", 1.0), ("disk", 0.5)])

@@ -43,7 +43,7 @@ def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(short,
 
 
 def test_a_killed_walk_goes_on_and_ends_equal(short, tmp_path, monkeypatch):
-    whole, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "whole.npz")
+    full, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "whole.npz")
     real, taken = servo._touch, []
 
     def killed(*arguments):
@@ -59,7 +59,7 @@ def test_a_killed_walk_goes_on_and_ends_equal(short, tmp_path, monkeypatch):
     assert stored_walks(tmp_path / "disk.npz")[1].steps == 5
     again, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
     for field in ("point", "seen", "images", "force_n", "sums", "way_mm", "end"):
-        np.testing.assert_array_equal(getattr(again, field), getattr(whole, field), err_msg=field)
+        np.testing.assert_array_equal(getattr(again, field), getattr(full, field), err_msg=field)
     with pytest.raises(UserError, match="other settings"):
         follow_contour(dataclasses.replace(COURSE, depth_mm=3.0), TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
     (tmp_path / "disk.npz").write_bytes(b"torn")
@@ -67,7 +67,7 @@ def test_a_killed_walk_goes_on_and_ends_equal(short, tmp_path, monkeypatch):
         follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
 
 
-def test_a_walk_that_is_misled_is_lost_and_told(short, tmp_path, monkeypatch):
+def test_a_walk_that_is_misled_is_lost_and_reported(short, tmp_path, monkeypatch):
     monkeypatch.setattr(servo, "LOST_MM", 3.0)
     astray = {"astray": lambda images: (np.full(len(images), -5.0), np.zeros(len(images)))}  # "go outwards"
     walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, astray, tmp_path / "disk.npz")

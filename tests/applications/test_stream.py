@@ -48,7 +48,7 @@ def test_a_line_a_frame_with_image_pose_and_confidence():
     assert summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
 
 
-def test_bad_frames_are_told_and_skipped():
+def test_bad_frames_are_reported_and_skipped():
     frames = [
         Frame(0, "a", dots(), ""),
         Frame(1, "torn", None, "no readable image"),
@@ -90,7 +90,7 @@ def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
     assert [line["frame"] for line in lines] == sorted(line["frame"] for line in lines)
 
 
-def test_a_problem_in_the_reading_thread_is_told():
+def test_a_problem_in_the_reading_thread_is_reported():
     def broken():
         yield Frame(0, "a", dots(), "")
         raise UserError("camera 0 gave no frame")

@@ -62,8 +62,8 @@ def test_a_frame_is_found_again(monkeypatch):
     matter = Matter(_recorded(contacts), contacts, 1, VALUES, SENSOR)
     found = find_frame(matter, Frame(2.2))
     assert np.allclose(found, TRUE, atol=0.1)
-    told = find_frame(matter, Frame(2.2), ("surface_mm",))
-    assert told[1:] == (0, 0, 0) and told.surface_mm != 2.2
+    reported = find_frame(matter, Frame(2.2), ("surface_mm",))
+    assert reported[1:] == (0, 0, 0) and reported.surface_mm != 2.2
     assert abs(matter.turn(found)) < 0.01
 
 

@@ -70,7 +70,7 @@ def test_files(results):
 
 
 @pytest.mark.long
-def test_unlabelled_images_tell_framing_and_pins_only(simulated, tmp_path):
+def test_unlabelled_images_give_framing_and_pins_only(simulated, tmp_path):
     """And so do labels that belong to other images."""
     (tmp_path / "bare").mkdir()
     shutil.copytree(simulated.folder / "images", tmp_path / "bare" / "images")

@@ -10,7 +10,7 @@ PRIOR = np.array([0.3, 2.0])  # standard deviations
 
 @pytest.mark.parametrize(("slope", "known"), [(0.0, False), (1e-3, False), (0.02, False), (10.0, True)])
 @pytest.mark.parametrize("noise", [0.15, 0.3])
-def test_a_parameter_that_the_images_do_not_tell_is_as_wide_as_its_prior(slope, known, noise):
+def test_a_parameter_that_the_images_do_not_give_is_as_wide_as_its_prior(slope, known, noise):
     generator = np.random.default_rng(1)
     residual = noise * generator.normal(size=(100, 5)) / np.sqrt(5)
     slopes = np.zeros((100, 5, 2))

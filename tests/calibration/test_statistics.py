@@ -115,17 +115,17 @@ def test_missing_pins_move_no_ring(images):
     seen = observe(images, TACTIP_331)
     shell, place = seen.lattice.shell, seen.place.copy()
     place[0, -8:] = np.nan
-    whole = ring_motion(shell, seen.place - seen.rest)
-    np.testing.assert_allclose(ring_motion(shell, place - seen.rest), whole, atol=0.05)
+    full = ring_motion(shell, seen.place - seen.rest)
+    np.testing.assert_allclose(ring_motion(shell, place - seen.rest), full, atol=0.05)
     np.testing.assert_allclose(ring_radii(shell, place, seen.rest), ring_radii(shell, seen.place, seen.rest), atol=0.05)
 
 
 def test_what_is_not_followed_is_left_out_of_all(images, recwarn):
     seen = observe(images, TACTIP_331)
     contacts = motions(np.tile(np.arange(6.0), (2, 1)) + np.eye(6)[:2], np.ones((2, 6)))
-    told = {row.name: row.values for row in _summaries(Group("one", seen, contacts), seen, np.array([True, False]))}
-    assert all(np.isnan(values[1]) for values in told.values())
-    assert told["white share of pins"][0] > 0.05 and told["pins found"][0] == 331
+    reported = {row.name: row.values for row in _summaries(Group("one", seen, contacts), seen, np.array([True, False]))}
+    assert all(np.isnan(values[1]) for values in reported.values())
+    assert reported["white share of pins"][0] > 0.05 and reported["pins found"][0] == 331
     assert not recwarn.list
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.ceiling import told_by_labels
+from jaxunshear.calibration.ceiling import explained_by_labels
 from jaxunshear.calibration.labels import motions
 from jaxunshear.calibration.prediction import Values, interpolation, place_of, probe, skin_to_gel
 from jaxunshear.calibration.validation import Compared, centred, mm_per_px, places, r2, rows_of, settled, stand
@@ -119,17 +119,17 @@ def test_scale_at_the_height_of_a_pin():
     assert seen[0, 0, 0] * mm_per_px(VALUES, SENSOR, 128, flat)[0] == pytest.approx(0.01, rel=1e-3)
 
 
-def test_labels_that_tell_all_and_nothing():
+def test_labels_that_give_all_and_nothing():
     rng = np.random.default_rng(0)
     poses, moves = np.zeros((200, 6)), np.zeros((200, 6))
     poses[:, 1], poses[:, 2], poses[:, 5] = rng.uniform(-3, 3, 200), rng.uniform(3, 5, 200), rng.uniform(-90, 90, 200)
     moves[:, :2] = rng.uniform(-2, 2, (200, 2))
-    told = np.stack([poses[:, 1] * np.cos(np.radians(poses[:, 5])), poses[:, 2] ** 2], -1)[:, None]
-    told = told - told.mean(axis=0)
+    reported = np.stack([poses[:, 1] * np.cos(np.radians(poses[:, 5])), poses[:, 2] ** 2], -1)[:, None]
+    reported = reported - reported.mean(axis=0)
     contacts = motions(poses, moves)
-    assert r2(told, told_by_labels(contacts, told)) > 0.9
+    assert r2(reported, explained_by_labels(contacts, reported)) > 0.9
     noise = rng.standard_normal((200, 3, 2))
-    assert r2(noise, told_by_labels(contacts, noise)) < 0.05
+    assert r2(noise, explained_by_labels(contacts, noise)) < 0.05
 
 
 def test_the_figure_is_a_png():

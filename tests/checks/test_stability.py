@@ -130,6 +130,6 @@ def test_a_line_says_what_sets_a_sensor_apart():
 
 
 @pytest.mark.parametrize(("asked", "said"), [("frictoin", "some do friction"), ("0x0q", "some do network, ")])
-def test_cases_are_told_by_words_of_their_names(asked, said):
+def test_cases_are_reported_by_words_of_their_names(asked, said):
     with pytest.raises(UserError, match=f"--only '{asked}': no case's name contains this; {said}"):
         stability.stability(asked)

@@ -142,7 +142,7 @@ def test_the_papers_start_is_that_of_its_experiment():
 
 
 @pytest.mark.long
-def test_kernels_that_outweigh_the_loss_are_told():
+def test_kernels_that_outweigh_the_loss_are_reported():
     heavy = judge.examine(steps_case("l1 1", SHALLOW, replace(network_trainings.TRAINING, l1=1.0)))
     assert heavy.holds and heavy.said.startswith("l1 and l2 weigh") and "kernels shrink first" in heavy.said
 
@@ -153,7 +153,7 @@ def test_steps_pass_with_their_figures():
     assert 0 < row.loss < 1 and row.gradient > 0 and not row.said
 
 
-def test_a_network_that_learns_nothing_more_is_told():
+def test_a_network_that_learns_nothing_more_is_reported():
     row = judge.examine(made_up(lambda folder: judge.Found({"a": 1.0}, note="the gradient is 0")))
     assert row.holds and row.said == "the gradient is 0"
 
@@ -164,7 +164,7 @@ def test_a_nan_stops_a_training_and_the_row_says_what_is_kept():
     assert row.said.startswith("training FOLDER stopped")
 
 
-def test_a_training_that_does_not_look_is_caught(monkeypatch):
+def test_a_training_that_does_not_see_is_caught(monkeypatch):
     """Without its two looks the case that must stop ends with numbers that are not finite."""
     floats = lambda step, terms, batch, folder: {name: float(value) for name, value in terms.items()}  # noqa: E731
     monkeypatch.setattr(network_steps, "check_terms", floats)
@@ -211,16 +211,18 @@ def test_narrow_numbers_are_compared_with_wide_ones(monkeypatch):
     monkeypatch.setattr(network_values, "learnt", lambda net: {"scale": np.float32([1 / 3])})
     monkeypatch.setattr(network_values, "images_of", lambda batch: images[0].astype(np.float32))
 
-    def told(net, variables, given):
+    def reported(net, variables, given):
         return {"unsheared": given * variables["scale"], "sheared": given}
 
-    monkeypatch.setattr(network_values, "infer", told)
+    monkeypatch.setattr(network_values, "infer", reported)
     for kind, least, most in ((jnp.bfloat16, 1e-4, 5e-3), (jnp.float64, 1e-9, 1e-6)):
         found = network_values._precision(SHALLOW, kind, 1.0)
         assert least < found.error < most and not found.wrong
-    monkeypatch.setattr(network_values, "infer", lambda net, variables, given: told(net, variables, jnp.float32(given)))
+    monkeypatch.setattr(
+        network_values, "infer", lambda net, variables, given: reported(net, variables, jnp.float32(given))
+    )
     assert "nothing was cast" in network_values._precision(SHALLOW, jnp.float32, 1.0).wrong
-    monkeypatch.setattr(network_values, "infer", lambda net, variables, given: told(net, variables, 0 * given))
+    monkeypatch.setattr(network_values, "infer", lambda net, variables, given: reported(net, variables, 0 * given))
     assert "nothing was compared" in network_values._precision(SHALLOW, jnp.bfloat16, 1.0).wrong
 
 

@@ -62,7 +62,7 @@ def test_orders_are_fitted():
     assert math.isnan(fit_order(sizes, [0.1, 0.0, 0.1]))
 
 
-def test_the_table_tells_what_was_missed():
+def test_the_table_gives_what_was_missed():
     rows = [
         compare("a group", "one", 2.0, 2.2, 0.05, order=1.0, least_order=0.5),
         vanishes("another", "two", 0.1, 1.0, 0.3, px=True),

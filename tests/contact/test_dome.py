@@ -165,7 +165,7 @@ def _store(path, contents):
     path.write_bytes(hashlib.sha256(stream.getvalue()).digest() + stream.getvalue())
 
 
-def test_a_whole_cache_file_is_used(stored, small, monkeypatch, capsys):
+def test_a_full_cache_file_is_used(stored, small, monkeypatch, capsys):
     monkeypatch.setattr(module, "_compute", lambda *_: pytest.fail("made again"))
     for name in ("w", "g", "nodes", "pins"):
         np.testing.assert_array_equal(getattr(dome(SMALL), name), getattr(small, name))
@@ -208,14 +208,14 @@ def _without(path):
         (_without, "fields"),
     ],
 )
-def test_a_cache_file_that_is_not_right_is_told_and_made_again(stored, small, capsys, damage, said):
-    whole = stored.read_bytes()
+def test_a_cache_file_that_is_not_right_is_reported_and_made_again(stored, small, capsys, damage, said):
+    full = stored.read_bytes()
     damage(stored)
     capsys.readouterr()
     np.testing.assert_array_equal(dome(SMALL).w, small.w)
-    told = [line for line in capsys.readouterr().err.splitlines() if "made again" in line]
-    assert len(told) == 1 and str(stored) in told[0] and said in told[0]
-    assert stored.read_bytes() == whole and len(list(stored.parent.iterdir())) == 1
+    reported = [line for line in capsys.readouterr().err.splitlines() if "made again" in line]
+    assert len(reported) == 1 and str(stored) in reported[0] and said in reported[0]
+    assert stored.read_bytes() == full and len(list(stored.parent.iterdir())) == 1
 
 
 def test_other_settings_have_other_files(stored, monkeypatch):
@@ -239,7 +239,7 @@ def test_two_processes_at_once_do_each_other_no_harm(cache, small, tmp_path):
     assert path.suffix == ".bin"
 
 
-def test_a_cache_folder_that_cannot_be_written_to_is_told(tmp_path, monkeypatch):
+def test_a_cache_folder_that_cannot_be_written_to_is_reported(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setenv("JAXUNSHEAR_CACHE", str(tmp_path / "file"))
     monkeypatch.setattr(module, "_compute", lambda *_: pytest.fail("worked in vain"))

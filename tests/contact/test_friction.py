@@ -78,7 +78,7 @@ def test_what_sticks_what_slips_and_what_is_free(half_space, system):
 
 
 @pytest.mark.parametrize("friction", [0.3, 1e-5, 1e-18, 1e-20, 1e-30, 1e-35, 1e-37])
-def test_tiny_frictions_tell_stuck_from_slipping(friction):
+def test_tiny_frictions_give_stuck_from_slipping(friction):
     rng = np.random.default_rng(0)
     force = np.concatenate([100 * rng.normal(size=(1, 99, 2)), rng.uniform(0.1, 2, (1, 99, 1))], -1)
     mu = jnp.full(1, friction, jnp.float32)

@@ -204,14 +204,14 @@ def test_going_on_from_a_skin(paths):
     pressed = Paths(slides.stimulus, slides.friction, slides.points[:, :2])
     moved = Paths(slides.stimulus, slides.friction, slides.points[:, 1:])
     _, skins = follow(SMALL, ("disk",), pressed, "reference")
-    whole, _ = follow(SMALL, ("disk",), slides, "reference")
+    full, _ = follow(SMALL, ("disk",), slides, "reference")
     with jax.enable_x64(True):
         model = pin_model(SMALL, ("disk",), moved, "reference", start=skins)
         friction = jnp.asarray(slides.friction)
         push = jax.jit(lambda x, d: jax.jvp(lambda y: pins(model, y, friction).pins, (x,), (d,)))
         at, along = jnp.asarray(moved.points), jnp.zeros_like(moved.points).at[:, -1, 0].set(1.0)
         here, more, less = (jax.device_get(push(at + h * along, along)) for h in (0, STEP, -STEP))
-    np.testing.assert_allclose(here[0], whole.pins, atol=5e-3)  # as exact as the reference level is
+    np.testing.assert_allclose(here[0], full.pins, atol=5e-3)  # as exact as the reference level is
     agree(here[1], (more[0] - less[0]) / (2 * STEP))
 
 

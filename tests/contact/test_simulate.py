@@ -69,9 +69,9 @@ def test_auto_agrees_with_reference(contacts):
 def test_what_is_left_out_changes_next_to_nothing():
     few = scenes(4, (2.0, 2.6))
     fine = replace(LEVELS["auto"], tolerance=0.02, limit=3000, omit=("nodes", "untouched", "grouping", "friction"))
-    sparing, whole = (simulate(TACTIP_331, TRAINING, few, level) for level in (fine, unabridged(fine)))
-    assert np.all(sparing.nodes < 0.25 * whole.nodes)
-    assert rms_mm(sparing.pins, whole.pins).max() < 2e-3
+    sparing, entire = (simulate(TACTIP_331, TRAINING, few, level) for level in (fine, unabridged(fine)))
+    assert np.all(sparing.nodes < 0.25 * entire.nodes)
+    assert rms_mm(sparing.pins, entire.pins).max() < 2e-3
 
 
 def test_no_contact_leaves_the_pins_exactly_where_they_are():
@@ -127,12 +127,12 @@ def test_friction_from_none_to_infinite():
 def test_a_motion_in_two_parts_is_the_motion():
     start, pressed, end = [-26.0, 0, 0, 0, 0, 0], [-26.0, 0, 0, 2.5, 0, 0], [-25.0, 0.5, 10, 2.5, 3, 0]
     fine = replace(LEVELS["auto"], tolerance=0.02, limit=3000)
-    whole, _ = follow(TACTIP_331, ("disk",), path(start, pressed, end), fine)
+    entire, _ = follow(TACTIP_331, ("disk",), path(start, pressed, end), fine)
     _, skins = follow(TACTIP_331, ("disk",), path(start, pressed), fine)
     parts, _ = follow(TACTIP_331, ("disk",), path(pressed, end), fine, start=skins)
-    assert rms_mm(whole.pins, parts.pins).max() < 2e-3
+    assert rms_mm(entire.pins, parts.pins).max() < 2e-3
     fresh, _ = follow(TACTIP_331, ("disk",), path([-25.0, 0.5, 10, 0, 3, 0], end), fine)
-    assert rms_mm(whole.pins, fresh.pins).max() > 0.1  # the history does matter
+    assert rms_mm(entire.pins, fresh.pins).max() > 0.1  # the history does matter
     with pytest.raises(UserError, match="starts elsewhere"):
         follow(TACTIP_331, ("disk",), path(start, end), fine, start=skins)
 
@@ -236,10 +236,10 @@ def test_the_deepest_pose_of_the_paper_is_covered():
 @pytest.mark.parametrize("level", ["auto", "fast"])
 def test_a_grazing_touch_is_felt(x, depth, level):
     """No node that usually suffices is near the disk, and some that do not lie half a millimetre inside."""
-    grazed, whole = (simulate(TACTIP_331, TRAINING, one(depth, x, friction=0.7), each) for each in (level, "default"))
-    assert grazed.converged.all() and whole.force_n[0, 2] > 0.1
-    assert grazed.force_n[0, 2] == pytest.approx(whole.force_n[0, 2], rel=0.1)
-    assert rms_mm(grazed.pins, whole.pins)[0] < 0.02
+    grazed, entire = (simulate(TACTIP_331, TRAINING, one(depth, x, friction=0.7), each) for each in (level, "default"))
+    assert grazed.converged.all() and entire.force_n[0, 2] > 0.1
+    assert grazed.force_n[0, 2] == pytest.approx(entire.force_n[0, 2], rel=0.1)
+    assert rms_mm(grazed.pins, entire.pins)[0] < 0.02
 
 
 def test_no_scenes_give_no_contacts():

@@ -72,7 +72,7 @@ def test_the_data_card_and_the_citation_come_along(name):
         assert f"`{config}`" in card
 
 
-def test_metadata_tells_settings_and_counts(paired, sensor, engine, tmp_path):
+def test_metadata_gives_settings_and_counts(paired, sensor, engine, tmp_path):
     metadata = make_set(paired, sensor, tmp_path, engine)
     assert metadata["settings"]["stimuli"] == ["disk", "spiral_1"]
     assert metadata["sensor"]["name"] == "small"
@@ -107,7 +107,7 @@ def test_other_settings_in_the_same_place_are_refused_by_field(pose, sensor, eng
 
 
 @pytest.mark.parametrize("stage", ["chunks", "shards"])
-def test_a_full_disk_is_told_and_loses_nothing(stage, pose, sensor, engine, tmp_path, monkeypatch):
+def test_a_full_disk_is_reported_and_loses_nothing(stage, pose, sensor, engine, tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         if stage == "chunks":
             replace = os.replace

@@ -57,7 +57,7 @@ def test_an_example_holds_its_own_slide_and_a_tap_of_its_pose(paired, sensor, en
             for name, row in (("sheared", slide), ("canonical", tap)):
                 image = np.asarray(Image.open(io.BytesIO(example[name])))
                 np.testing.assert_array_equal(
-                    image, engine.look(paired, sensor, np.zeros((1, 1, 3)), [row], None)[0][0]
+                    image, engine.render(paired, sensor, np.zeros((1, 1, 3)), [row], None)[0][0]
                 )
             np.testing.assert_allclose(example["pose"], shots.scenes.pose[slide], rtol=1e-6)
             np.testing.assert_allclose(example["move"], shots.scenes.move[slide], rtol=1e-6)
@@ -110,7 +110,7 @@ def test_a_damaged_chunk_is_named(paired, sensor, engine, tmp_path):
         make(paired, sensor, tmp_path, engine)
 
 
-def test_contacts_that_were_tried_again_are_told_and_used(paired, sensor, engine, tmp_path):
+def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, engine, tmp_path):
     engine, marked = breaking(engine, helped=True)
     scenes = draw(paired).scenes
     marked += scenes.pose[[0, 60], 0].tolist()  # two whole poses
@@ -120,7 +120,7 @@ def test_contacts_that_were_tried_again_are_told_and_used(paired, sensor, engine
     assert sum(counts["written"].values()) == shots.slid.sum()
 
 
-def test_contacts_that_fail_twice_are_dropped_and_told(paired, sensor, engine, tmp_path):
+def test_contacts_that_fail_twice_are_dropped_and_reported(paired, sensor, engine, tmp_path):
     engine, marked = breaking(engine, helped=False)
     marked += draw(paired).scenes.pose[[0], 0].tolist()
     shots, paths = make(paired, sensor, tmp_path, engine)
@@ -139,11 +139,11 @@ def test_slides_whose_taps_are_lost_take_the_other_or_are_left_out(paired, senso
     shots = draw(paired)
 
     def blind(settings, sensor, tips, number, age):
-        images, pins = engine.look(settings, sensor, tips, number, age)
+        images, pins = engine.render(settings, sensor, tips, number, age)
         images[np.isin(number, [0, 5, 6])] = 0  # a tap of pose 0, both taps of pose 1
         return images, pins
 
-    paths = simulate_chunks(paired, sensor, shots, tmp_path, engine._replace(look=blind))
+    paths = simulate_chunks(paired, sensor, shots, tmp_path, engine._replace(render=blind))
     counts = summary(paired, shots, paths)
     assert (counts["dropped"], counts["slides_without_tap"]) == (3, 3)
     examples = dict(pair for split in SPLITS for pair in paired_examples(paired, shots, paths, split))
@@ -164,10 +164,10 @@ def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
 
     tips = np.repeat(pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
     number, age = np.arange(18), np.linspace(0, 1, 18)
-    images, pins = chunks.look(settings, TACTIP_331, tips, number, age)
-    again, _ = chunks.look(settings, TACTIP_331, tips[17:], number[17:], age[17:])
+    images, pins = chunks.render(settings, TACTIP_331, tips, number, age)
+    again, _ = chunks.render(settings, TACTIP_331, tips[17:], number[17:], age[17:])
     np.testing.assert_array_equal(again[0], images[17])
-    assert np.any(chunks.look(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0] != images[0])
+    assert np.any(chunks.render(settings, TACTIP_331, tips[:1], number[:1] + 1, age[:1])[0][0] != images[0])
     for row in (0, 17):  # drift is in the pins too
         col, line = np.rint(pins[row]).astype(int).T
         assert (images[row][line, col] > 0).mean() > 0.98
@@ -188,7 +188,7 @@ def test_the_real_simulator_makes_a_few_pairs(tmp_path):
     assert 1 < shear.max() < 20
 
 
-def test_a_stored_set_tells_twist_and_tilt_where_they_vary(paired, sensor, engine, tmp_path):
+def test_a_stored_set_gives_twist_and_tilt_where_they_vary(paired, sensor, engine, tmp_path):
     ranges = dataclasses.replace(paired.ranges, twist_deg=5.0, tilt_deg=9.0)
     for settings, widths in ((paired, (4, 2)), (dataclasses.replace(paired, taps=1, ranges=ranges), (6, 3))):
         make_set(settings, sensor, tmp_path, engine)

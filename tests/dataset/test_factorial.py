@@ -113,10 +113,10 @@ def test_batches_hold_partners_and_go_on_from_any_step(reader):
     fields = (FEEDS, OTHER, SWAPPED, "pose", "pose_id")
     batches = reader.train_batches(8, 3, 0.0, fields)
     first, second = next(batches(0)), next(batches(1))
-    whole = list(zip(range(2), batches(0), strict=False))
+    full = list(zip(range(2), batches(0), strict=False))
     for name in fields:
-        np.testing.assert_array_equal(whole[0][1][name], first[name])
-        np.testing.assert_array_equal(whole[1][1][name], second[name])
+        np.testing.assert_array_equal(full[0][1][name], first[name])
+        np.testing.assert_array_equal(full[1][1][name], second[name])
     assert set(first) == set(fields) and first[OTHER].shape == first[FEEDS].shape
     stored = reader.rows("train")[FEEDS]
     for name in (OTHER, SWAPPED):

@@ -68,10 +68,10 @@ def replaced(row, by):
 )
 def test_what_is_wrong_is_named_by_row(tmp_path, lines, row, says, unknown):
     targets, problems = targets_of(tmp_path, lines)
-    told = [problem for problem in problems if says in problem]
-    assert len(told) == 1
-    assert (told[0].place, told[0].row) == (tmp_path / "targets.csv", row)
-    assert told[0].startswith(f"{tmp_path / 'targets.csv'}, row {row}: ")
+    reported = [problem for problem in problems if says in problem]
+    assert len(reported) == 1
+    assert (reported[0].place, reported[0].row) == (tmp_path / "targets.csv", row)
+    assert reported[0].startswith(f"{tmp_path / 'targets.csv'}, row {row}: ")
     assert np.flatnonzero(np.isnan(targets.poses).any(axis=1)).tolist() == unknown
 
 

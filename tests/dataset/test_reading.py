@@ -25,7 +25,7 @@ def take(batches, count):
 
 
 def image_of(engine, settings, row):
-    return engine.look(settings, None, np.zeros((1, 1, 3)), [row], None)[0][0]
+    return engine.render(settings, None, np.zeros((1, 1, 3)), [row], None)[0][0]
 
 
 def test_a_split_comes_once_with_the_images_that_were_made(made, paired, engine):
@@ -64,11 +64,11 @@ def test_no_pose_is_in_two_splits(made):
 
 def test_batches_depend_on_seed_and_step_alone(made):
     steps = made.train_batches(batch=5, seed=3, shift=0.1)
-    whole, later = take(steps(0), 20), take(steps(13), 7)
-    for before, after in zip(whole[13:], later, strict=True):
+    full, later = take(steps(0), 20), take(steps(13), 7)
+    for before, after in zip(full[13:], later, strict=True):
         assert all(np.array_equal(before[name], after[name]) for name in before)
     other = next(made.train_batches(batch=5, seed=4, shift=0.1)(0))
-    assert not np.array_equal(whole[0]["pose"], other["pose"])
+    assert not np.array_equal(full[0]["pose"], other["pose"])
 
 
 def test_an_epoch_has_every_slide_once_and_each_is_shuffled_anew(made):
@@ -111,8 +111,8 @@ def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine
             offsets.add((columns, rows))
             for name, number in (("sheared", row), ("canonical", tap)):
                 expected = np.zeros((32, 32), np.uint8)
-                whole = np.pad(image_of(engine, paired, number), 8)
-                expected[:] = whole[8 - rows : 40 - rows, 8 - columns : 40 - columns]
+                full = np.pad(image_of(engine, paired, number), 8)
+                expected[:] = full[8 - rows : 40 - rows, 8 - columns : 40 - columns]
                 np.testing.assert_array_equal(batch[name][place, :, :, 0], expected)
     assert {abs(part) for offset in offsets for part in offset} == {0, 1, 2, 3}
     assert len(offsets) > 30
@@ -176,7 +176,7 @@ def test_a_damaged_shard_is_named_with_the_remedy(damage, made):
 
 @pytest.mark.parametrize("name", ["metadata.json", "shards.json", "features.json", "dataset_info.json"])
 @pytest.mark.parametrize("text", ['{"set": ', "[]", None])
-def test_broken_json_is_told_with_the_remedy(name, text, made, paired, sensor, tmp_path):
+def test_broken_json_is_reported_with_the_remedy(name, text, made, paired, sensor, tmp_path):
     if (name, text) == ("shards.json", "[]"):
         pytest.skip("no sums, nothing to hold shards against")
     (made.folder / name).write_text(text) if text else (made.folder / name).unlink()
@@ -184,7 +184,7 @@ def test_broken_json_is_told_with_the_remedy(name, text, made, paired, sensor, t
         next(open_set("tactip_paired", paired, tmp_path, sensor).split("test", 4))
 
 
-def test_a_missing_set_and_a_missing_split_are_told(made, paired, pose, sensor, tmp_path):
+def test_a_missing_set_and_a_missing_split_are_reported(made, paired, pose, sensor, tmp_path):
     other = dataclasses.replace(paired, seed=7)
     with pytest.raises(UserError, match=r"no data set in .*jaxunshear data"):
         open_set("tactip_paired", other, tmp_path, sensor)
@@ -195,7 +195,7 @@ def test_a_missing_set_and_a_missing_split_are_told(made, paired, pose, sensor, 
     assert set_folder(paired, sensor, tmp_path) == made.folder
 
 
-def test_nobody_is_told_to_delete_a_set_that_the_machine_could_not_read(made, monkeypatch):
+def test_nobody_is_reported_to_delete_a_set_that_the_machine_could_not_read(made, monkeypatch):
     def refuse(*_):
         raise PermissionError(13, "Permission denied")
 

@@ -90,8 +90,8 @@ def test_the_newer_layout_with_a_broken_json(tmp_path):
 
 def test_bad_images_are_left_out_by_name(tmp_path):
     root = older(tmp_path / "set")
-    whole = (root / "images" / "image_2.png").read_bytes()
-    (root / "images" / "image_2.png").write_bytes(whole[: len(whole) // 2])
+    full = (root / "images" / "image_2.png").read_bytes()
+    (root / "images" / "image_2.png").write_bytes(full[: len(full) // 2])
     (root / "images" / "._image_1.png").write_bytes(b"not an image")
     recordings = read_recordings(root, PREPROCESS)
     assert [index for index, _, _ in recordings.frames()] == [0, 2]
@@ -117,7 +117,7 @@ def test_a_folder_without_one_readable_image(tmp_path):
     ],
     ids=["column", "image_column", "empty", "number", "row"],
 )
-def test_broken_labels_are_told_of_and_the_images_read(tmp_path, spoil, says):
+def test_broken_labels_are_reported_of_and_the_images_read(tmp_path, spoil, says):
     root = older(tmp_path / "set")
     file = root / "targets.csv"
     file.write_text(spoil(file.read_text()))
@@ -140,7 +140,7 @@ def test_pose_numbers_and_objects(tmp_path):
     assert recordings.objects == ("", "3", "3", "")
 
 
-def test_images_of_other_sizes_are_told_once(tmp_path):
+def test_images_of_other_sizes_are_reported_once(tmp_path):
     root = older(tmp_path / "set")
     Image.fromarray(binary(0, 64)).save(root / "images" / "image_2.png")
     recordings = read_recordings(root, PREPROCESS)
@@ -249,7 +249,7 @@ def test_images_of_a_folder_are_cropped_alike(tmp_path, narrower):
         np.testing.assert_allclose(middles, 63.5 + scale * np.array([-6, 0, 6, -6, 0, 6]), atol=0.5)
 
 
-def test_what_an_image_hides_is_told(tmp_path):
+def test_what_an_image_hides_is_reported(tmp_path):
     for folder in ("a/images", "b"):
         (tmp_path / folder).mkdir(parents=True)
         Image.fromarray(np.eye(64, dtype=np.uint8) * 255).save(tmp_path / folder / "1.png")

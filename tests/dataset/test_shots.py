@@ -108,7 +108,7 @@ def test_both_sets_drift():
         assert settings.nuisance.drift_px == 1 and settings.nuisance.drift_brightness == 0.1
 
 
-def test_age_runs_from_first_to_last_and_tells_nothing_of_the_shape():
+def test_age_runs_from_first_to_last_and_gives_nothing_of_the_shape():
     shots = draw_pose(PoseData(poses=50))
     assert (shots.age.min(), shots.age.max()) == (0, 1)
     means = [shots.age[shots.scenes.stimulus == index].mean() for index in range(3)]
@@ -160,10 +160,10 @@ def test_changed_settings_have_a_name_of_their_own():
     assert all(name.startswith("custom-") and len(name) == 15 for name in names)
 
 
-def test_a_whole_number_and_its_float_are_one_setting():
+def test_a_full_number_and_its_float_are_one_setting():
     """A file says 4, the command line 4.0."""
-    whole, real = (dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=side)) for side in (4, 4.0))
-    assert config_name(whole) == config_name(real)
+    full, real = (dataclasses.replace(PAIRED["tiny"], ranges=Ranges(lateral_mm=side)) for side in (4, 4.0))
+    assert config_name(full) == config_name(real)
 
 
 def test_the_paper_configuration_has_the_papers_counts():

@@ -52,7 +52,7 @@ def test_codes_of_two_widths_cannot_change_places():
     assert set(SPOILT) - set(found) == {"DC(z_s)", "DS(z_p,z_p)", "DS(z_s,z_s)"}
 
 
-def test_rows_tell_which_image_was_drawn(drawn):
+def test_rows_give_which_image_was_drawn(drawn):
     _, sheared, images = drawn
     tap = jnp.asarray(sheared[::-1])
     # a decoder that draws the image whose shear code it got

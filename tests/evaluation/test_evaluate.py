@@ -49,12 +49,12 @@ def contacts(count=9):
     return batch
 
 
-def batches(whole, size):
-    count = len(whole["sheared"])
-    return [{name: value[i : i + size] for name, value in whole.items()} for i in range(0, count, size)]
+def batches(full, size):
+    count = len(full["sheared"])
+    return [{name: value[i : i + size] for name, value in full.items()} for i in range(0, count, size)]
 
 
-def oracle(whole, sizes=None, step=4):
+def oracle(full, sizes=None, step=4):
     """Networks that unshear perfectly (disentangled) or not at all (entangled), and pose errors known by kind."""
     wrong = {"tap": 0.0, "sheared": 4.0, "entangled": 4.0, "disentangled": 1.0}
     place = [0]
@@ -65,9 +65,9 @@ def oracle(whole, sizes=None, step=4):
         tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
         images = {"tap": tap, "sheared": sheared, "entangled": sheared, "disentangled": tap}
         drawn = {"DC(z_p)": tap, "DC(z_s)": sheared, "DS(z_p,z_s)": sheared, "DS(z_p,z_p)": tap}
-        index = np.arange(place[0], place[0] + len(tap)) % len(whole["pose"])
+        index = np.arange(place[0], place[0] + len(tap)) % len(full["pose"])
         place[0] += step
-        true = true_values(TARGETS, {name: whole[name][index] for name in ("pose", "edge")})
+        true = true_values(TARGETS, {name: full[name][index] for name in ("pose", "edge")})
         poses = {kind: {name: value + wrong[kind] for name, value in true.items()} for kind in KINDS}
         return Outputs(images, drawn, poses, {}), image_scores(images, drawn)
 
@@ -76,8 +76,8 @@ def oracle(whole, sizes=None, step=4):
 
 @pytest.fixture(scope="module")
 def gathered():
-    whole = contacts()
-    return gather(oracle(whole), batches(whole, 4), total=9, keep=7, targets=TARGETS)
+    full = contacts()
+    return gather(oracle(full), batches(full, 4), total=9, keep=7, targets=TARGETS)
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_an_oracle_is_perfect_and_doing_nothing_changes_nothing(results):
     assert results["pose_recovery"]["entangled"]["edge_mm"] == pytest.approx(0, abs=1e-4)
 
 
-def test_the_swap_tells_right_codes_from_wrong_ones(results):
+def test_the_swap_gives_right_codes_from_wrong_ones(results):
     swap = results["swap"]
     assert set(swap) == set(CELLS)
     for right, wrong in (("DC(z_p)", "DC(z_s)"), ("DS(z_p,z_s)", "DS(z_p,z_p)")):
@@ -167,8 +167,8 @@ def test_measurements_of_results_have_the_bars(results):
 
 
 def test_batches_of_any_size_gather_the_same(gathered):
-    whole, sizes = contacts(), []
-    other = gather(oracle(whole, sizes, 9), batches(whole, 9), total=9, keep=7, targets=TARGETS)
+    full, sizes = contacts(), []
+    other = gather(oracle(full, sizes, 9), batches(full, 9), total=9, keep=7, targets=TARGETS)
     assert sizes == [(BATCH, BATCH)]
     for name in gathered.scores:
         np.testing.assert_array_equal(gathered.scores[name], other.scores[name])
@@ -178,8 +178,8 @@ def test_batches_of_any_size_gather_the_same(gathered):
 
 
 def test_the_last_batch_is_filled_up_so_that_one_shape_is_compiled():
-    whole, sizes = contacts(), []
-    found = gather(oracle(whole, sizes), batches(whole, 4), total=9, keep=3, targets=TARGETS)
+    full, sizes = contacts(), []
+    found = gather(oracle(full, sizes), batches(full, 4), total=9, keep=3, targets=TARGETS)
     assert sizes == [(BATCH, BATCH)] * 3
     assert all(len(value) == 9 for value in found.scores.values())
     assert found.kept.tolist() == [0, 4, 8]

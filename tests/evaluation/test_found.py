@@ -56,8 +56,8 @@ FIELDS = ("canonical", "sheared", "canonical_pins", "sheared_pins", "pose_id")
 def test_pairs_that_are_followed_are_scored_and_the_others_counted():
     found = found_pairs(Reader(black=[1]), LATTICE, FIELDS)
     assert found.pairs["pose_id"].tolist() == [0, 2] and not {"canonical", "sheared"} & set(found.pairs)
-    assert found.told["sheared"]["followed"] == pytest.approx(2 / 3) and found.told["tap"]["followed"] == 1
-    assert found.told["tap"]["missing_per_image"] == 0 and 0 < found.told["sheared"]["rms_px"] < 0.4
+    assert found.reported["sheared"]["followed"] == pytest.approx(2 / 3) and found.reported["tap"]["followed"] == 1
+    assert found.reported["tap"]["missing_per_image"] == 0 and 0 < found.reported["sheared"]["rms_px"] < 0.4
     np.testing.assert_array_equal(found.pairs["canonical_pins"][0], LATTICE.place.astype(np.float32))  # as it is
     np.testing.assert_allclose(found.pairs[SEEN_TAP][0], LATTICE.place, atol=0.7)
     np.testing.assert_allclose(found.pairs["sheared_pins"][1] - MOVES[2], LATTICE.place, atol=0.7)
@@ -85,10 +85,10 @@ def test_the_tap_is_read_as_found_and_the_unsheared_is_compared_with_the_true_on
     assert np.abs(outputs.poses["tap"]["edge_mm"] - plain.poses["tap"]["edge_mm"]).max() > 1e-4
 
 
-def test_the_page_tells_how_many_were_followed():
+def test_the_page_gives_how_many_were_followed():
     gathered = made_up_gathered()
     results = results_of(Experiment("made up", "none"), gathered, {FOUND: gathered})
-    told = {"images": 480, "followed": 0.975, "rms_px": 0.18, "missing_per_image": 0.0}
-    results["tests"][FOUND]["followed"] = {"tap": told, "sheared": told | {"followed": 0.5}}
+    reported = {"images": 480, "followed": 0.975, "rms_px": 0.18, "missing_per_image": 0.0}
+    results["tests"][FOUND]["followed"] = {"tap": reported, "sheared": reported | {"followed": 0.5}}
     page = scores.further(results)
     assert "97.5% of taps followed, 0.18 px off; 50.0% of slides followed" in page

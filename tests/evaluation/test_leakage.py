@@ -55,13 +55,13 @@ def simulate(sensor, names, scenes):
     )
 
 
-def look(settings, sensor, tips, number, age):
+def render(settings, sensor, tips, number, age):
     rest = np.random.default_rng(1).uniform(5, SIZE - 5, (1, sensor.pins, 2))
     images = np.random.default_rng(2).random((len(tips), SIZE, SIZE)) < 0.3
     return images.astype(np.uint8) * np.uint8(255), (rest + tips[..., :2]).astype(np.float32)
 
 
-ENGINE = Engine(lambda sensor, names, scenes: [np.arange(len(scenes))], simulate, look)
+ENGINE = Engine(lambda sensor, names, scenes: [np.arange(len(scenes))], simulate, render)
 
 
 @pytest.fixture(scope="module")
@@ -133,8 +133,8 @@ def test_a_sweep_gets_the_figures_and_can_ask_for_the_leaks_alone(found, folder)
     assert {"pose from z_s (mlp)", "slide from z_p (linear)", "DS, codes exchanged", "slide_x_mm, all"} <= names
     fewer = leakage.leakage(EXPERIMENT, folder / "runs" / "toy", folder / "data", "none", leaks_alone=True)
     assert {row["name"] for row in fewer["rows"]} == {"pose from z_s", "slide from z_p"}
-    whole = {(row["name"], row["probe"]): row["r2"] for row in found["rows"]}
-    assert all(whole[row["name"], row["probe"]] == row["r2"] for row in fewer["rows"])  # the same bits
+    full = {(row["name"], row["probe"]): row["r2"] for row in found["rows"]}
+    assert all(full[row["name"], row["probe"]] == row["r2"] for row in fewer["rows"])  # the same bits
     assert not any("untrained" in row for row in fewer["rows"])
 
 
@@ -166,19 +166,19 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     (*_, last) = [json.loads(line) for line in (place / "log.jsonl").read_text().splitlines()]
     assert last["train"]["tap"] > 0 and last["train"]["alike"] > 0
     assert not {"tap", "alike"} & set(last["validation"])
-    whole = json.loads((folder / "runs" / "toy" / "disentangled" / "model.json").read_text())
+    full = json.loads((folder / "runs" / "toy" / "disentangled" / "model.json").read_text())
     model = json.loads((place / "model.json").read_text())
     assert [origin["set"] for origin in model["taken_over"]] == ["tactip_pose"]
-    assert model["epoch_images"] == whole["epoch_images"]
+    assert model["epoch_images"] == full["epoch_images"]
 
 
-def test_the_twist_is_told_where_slides_twist():
+def test_the_twist_is_reported_where_slides_twist():
     batch = {"pose": np.array([[0, 0, 90.0, 2]]), "move": np.array([[1.0, 0.0, -4.0]])}
-    told = leakage._slides(EXPERIMENT, batch | {"move": batch["move"][:, :2]}, None)
+    reported = leakage._slides(EXPERIMENT, batch | {"move": batch["move"][:, :2]}, None)
     ranges = dataclasses.replace(EXPERIMENT.paired.ranges, twist_deg=5.0)
     twisted = dataclasses.replace(EXPERIMENT, paired=dataclasses.replace(EXPERIMENT.paired, ranges=ranges))
     more = leakage._slides(twisted, batch, None)
-    assert list(more) == [*told, "slide_twist_deg"] and more["slide_twist_deg"] == [[-4.0]]
-    for name, value in told.items():
+    assert list(more) == [*reported, "slide_twist_deg"] and more["slide_twist_deg"] == [[-4.0]]
+    for name, value in reported.items():
         np.testing.assert_array_equal(more[name], value)
-    np.testing.assert_allclose([told["slide_x_mm"], told["slide_y_mm"]], [[[0]], [[-1]]], atol=1e-12)
+    np.testing.assert_allclose([reported["slide_x_mm"], reported["slide_y_mm"]], [[[0]], [[-1]]], atol=1e-12)

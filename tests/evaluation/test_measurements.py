@@ -68,12 +68,12 @@ def test_units_and_metric():
 
 
 def test_readers_of_another_make_have_rows():
-    told = {"pixels": {"tap": {"edge_mm": 0.4, "edge_deg": None}}}
-    whole = results() | {"readers": told, "metric": {"ms_ssim": "ms_ssim@4", "readers": "of a kernel ridge"}}
-    row = by_name(measurements(whole))["readers.pixels.tap.edge_mm"]
+    reported = {"pixels": {"tap": {"edge_mm": 0.4, "edge_deg": None}}}
+    full = results() | {"readers": reported, "metric": {"ms_ssim": "ms_ssim@4", "readers": "of a kernel ridge"}}
+    row = by_name(measurements(full))["readers.pixels.tap.edge_mm"]
     assert (row["value"], row["unit"], row["metric"]) == (0.4, "mm", "of a kernel ridge")
 
 
 def test_reproducible_leaves_out_times_and_places_only():
-    whole = results() | {"trained_on": {"posenet": {"cores": 2}}}
-    assert set(whole) - set(reproducible(whole)) == {"time_s", "ms_per_image", "machine", "trained_on", "command"}
+    full = results() | {"trained_on": {"posenet": {"cores": 2}}}
+    assert set(full) - set(reproducible(full)) == {"time_s", "ms_per_image", "machine", "trained_on", "command"}

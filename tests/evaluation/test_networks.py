@@ -128,7 +128,7 @@ def test_a_head_of_another_form_is_refused(trained, tmp_path):
         networks.load(tmp_path, ("disentangled",))
 
 
-def test_a_head_that_tells_no_targets_is_refused(trained, tmp_path):
+def test_a_head_that_gives_no_targets_is_refused(trained, tmp_path):
     folder = tmp_path / "disentangled"
     checkpoint.write_settings(folder, {"kind": "unshear", "net": asdict(networks.read_net(trained / "disentangled"))})
     own = networks.load_best(trained / "disentangled")

@@ -115,7 +115,7 @@ def test_pixels_are_means_over_squares():
     np.testing.assert_array_equal(pixels((images / 255).astype(np.float32)), found)
 
 
-def test_pixels_tell_a_pose():
+def test_pixels_give_a_pose():
     taps = Taps(150)
     taps.rows["image"] = drawn(taps.rows["pins"])[..., None]
     reader = learnt(PIXELS, taps, TARGETS)
@@ -127,7 +127,7 @@ def test_pixels_tell_a_pose():
     assert np.abs(found["tap"]["x_mm"] - pose[:, 0]).mean() < 0.4 * np.abs(pose[:, 0]).mean()
 
 
-def test_found_pins_tell_a_pose_and_images_without_are_left_out_and_counted(reader):
+def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(reader):
     pose, edge = poses(6, 1)
     images = {"tap": drawn(pins_of(pose, edge)), "sheared": drawn(pins_of(pose, edge))}
     images["sheared"][2] = 0

@@ -40,10 +40,10 @@ def test_intervals_hold_95_percent_and_widen_with_doubt(rows):
     assert [row["part"] for row in plain] == ["all", "all"]
 
 
-def test_what_no_code_tells_is_covered_all_the_same():
+def test_what_no_code_gives_is_covered_all_the_same():
     codes = [RNG.normal(size=(count, 3)) for count in COUNTS]
-    told = [{"slide_x_mm": RNG.uniform(-1, 1, (count, 1))} for count in COUNTS]
-    (row,) = slides_read(codes, told, np.arange(COUNTS[0]), np.arange(COUNTS[2]))
+    reported = [{"slide_x_mm": RNG.uniform(-1, 1, (count, 1))} for count in COUNTS]
+    (row,) = slides_read(codes, reported, np.arange(COUNTS[0]), np.arange(COUNTS[2]))
     assert 0.92 < row["coverage"] < 0.98 and row["half_width"] > 0.85 and row["mae"] == pytest.approx(0.5, abs=0.06)
 
 

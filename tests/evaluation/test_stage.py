@@ -34,17 +34,17 @@ class Reader:
     def take(self, split, rows, fields):
         """Of the taps of the pose set."""
         assert split == "train"  # whoever learns from them sees no other
-        whole = next(self.split(split, self.length(split), ("canonical", "pose", "edge")))
+        full = next(self.split(split, self.length(split), ("canonical", "pose", "edge")))
         pins = np.random.default_rng(1).normal(SIZE / 2, 5, (self.length(split), TACTIP_331.pins, 2))
-        whole |= {"image": whole["canonical"], "pins": pins}
-        return {field: whole[field][rows] for field in fields}
+        full |= {"image": full["canonical"], "pins": pins}
+        return {field: full[field][rows] for field in fields}
 
     def split(self, name, batch, fields):
         generator = np.random.default_rng(0)
         images = (generator.random((2, self.length(name), SIZE, SIZE, 1)) < 0.2).astype(np.uint8) * 255
         pins = np.stack(np.meshgrid(*[np.arange(8, 24, 4.0)] * 2), axis=-1).reshape(-1, 2).astype(np.float32)
         count = self.length(name)
-        whole = {
+        full = {
             "canonical": images[0],
             "sheared": images[1],
             "canonical_pins": np.stack([pins] * count),
@@ -56,7 +56,7 @@ class Reader:
             "move": np.ones((count, 2), np.float32),
         } | {name: np.ones(count) for name in ("residual_mm", "iterations", "stuck", "slipping", "free")}
         for start in range(0, count, batch):
-            yield {field: whole[field][start : start + batch] for field in fields}
+            yield {field: full[field][start : start + batch] for field in fields}
 
 
 def _opens(monkeypatch, count):
@@ -67,8 +67,8 @@ def _opens(monkeypatch, count):
 
 @pytest.fixture
 def experiment():
-    whole = Experiment(name="small", claim="that the stage works")
-    return replace(whole, paired=replace(whole.paired, preprocess=replace(whole.paired.preprocess, size=SIZE)))
+    full = Experiment(name="small", claim="that the stage works")
+    return replace(full, paired=replace(full.paired, preprocess=replace(full.paired.preprocess, size=SIZE)))
 
 
 @pytest.fixture
@@ -141,7 +141,7 @@ def test_an_empty_test_split_is_refused(run_dir, experiment, tmp_path, monkeypat
     assert not (run_dir / "results.json").exists()
 
 
-def test_a_damaged_summary_is_told_before_the_work(run_dir, experiment, tmp_path):
+def test_a_damaged_summary_is_reported_before_the_work(run_dir, experiment, tmp_path):
     (run_dir / "posenet" / "summary.json").write_text("{")
     with pytest.raises(UserError, match=r"posenet.summary.json"):
         evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")

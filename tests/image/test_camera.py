@@ -34,7 +34,7 @@ def test_apex_falls_in_the_centre_and_axes_point_along_columns_and_rows():
     np.testing.assert_allclose(px, [[centre, centre], [centre + scale, centre], [centre, centre + scale]], rtol=1e-6)
 
 
-def test_nearer_pins_look_larger():
+def test_nearer_pins_see_larger():
     tips = np.array([[1.0, 0.0, 2.0], [1.0, 0.0, 5.0]])
     far, near = np.asarray(project(CAMERA, tips, TACTIP_331))[:, 0] - (CAMERA.frame_px - 1) / 2
     assert near / far == pytest.approx((CAMERA.distance_mm - 2) / (CAMERA.distance_mm - 5), rel=1e-5)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.image.growing import CALM, filled, mended, off_neighbours, rated
+from jaxunshear.image.growing import CALM, filled, off_neighbours, rated, repaired
 from jaxunshear.image.lattice import make_lattice, shells
 from jaxunshear.image.track import judged
 from jaxunshear.scene.sensor import TACTIP_331, pin_lattice
@@ -26,12 +26,12 @@ def one_place_off(place, count=6):
     return which, row
 
 
-def test_a_row_one_place_off_is_mended():
+def test_a_row_one_place_off_is_repaired():
     found = moved()
     wrong, row = one_place_off(found)
     before = rated(LATTICE, found, wrong)
     assert not before.calm and before.off[row].max() > 2 * CALM
-    right = mended(LATTICE, found, cKDTree(found), wrong)
+    right = repaired(LATTICE, found, cKDTree(found), wrong)
     np.testing.assert_array_equal(right, np.arange(len(found)))
 
 
@@ -39,7 +39,7 @@ def test_what_is_right_stays():
     found = moved()
     which = np.arange(len(found))
     assert rated(LATTICE, found, which).calm
-    np.testing.assert_array_equal(mended(LATTICE, found, cKDTree(found), which), which)
+    np.testing.assert_array_equal(repaired(LATTICE, found, cKDTree(found), which), which)
 
 
 def test_a_hidden_side_stays_empty():
@@ -47,7 +47,7 @@ def test_a_hidden_side_stays_empty():
     found = found[found[:, 0] < 100]
     which = cKDTree(found).query(moved())
     which = np.where(which[0] < 1e-9, which[1], -1)
-    got = mended(LATTICE, found, cKDTree(found), which)
+    got = repaired(LATTICE, found, cKDTree(found), which)
     np.testing.assert_array_equal(got, which)
 
 

@@ -59,10 +59,10 @@ def frames():
 def photograph(square, height=480, width=640, side=400, top=30, left=150, light=0.75):
     """A colour photograph (height, width, 3) uint8 in which the square frame lies in a light surround."""
     small = np.asarray(Image.fromarray(square).resize((side, side), Image.Resampling.BOX))
-    whole = np.full((height + 400, width + 400), light, np.float32)
-    whole[200 + top : 200 + top + side, 200 + left : 200 + left + side] = small
-    whole = whole[200 : 200 + height, 200 : 200 + width]
-    return np.round(255 * whole[..., None] * np.array([0.8, 1.0, 0.9])).clip(0, 255).astype(np.uint8)
+    full = np.full((height + 400, width + 400), light, np.float32)
+    full[200 + top : 200 + top + side, 200 + left : 200 + left + side] = small
+    full = full[200 : 200 + height, 200 : 200 + width]
+    return np.round(255 * full[..., None] * np.array([0.8, 1.0, 0.9])).clip(0, 255).astype(np.uint8)
 
 
 @SIZES

@@ -29,7 +29,7 @@ SENSORS = {
     "127": (TACTIP_127, Camera()),
     "fitted": (TACTIP_331_FITTED, FITTED_CAMERA),
 }
-WHOLE = View((0, 0, 256, 256))
+FULL_VIEW = View((0, 0, 256, 256))
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +87,7 @@ def grey():
 def test_what_is_seen_is_where_the_pins_are(sets, grey):
     place = undeformed(TACTIP_331, Camera(), Preprocess()).place
     expected = sets["331"].expected
-    seen = seen_of(prepare_frame(Preprocess(), grey, WHOLE))
+    seen = seen_of(prepare_frame(Preprocess(), grey, FULL_VIEW))
     assert seen.pins == expected.pins == 331
     assert seen.spacing == pytest.approx(expected.spacing, rel=0.02)
     assert seen.rim == pytest.approx(expected.rim, rel=0.02)
@@ -124,7 +124,7 @@ def test_light_images_with_dark_pins_are_noticed(sets, grey):
     assert not verdict(sets["331"].images[:5], expected).inverted
     assert not verdict(np.zeros((3, 128, 128), np.uint8), expected).inverted
     # as a camera with the other polarity gives them, before the threshold
-    light = prepare_frame(Preprocess(), 1 - grey, WHOLE)
+    light = prepare_frame(Preprocess(), 1 - grey, FULL_VIEW)
     assert verdict(light[None], expected).inverted
     # and of a sensor whose pins are others
     assert not verdict(turned, sets["127"].expected).inverted

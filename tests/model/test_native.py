@@ -97,7 +97,7 @@ def test_other_numbers_and_few_channels_are_left_to_xla(kind):
         native.kernel_gradient(*few, 2, 0)
 
 
-def told(environment, code="print(native.available(), native.available())") -> tuple[str, str]:
+def reported(environment, code="print(native.available(), native.available())") -> tuple[str, str]:
     """What a process of its own says: whether there is a compiled form (in haste, not optimised), and its notes."""
     environment = {**os.environ, "PYTHONWARNINGS": "always", **environment}
     command = [sys.executable, "-c", f"from jaxunshear.model import native; native.FLAGS += ('-O0',); {code}"]
@@ -109,13 +109,13 @@ def told(environment, code="print(native.available(), native.available())") -> t
 @compiled
 def test_it_is_compiled_once_and_kept_until_it_is_damaged(tmp_path):
     cache = {"JAXUNSHEAR_CACHE": str(tmp_path)}
-    assert told(cache) == ("True", "")
+    assert reported(cache) == ("True", "")
     (kept,) = tmp_path.iterdir()
     size, before = kept.stat().st_size, kept.stat().st_mtime_ns
-    assert told(cache) == ("True", "")
+    assert reported(cache) == ("True", "")
     assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_mtime_ns == before
     kept.write_bytes(b"")
-    assert told(cache) == ("True", "")
+    assert reported(cache) == ("True", "")
     assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_size == size
 
 
@@ -128,12 +128,12 @@ def test_any_number_of_threads_gives_the_same_bits(tmp_path):
         "print(hashlib.sha256(np.asarray(native.kernel_gradient(x, dy[:, 1:], 2, 0))).hexdigest())"
     )
     cache = {"JAXUNSHEAR_CACHE": str(tmp_path)}
-    sums = {told({**cache, "NPROC": threads}, code)[0] for threads in ("1", "2", "5", "60")}
+    sums = {reported({**cache, "NPROC": threads}, code)[0] for threads in ("1", "2", "5", "60")}
     assert len(sums) == 1
 
 
 def test_without_a_compiler_nothing_is_said(tmp_path):
-    assert told({"JAXUNSHEAR_CACHE": str(tmp_path), "CXX": "none-such"}) == ("False", "")
+    assert reported({"JAXUNSHEAR_CACHE": str(tmp_path), "CXX": "none-such"}) == ("False", "")
     assert not list(tmp_path.iterdir())
 
 
@@ -146,13 +146,13 @@ def test_without_a_compiler_nothing_is_said(tmp_path):
         ("{folder}/probe", "file", "Not a directory|File exists"),
     ],
 )
-def test_what_hinders_it_is_told_once(tmp_path, cxx, cache, reason):
+def test_what_hinders_it_is_reported_once(tmp_path, cxx, cache, reason):
     (tmp_path / "file").touch()
     for name, rest in (("probe", "exit 0"), ("broken", "echo no member named x: an error >&2; exit 1")):
         (tmp_path / name).write_text(f'#!/bin/sh\ncase "$*" in *-dM*) echo a macro; exit 0;; esac\n{rest}\n')
         (tmp_path / name).chmod(0o755)
     environment = {"JAXUNSHEAR_CACHE": str(tmp_path / cache), "CXX": cxx.format(folder=tmp_path)}
-    answer, said = told(environment)
+    answer, said = reported(environment)
     assert answer == "False" and said.count("slower form") == 1 and re.search(reason, said)
     assert not list(tmp_path.rglob("*.so"))
 

@@ -53,9 +53,9 @@ def test_equals_flax(source, target, channels):
         padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=50.0)
         given = conv.to_blocks(padded, 2) if source == "blocks" else x
         y = norm.norm_relu(given, scale, bias, source, target)[0]
-        whole = norm.relayout(y, target, "padded")
-        border = whole.at[:, 1:-1, 1:-1].set(0)
-        return whole[:, 1:-1, 1:-1] + jnp.sum(jnp.abs(border))  # zero outside, or this disagrees
+        full = norm.relayout(y, target, "padded")
+        border = full.at[:, 1:-1, 1:-1].set(0)
+        return full[:, 1:-1, 1:-1] + jnp.sum(jnp.abs(border))  # zero outside, or this disagrees
 
     agree(ours, flax_norm_relu, inputs((3, 6, 8, channels)))
 

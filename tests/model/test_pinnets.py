@@ -40,11 +40,11 @@ def test_released_weights_give_the_pose_code_and_say_so():
     released = variables | {"params": {n: v for n, v in variables["params"].items() if n not in ("shear", "DS")}}
     with pytest.warns(Note, match="z_p alone"):
         z_p, z_s = pinnets.encode(net, released, moved())
-    whole, other = pinnets.encode(net, variables, moved())
+    full, other = pinnets.encode(net, variables, moved())
     assert z_s is None
-    np.testing.assert_array_equal(z_p, whole)
+    np.testing.assert_array_equal(z_p, full)
     with pytest.raises(UserError, match="no DS"):
-        pinnets.decode_sheared(net, released, whole, other)
+        pinnets.decode_sheared(net, released, full, other)
 
 
 def test_the_canonical_pins_do_not_know_the_shear_code():

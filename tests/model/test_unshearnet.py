@@ -44,10 +44,10 @@ def test_released_weights_give_the_pose_code_and_say_so(variables, images):
     with pytest.warns(Note, match="no shear code, as released ones do: z_p alone is given"):
         z_p, z_s = unshearnet.encode(NET, released, images)
     assert z_s is None
-    whole, other = unshearnet.encode(NET, variables, images)
-    np.testing.assert_array_equal(z_p, whole)
+    entire, other = unshearnet.encode(NET, variables, images)
+    np.testing.assert_array_equal(z_p, entire)
     with pytest.raises(UserError, match="no DS"):
-        unshearnet.decode_sheared(NET, released, whole, other)
+        unshearnet.decode_sheared(NET, released, entire, other)
 
 
 def test_the_paper_at_256_px_has_codes_of_8_by_8():
@@ -123,9 +123,9 @@ def test_one_sum_gives_each_module_the_gradient_of_the_papers_own_loss(variables
 
 
 def test_inference_does_not_depend_on_the_batch(variables, images):
-    whole = unshearnet.unshear(NET, variables, images)
+    entire = unshearnet.unshear(NET, variables, images)
     for one in range(5):
-        np.testing.assert_allclose(unshearnet.unshear(NET, variables, images[one : one + 1])[0], whole[one], atol=1e-6)
+        np.testing.assert_allclose(unshearnet.unshear(NET, variables, images[one : one + 1])[0], entire[one], atol=1e-6)
 
 
 def test_initial_weights_are_normal_with_deviation_002(variables):

@@ -27,7 +27,7 @@ def rows_of(file):
     return {row["name"]: row["value"] for row in json.loads(Path(file).read_text())["rows"]}
 
 
-def test_a_run_tells_errors_under_the_names_that_other_tools_rely_on(pins_run):
+def test_a_run_gives_errors_under_the_names_that_other_tools_rely_on(pins_run):
     results = json.loads((pins_run / "results.json").read_text())
     assert results["simulated"] is False
     for way in ("tap", "sheared", "unsheared", "sheared_learnt"):
@@ -88,9 +88,9 @@ def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(command, pins_r
     other = made.edge(tmp_path / "other", 20, 20, seed=51)
     run = shutil.copytree(pins_run, tmp_path / "run")
     model = json.loads((run / "disentangled" / "model.json").read_text())
-    begun = {name: model["origin"][name] for name in ("set", "version", "settings")}
-    begun["settings"] = begun["settings"] | {"digest": f"{digest_of((str(other),))}+0123456789abcdef"}
-    (run / "disentangled" / "model.json").write_text(json.dumps(model | {"taken_over": [begun]}))
+    started = {name: model["origin"][name] for name in ("set", "version", "settings")}
+    started["settings"] = started["settings"] | {"digest": f"{digest_of((str(other),))}+0123456789abcdef"}
+    (run / "disentangled" / "model.json").write_text(json.dumps(model | {"taken_over": [started]}))
     answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
     assert answer.code == 2 and "disentangled learnt from recordings that are tested" in answer.err
 
@@ -113,10 +113,10 @@ def test_python_gives_what_the_commands_give(command, pins_run, recording):
     rows = list(csv.DictReader(command("pose", recording / "shear", "--model", pins_run).out.splitlines()))[:40]
     images = np.stack(frames)
     pose, codes = model.pose(images)["unsheared"], model.codes(images)
-    told = np.array([float(row["unsheared_y_mm"]) for row in rows])
+    reported = np.array([float(row["unsheared_y_mm"]) for row in rows])
     sure = np.isfinite(pose["y_mm"])
     assert sure.mean() > 0.9 and codes.pose.shape[1] == 16 and codes.shear.shape[1] == 4
-    np.testing.assert_allclose(pose["y_mm"][sure], told[sure], atol=1e-3)
+    np.testing.assert_allclose(pose["y_mm"][sure], reported[sure], atol=1e-3)
 
 
 def test_images_are_unsheared_and_frames_streamed(command, pins_run, recording, tmp_path):
@@ -176,8 +176,10 @@ def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp
     )
     assert reader["net"]["turned"] == 0.5 and reader["origin"]["labelled"] == 0.4
     assert unshears["origin"]["unlabelled"] == "read" and "unlabelled" not in reader["origin"]
-    told = (ours / "report.html").read_text()
-    assert "Labels of 40% of the training slides teach" in told and "posenet_sheared</code> reads off them" in told
+    reported = (ours / "report.html").read_text()
+    assert (
+        "Labels of 40% of the training slides teach" in reported and "posenet_sheared</code> reads off them" in reported
+    )
 
 
 @pytest.mark.long
@@ -253,8 +255,12 @@ def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path
         results = json.loads((tmp_path / "runs" / "joint" / "results.json").read_text())
         assert list(results["pose_mae"]["sheared_learnt"]) == ["y_mm", "slide_x_mm"]
         joint = ("--model", tmp_path / "runs" / "joint")
-        told = command("pose", folder, *joint)
-        assert told.code == 0 and "slide_x_mm" in told.out and "mean error against the labels, learnt" in told.err
+        reported = command("pose", folder, *joint)
+        assert (
+            reported.code == 0
+            and "slide_x_mm" in reported.out
+            and "mean error against the labels, learnt" in reported.err
+        )
 
 
 REFUSED = [

@@ -67,12 +67,12 @@ def test_a_killed_reading_goes_on_to_the_same_bits(recording, tmp_path):
     settings = settings_of(recording)
     contacts = survey(settings)
     frame = preparing.frame_of(contacts, settings, TACTIP_127)
-    whole = preparing.prepare(contacts, settings, frame, tmp_path / "whole")
-    assert len(whole) == 2
+    full = preparing.prepare(contacts, settings, frame, tmp_path / "whole")
+    assert len(full) == 2
     (tmp_path / "killed").mkdir()
-    shutil.copy(whole[0], tmp_path / "killed")
+    shutil.copy(full[0], tmp_path / "killed")
     again = preparing.prepare(contacts, settings, frame, tmp_path / "killed")
-    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in whole]
+    assert [path.read_bytes() for path in again] == [path.read_bytes() for path in full]
 
 
 def test_what_lies_in_the_test_split_bends_nothing(recording, tmp_path):

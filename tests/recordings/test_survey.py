@@ -116,7 +116,7 @@ def test_pairs_by_a_table(tmp_path):
         survey(settings)
 
 
-def test_the_digest_tells_changed_labels_and_images(tmp_path):
+def test_the_digest_gives_changed_labels_and_images(tmp_path):
     folder = made.write(tmp_path / "a", *made.contacts(12, False, 0))
     before = digest_of((str(folder),))
     assert digest_of((str(folder),)) == before

@@ -155,8 +155,8 @@ def weights(tmp_path_factory):
             lambda x: x + np.random.default_rng(1).normal(0, 0.2, x.shape).astype(x.dtype), fresh["params"]
         )
         kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
-        told = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
-        checkpoint.write_settings(folder / name, json.loads(json.dumps(told)))
+        reported = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
+        checkpoint.write_settings(folder / name, json.loads(json.dumps(reported)))
         checkpoint.save(folder / name, 1, {"average": fresh | {"params": shaken}}, {"history": [], "best_step": 1})
         write_json(folder / name / checkpoint.SUMMARY, {})
     return folder
@@ -164,9 +164,9 @@ def weights(tmp_path_factory):
 
 def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
-    whole = command("unshear", folder, "--model", weights, "--out", tmp_path / "whole")
-    assert whole.code == 0, whole.err
-    assert "30 images unsheared, 0 left out" in whole.out and "simulated touches only" in whole.out
+    full = command("unshear", folder, "--model", weights, "--out", tmp_path / "whole")
+    assert full.code == 0, full.err
+    assert "30 images unsheared, 0 left out" in full.out and "simulated touches only" in full.out
     rows = (tmp_path / "whole" / "poses.csv").read_text().splitlines()
     one = folder / "images" / "image_7.png"
     alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone")

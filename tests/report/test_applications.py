@@ -83,7 +83,7 @@ def test_a_network_that_lost_its_pins_has_a_dash(run):
     assert "\u2013" in applications.sections(run)[0]
 
 
-def test_damage_is_told(run):
+def test_damage_is_reported(run):
     put(run / "servo", "servo", {"rows": [{}]})
     with pytest.raises(UserError, match=r"servo\.json lacks 'way'"):
         write_report(run)

@@ -87,7 +87,7 @@ def test_no_table_is_cut_off_at_1280_px(tmp_path):
         page.page("a", page.section("a", "b", page.table(head, rows, range(5, 9), [1]))) + probe
     )
     words = ("--headless=new", "--no-sandbox", "--disable-gpu", "--window-size=1280,900", "--dump-dom")
-    told = subprocess.run(
+    reported = subprocess.run(
         ["chromium", *words, (tmp_path / "a.html").as_uri()], capture_output=True, text=True, timeout=120
     )
-    assert re.search("<title>(.*)</title>", told.stdout)[1] == "0"
+    assert re.search("<title>(.*)</title>", reported.stdout)[1] == "0"

@@ -15,7 +15,7 @@ from jaxunshear.evaluation.gather import Gathered
 from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.fit import BASE
 from jaxunshear.report.report import write_report
-from jaxunshear.run import _tell
+from jaxunshear.run import _print_summary
 from jaxunshear.targets import of_labels
 
 COUNT, KEPT = 24, 12
@@ -133,7 +133,7 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     return results
 
 
-def test_of_taps_and_slides_all_is_told(tmp_path, read_page):
+def test_of_taps_and_slides_all_is_reported(tmp_path, read_page):
     results = make_run(tmp_path)
     text = read_page(write_report(tmp_path))
     for kind, row in results["pose_mae"].items():
@@ -166,7 +166,7 @@ def test_a_network_is_held_against_learning_from_slides_directly(tmp_path, read_
     assert "y worse (+0." in text and "z within chance (" in text and "Rz better (-0." in text
 
 
-def test_the_recordings_are_told(tmp_path, read_page):
+def test_the_recordings_are_reported(tmp_path, read_page):
     make_run(tmp_path, pairing="nearest")
     text = read_page(write_report(tmp_path)).split("The recordings")[1]
     for words in (
@@ -210,7 +210,7 @@ def test_the_papers_likeness_stands_beside_that_to_recorded_taps(tmp_path, read_
     assert "22.20" not in text
 
 
-def test_pins_are_told_by_name_and_in_px_alone(tmp_path, read_page):
+def test_pins_are_reported_by_name_and_in_px_alone(tmp_path, read_page):
     make_run(tmp_path, over=True)
     text = read_page(write_report(tmp_path))
     part = text.split("Where the pins are")[1].split("The recordings")[0]
@@ -229,7 +229,7 @@ def test_pins_found_in_images_are_counted(tmp_path, read_page):
     assert "partner 0.50 1.5 2.5" in part and "mm rms" not in part
 
 
-def test_of_taps_alone_their_poses_are_told(tmp_path, read_page):
+def test_of_taps_alone_their_poses_are_reported(tmp_path, read_page):
     results = make_run(tmp_path, networks=("posenet",), pairing="")
     text = read_page(write_report(tmp_path))
     assert f"{results['pose_mae']['tap']['z_mm']:.2f} mm taps" in text and "out of training: 24 taps." in text
@@ -238,7 +238,7 @@ def test_of_taps_alone_their_poses_are_told(tmp_path, read_page):
     assert not (tmp_path / "montage.png").exists()
 
 
-def test_of_slides_alone_their_poses_are_told(tmp_path, read_page):
+def test_of_slides_alone_their_poses_are_reported(tmp_path, read_page):
     results = make_run(tmp_path, networks=("posenet_sheared",), pairing="")
     text = read_page(write_report(tmp_path))
     assert f"{results['pose_mae']['sheared_learnt']['y_mm']:.2f} mm learnt from slides directly" in text
@@ -271,9 +271,9 @@ def test_a_montage_that_should_be_there_is_missed(tmp_path):
         write_report(tmp_path)
 
 
-def test_the_terminal_is_told_in_a_few_lines(tmp_path, capsys):
+def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     results = make_run(tmp_path)
-    _tell(results, tmp_path)
+    _print_summary(results, tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) < 12
     assert lines[0].split() == ["error", *SCALE]
@@ -281,7 +281,7 @@ def test_the_terminal_is_told_in_a_few_lines(tmp_path, capsys):
     assert rows["unsheared"] == [f"{value:.3f}" for value in results["pose_mae"]["unsheared"].values()]
     assert rows["recovery"] == [f"{value:.2f}" for value in results["pose_recovery"]["unsheared"].values()]
     assert "0.683 as felt, 0.979 unsheared" in lines[-2] and lines[-1] == f"results: {tmp_path / 'results.json'}"
-    _tell(make_run_of_taps(tmp_path), tmp_path)
+    _print_summary(make_run_of_taps(tmp_path), tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == 4
 
 

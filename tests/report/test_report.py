@@ -18,7 +18,7 @@ from jaxunshear.report.pictures import MISSING, SURPLUS, difference, png_address
 from jaxunshear.report.report import write_report
 
 
-def test_the_page_is_whole_and_needs_nothing_else(made_up_run, read):
+def test_the_page_is_full_and_needs_nothing_else(made_up_run, read):
     folder, _ = made_up_run
     path = write_report(folder)
     assert path == folder / "report.html"
@@ -59,14 +59,14 @@ def test_the_figures_of_the_results_are_on_it(made_up_run, read):
     assert "sum of its stages" in text and "killed outright is lost" in text
 
 
-def test_what_readers_of_another_make_err_by_is_told(made_up_run, read_page):
+def test_what_readers_of_another_make_err_by_is_reported(made_up_run, read_page):
     folder, results = made_up_run
-    told = read_page(write_report(folder)).split("Read by readers of another make")[1]
+    reported = read_page(write_report(folder)).split("Read by readers of another make")[1]
     for reader, kinds in results["readers"].items():
         for errors in kinds.values():
-            assert all(f"{value:.2f}" in told for value in errors.values()), reader
-    assert "kernel ridge on pixels: 3000 taps; kernel ridge on pins: 2999 taps" in told
-    assert "8 1 left out" in told
+            assert all(f"{value:.2f}" in reported for value in errors.values()), reader
+    assert "kernel ridge on pixels: 3000 taps; kernel ridge on pins: 2999 taps" in reported
+    assert "8 1 left out" in reported
     del results["readers"]  # of an earlier version
     (folder / "results.json").write_text(json.dumps(results))
     assert "another make" not in read_page(write_report(folder))
@@ -141,12 +141,14 @@ def test_nulls_are_shown_as_dashes(made_up_run):
 
 
 @pytest.mark.parametrize(("table", "by"), [("pose_by_stimulus", "shape"), ("pose_by_depth", "depth")])
-def test_recovery_is_told_by_shape_and_by_depth(made_up_run, table, by):
+def test_recovery_is_reported_by_shape_and_by_depth(made_up_run, table, by):
     folder, results = made_up_run
     part, found = next((part, found) for part, found in results[table].items() if found)
     recovery = found["pose_recovery"]["disentangled"]["x_mm"]
-    told = write_report(folder).read_text().split(f"<summary>By {by}</summary>")[1].split("</details>")[0]
-    assert f"recovery, by {by}" in told and f"<td>{recovery:.2f} <small>" in told.split(part)[1].split("</tr>")[0]
+    reported = write_report(folder).read_text().split(f"<summary>By {by}</summary>")[1].split("</details>")[0]
+    assert (
+        f"recovery, by {by}" in reported and f"<td>{recovery:.2f} <small>" in reported.split(part)[1].split("</tr>")[0]
+    )
     del results[table]  # of an earlier version
     (folder / "results.json").write_text(json.dumps(results))
     assert f"By {by}" not in write_report(folder).read_text()
@@ -157,10 +159,10 @@ def test_recovery_is_told_by_shape_and_by_depth(made_up_run, table, by):
 def test_damaged_files_are_named(made_up_run, name, damage):
     folder, _ = made_up_run
     path = folder / name
-    whole = path.read_bytes()
+    full = path.read_bytes()
     path.unlink()
     if damage != "missing":
-        path.write_bytes(whole[: len(whole) // 2] if damage == "truncated" else b"not at all")
+        path.write_bytes(full[: len(full) // 2] if damage == "truncated" else b"not at all")
     with pytest.raises(UserError, match=name):
         write_report(folder)
     assert not (folder / "report.html").exists()
@@ -185,14 +187,14 @@ def test_results_that_are_none_are_refused(made_up_run, text):
 def test_a_montage_with_a_spoilt_byte_or_a_missing_array_is_named(made_up_run):
     folder, _ = made_up_run
     path = folder / "montage.npz"
-    whole = path.read_bytes()
+    full = path.read_bytes()
     found = []
-    for place in range(100, len(whole), len(whole) // 40):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+    for place in range(100, len(full), len(full) // 40):
+        path.write_bytes(full[:place] + bytes([full[place] ^ 0xFF]) + full[place + 1 :])
         with contextlib.suppress(UserError):  # nothing else: a traceback would end the test
             found.append(montage.read(path))
     assert len(found) < 30
-    path.write_bytes(whole)
+    path.write_bytes(full)
     arrays = dict(np.load(path))
     np.savez(path, **{name: array for name, array in arrays.items() if name != "tap"})
     with pytest.raises(UserError, match=r"montage\.npz is missing or damaged"):
@@ -217,16 +219,16 @@ def test_a_simulated_run_may_have_other_targets(made_up_run, read_page):
         json.dumps(results).replace("edge_mm", "y_mm").replace("edge_deg", "depth_mm").replace('"yaw_deg"', '"Rx_deg"')
     )
     (folder / "results.json").write_text(text)
-    told = read_page(write_report(folder))
+    reported = read_page(write_report(folder))
     error = results["pose_mae"]["disentangled"]
     for name, value, unit in (
         ("x", error["x_mm"], "mm"),
         ("Rx", error["yaw_deg"], "deg"),
         ("y", error["edge_mm"], "mm"),
     ):
-        assert f"Error in {name} " in told and f"{value:.{2 if unit == 'mm' else 1}f} {unit}" in told
-    assert "x mm paper" in told and "yaw" not in told.split("All settings")[0]
-    assert "Recovery, the part" in told and "depth 7" in told.split("Recovery, the part")[1]
+        assert f"Error in {name} " in reported and f"{value:.{2 if unit == 'mm' else 1}f} {unit}" in reported
+    assert "x mm paper" in reported and "yaw" not in reported.split("All settings")[0]
+    assert "Recovery, the part" in reported and "depth 7" in reported.split("Recovery, the part")[1]
 
 
 def test_other_targets_are_shown_by_their_own_names(made_up_run, read):
@@ -243,27 +245,27 @@ def test_other_targets_are_shown_by_their_own_names(made_up_run, read):
     assert "y_mm" not in table and "Error in distance to the edge" not in html and "Error in edge angle" in html
 
 
-def test_a_figure_without_an_interval_is_still_told(made_up_run):
+def test_a_figure_without_an_interval_is_still_reported(made_up_run):
     folder, results = made_up_run
     clover = results["pose_by_stimulus"]["clover"]
     won = clover["pose_recovery"]["disentangled"]["x_mm"]
     clover["spread"]["pose_recovery"]["disentangled"]["x_mm"] = None
     (folder / "results.json").write_text(json.dumps(results))
-    told = write_report(folder).read_text().split("<summary>By shape</summary>")[1].split("</details>")[0]
-    assert f"<td>{won:.2f}</td>" in told.split("clover")[1].split("</tr>")[0]
+    reported = write_report(folder).read_text().split("<summary>By shape</summary>")[1].split("</details>")[0]
+    assert f"<td>{won:.2f}</td>" in reported.split("clover")[1].split("</tr>")[0]
 
 
 def test_history_leaves_out_a_line_cut_short(made_up_run):
     log = made_up_run[0] / "disentangled" / "log.jsonl"
-    whole = read_history(log)
-    assert len(whole.epoch) == 8
+    full = read_history(log)
+    assert len(full.epoch) == 8
     lines = log.read_bytes().splitlines(keepends=True)
     log.write_bytes(b"".join(lines[:3]) + lines[3][:-9] + b"\xff\n" + b"".join(lines[4:]))
     assert len(read_history(log).epoch) == 7
     log.write_bytes(b"".join(lines))
     log.write_text(log.read_text()[:-40])
     cut = read_history(log)
-    assert cut.validation["supervised"] == whole.validation["supervised"][:7]
+    assert cut.validation["supervised"] == full.validation["supervised"][:7]
     log.write_text("")
     assert read_history(log) is None
 

@@ -51,13 +51,13 @@ def drawn(name):
 def places(line):
     """About the target, about the whole shape, on its outline, and within a hair of it."""
     generator = np.random.default_rng(0)
-    target, whole = (
+    target, full = (
         generator.uniform(-8, 8, (1000, 2)),
         generator.uniform(line.min(0) - 15, line.max(0) + 15, (1000, 2)),
     )
     at = generator.integers(0, len(line), 1000)
     on = (line[at] + line[(at + 1) % len(line)]) / 2
-    return np.concatenate([target, whole, on, on + generator.normal(0, 1e-3, on.shape)])
+    return np.concatenate([target, full, on, on + generator.normal(0, 1e-3, on.shape)])
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
@@ -66,13 +66,13 @@ def test_distance_and_direction_are_those_of_the_outline(name, kind):
     stimulus, line = drawn(name)
 
     @jax.jit
-    def told(xy):
+    def reported(xy):
         slope = jax.vmap(jax.grad(lambda p: signed_distance(stimulus, p)))(xy)
         return signed_distance(stimulus, xy), slope, outward_normal(stimulus, xy)
 
     with jax.enable_x64(kind == np.float64):
         xy = jnp.asarray(places(line), kind)
-        distance, slope, normal = (np.asarray(value) for value in told(xy))
+        distance, slope, normal = (np.asarray(value) for value in reported(xy))
     assert distance.dtype == slope.dtype == normal.dtype == kind
     there = truth(line, np.asarray(xy, float))
     assert np.abs(distance - there.distance).max() < FAR_MM

@@ -159,7 +159,7 @@ def asked(monkeypatch, tmp_path):
 @pytest.mark.parametrize("network", [network for network in TRAINABLE if network != RENDERER])
 def test_equal_parts_are_equal_trainings(asked, network):
     """The part of an experiment asks for the very training that the whole one does, so rows that share a part may share it."""
-    whole = Experiment(
+    full = Experiment(
         name="whole",
         claim="none",
         seed=5,
@@ -175,12 +175,12 @@ def test_equal_parts_are_equal_trainings(asked, network):
         train_posenet=replace(BASE.train_posenet, epochs=9.0),
         train_teacher=replace(BASE.train_teacher, epochs=11.0),
     )
-    part = training_part(whole, network)
-    assert asked(part, network) == asked(whole, network)
-    changed = {field.name: getattr(whole, field.name) != getattr(part, field.name) for field in fields(Experiment)}
+    part = training_part(full, network)
+    assert asked(part, network) == asked(full, network)
+    changed = {field.name: getattr(full, field.name) != getattr(part, field.name) for field in fields(Experiment)}
     assert changed["unseen"] and changed["networks"]
     assert sum(not changed[name] for name in ("train", "train_posenet", "train_teacher")) == 1
-    assert training_part(replace(whole, seed=6), network).name != part.name
+    assert training_part(replace(full, seed=6), network).name != part.name
 
 
 def test_a_teacher_is_trained_where_a_network_is_taught():

@@ -180,7 +180,7 @@ def test_data_are_made_once_and_for_a_teacher_too(stand_in, tmp_path):
     assert set(sets_of(from_json(made))) == {"tactip_paired", "tactip_pose"}
 
 
-def test_a_failed_row_is_told_left_alone_and_tried_again_when_asked(stand_in, swept, steps, tmp_path):
+def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(stand_in, swept, steps, tmp_path):
     rates = {
         0.5: "training disentangled stopped: supervised not finite at step 5",
         0.25: "killed by signal 9",
@@ -315,7 +315,7 @@ def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill)
         )
 
     undisturbed = start(tmp_path / "whole", 0)
-    whole, _ = undisturbed.communicate()
+    entire, _ = undisturbed.communicate()
     assert undisturbed.returncode == 0
     moments = random.Random(int(kill))
     kills = 0
@@ -335,7 +335,7 @@ def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill)
     last = start(tmp_path / "killed", 0)
     killed, _ = last.communicate()
     assert last.returncode == 0
-    assert reproducible(json.loads(killed)) == reproducible(json.loads(whole))
+    assert reproducible(json.loads(killed)) == reproducible(json.loads(entire))
     assert (tmp_path / "killed" / "small" / "sweep.png").read_bytes() == (
         tmp_path / "whole" / "small" / "sweep.png"
     ).read_bytes()

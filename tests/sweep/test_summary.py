@@ -84,7 +84,7 @@ def summary():
     return summarise(SWEEP, cells, rows, reference_of(SWEEP, cells))
 
 
-def test_likeness_is_told_for_every_shape_too(summary):
+def test_likeness_is_reported_for_every_shape_too(summary):
     found = summary["cells"][0]["metrics"]
     both = np.stack([random(0), random(1)])
     assert found[f"clover: {NAME}"]["mean"] == pytest.approx(both[:, POSES % 3 == 1].mean())
@@ -118,7 +118,7 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     assert "pose_recovery/unet/x_mm" not in recovered(errors | {"sheared": errors["tap"] / 2})  # no damage to undo
 
 
-def test_means_are_over_seeds_and_contacts_and_each_seed_is_told(summary):
+def test_means_are_over_seeds_and_contacts_and_each_seed_is_reported(summary):
     figure = summary["cells"][0]["metrics"][NAME]
     both = np.stack([random(0), random(1)])
     assert figure["mean"] == pytest.approx(both.mean())
@@ -188,7 +188,7 @@ def test_poses_read_from_images_of_another_size_are_compared_and_their_likeness_
     assert list(differences({0: smaller}, {0: larger})) == ["pose/disentangled/x_mm"]
 
 
-def test_a_failure_is_told_with_its_reason_and_the_other_seed_counts(summary):
+def test_a_failure_is_reported_with_its_reason_and_the_other_seed_counts(summary):
     cell = summary["cells"][2]
     assert cell["seeds"] == [0] and cell["failures"] == [{"seed": 1, "reason": "killed by signal 9"}]
     assert cell["metrics"][NAME]["mean"] == pytest.approx(random(20).mean())
@@ -243,7 +243,7 @@ def test_nothing_failed_is_nothing_to_try_again(summary):
     assert "--retry-failed" not in table(summary | {"cells": summary["cells"][:2]})
 
 
-def test_the_table_tells_which_settings_were_not_ranked_and_ranks_the_others():
+def test_the_table_gives_which_settings_were_not_ranked_and_ranks_the_others():
     rows = ((), (("train.epochs", 9.0),), (("paired.slides", 8),))
     sweep = replace(SWEEP, grid=(), rows=rows, labels=("base", "longer", "more slides"), seeds=(0,))
     cells = cells_of(sweep)

@@ -41,10 +41,10 @@ def summary(folder: Path) -> dict:
 @pytest.mark.long
 def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
     assert start(tmp_path / "whole").wait() == 0
-    whole = summary(tmp_path / "whole")
-    assert [cell["seeds"] for cell in whole["cells"][:2]] == [[0], [0]]
-    assert whole["reference"] == "patch_weight=0.1"
-    assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(whole["cells"][0]["difference"])
+    full = summary(tmp_path / "whole")
+    assert [cell["seeds"] for cell in full["cells"][:2]] == [[0], [0]]
+    assert full["reference"] == "patch_weight=0.1"
+    assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(full["cells"][0]["difference"])
     assert len(list((tmp_path / "whole" / "small" / "shared").glob("posenet*/posenet/summary.json"))) == 1
     moments = random.Random(0)
     kills = 0
@@ -59,4 +59,4 @@ def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
             kills += 1
     assert start(tmp_path / "killed").wait() == 0
     assert kills >= 2
-    assert reproducible(summary(tmp_path / "killed")) == reproducible(whole)
+    assert reproducible(summary(tmp_path / "killed")) == reproducible(full)

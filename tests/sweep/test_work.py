@@ -16,7 +16,7 @@ FULL = os_error(Path("somewhere"), OSError(errno.ENOSPC, "No space left on devic
 def reason(monkeypatch, tmp_path):
     """`reason(kind, error)` of a task of that kind which ends with that error."""
 
-    def tell(kind, error):
+    def report(kind, error):
         def refuse(*_):
             raise error
 
@@ -25,14 +25,17 @@ def reason(monkeypatch, tmp_path):
         assert outcome["status"] == "failed" and outcome["wall_seconds"] >= 0
         return outcome["reason"]
 
-    return tell
+    return report
 
 
 @pytest.mark.parametrize("kind", ["training", "row"])
 def test_a_stored_failure_names_the_command_that_tries_it_again(reason, kind):
-    told = reason(kind, FULL)
-    assert told.endswith("the disk is full; free some space, then run the same command with --retry-failed")
-    assert reason("row", UserError(f"its posenet, which other rows share, failed: {told}")).count("--retry-failed") == 1
+    reported = reason(kind, FULL)
+    assert reported.endswith("the disk is full; free some space, then run the same command with --retry-failed")
+    assert (
+        reason("row", UserError(f"its posenet, which other rows share, failed: {reported}")).count("--retry-failed")
+        == 1
+    )
 
 
 def test_data_that_failed_are_tried_again_by_the_same_command(reason):

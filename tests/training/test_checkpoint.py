@@ -46,7 +46,7 @@ def test_the_latest_and_the_best_are_kept(folder):
     assert sorted(path.name for path in (folder / "checkpoints").iterdir()) == ["00000005", "00000007"]
 
 
-def test_what_is_kept_is_told_latest_first(folder):
+def test_what_is_kept_is_reported_latest_first(folder):
     assert checkpoint.kept(folder / "nothing") == []
     assert checkpoint.kept(folder) == [5]
     checkpoint.save(folder, 7, STATE, RECORD)
@@ -122,7 +122,7 @@ def test_settings_there_and_back(tmp_path, kind, net):
         checkpoint.write_settings(tmp_path, {"kind": kind, "net": net.__dict__ | {"size": 8}})
 
 
-def test_a_posenet_tells_its_targets_and_others_may(tmp_path):
+def test_a_posenet_gives_its_targets_and_others_may(tmp_path):
     targets = of_ranges((), Ranges())
     for name, more in (("told", {"targets": to_json(targets)}), ("older", {})):
         for kind in ("posenet", "unshear"):
@@ -149,7 +149,7 @@ def test_json_record_is_readable(folder):
 @pytest.mark.parametrize(
     ("error", "line"), [(MemoryError(), "not enough memory"), (PermissionError(13, "Permission denied"), "Permission")]
 )
-def test_nobody_is_told_to_delete_what_the_machine_could_not_read(folder, monkeypatch, error, line):
+def test_nobody_is_reported_to_delete_what_the_machine_could_not_read(folder, monkeypatch, error, line):
     def refuse(*_):
         raise error
 

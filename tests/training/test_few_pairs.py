@@ -38,7 +38,7 @@ def rows(split="train"):
 
 
 @pytest.mark.parametrize(("share", "count"), [(0.01, 1), (0.1, 2), (0.25, 5), (1.0, 20)])
-def test_a_share_is_of_whole_poses_and_exact(share, count):
+def test_a_share_is_of_full_poses_and_exact(share, count):
     mask = chosen(STIMULUS, POSE, share, 0)
     assert len(poses(mask)) == count and mask.sum() == 4 * count
     assert poses(mask) <= poses(chosen(STIMULUS, POSE, 2 * share, 0))

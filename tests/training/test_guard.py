@@ -52,12 +52,12 @@ def test_what_is_kept_is_said(tmp_path):
     for step, best in ((4, 4), (6, 4)):
         state = {"average": {"params": {"E": jnp.ones(2)}}}
         checkpoint.save(tmp_path / "run", step, state, {"best_step": best, "history": []})
-        told = "step 4 is kept" if step == best else "step 6 and the better one of step 4 is kept"
-        assert f"the checkpoint of {told};" in line(tmp_path, broken)
+        reported = "step 4 is kept" if step == best else "step 6 and the better one of step 4 is kept"
+        assert f"the checkpoint of {reported};" in line(tmp_path, broken)
 
 
 @pytest.mark.parametrize("part", ["params", "batch_stats", "optimiser", "average"])
-def test_any_part_of_the_state_is_looked_at(tmp_path, part):
+def test_any_part_of_the_state_is_checked_at(tmp_path, part):
     sound = State(jnp.asarray(7), *({"E": {"kernel": jnp.ones(3)}} for _ in range(4)))
     check_state(sound, 7, SOUND, tmp_path)
     spoilt = sound._replace(**{part: {"E": {"kernel": jnp.array([1.0, np.inf, 0.0])}}})

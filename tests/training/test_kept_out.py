@@ -38,7 +38,7 @@ def origin(settings, version=None):
         (PairedData(stimuli=("leaf",)), "2.4.0", Exam(PairedData()), ""),
         (PoseData(seed=0), "2.4.0", Exam(PairedData()), "learnt from tactip_pose"),  # taps of the same poses
         (PoseData(seed=0), None, Exam(PairedData()), ""),
-        (PairedData(), None, Exam(PairedData(), whole=True), "all of tactip_paired"),
+        (PairedData(), None, Exam(PairedData(), entire=True), "all of tactip_paired"),
         (PairedData(), None, Exam(PairedData(stimuli=("leaf",)), True), ""),
         (PairedData(stimuli=("disk", "leaf"), seed=7), None, Exam(PairedData(stimuli=("leaf",)), True, True), "leaf"),
         (PairedData(), "2.4.0", Exam(Recorded(digest="aa")), ""),
@@ -51,18 +51,18 @@ def origin(settings, version=None):
         (Recorded(digest="aa+pcc"), None, Exam(Recorded(digest="aa")), "another table of pairs"),
         (Recorded(digest="aa"), "0.9.0", Exam(Recorded(digest="aa")), "data version 0.9.0"),
         (Recorded(digest="aa", seed=1), None, Exam(Recorded(digest="bb")), ""),  # nobody can know
-        (Recorded(digest="aa+bb"), None, Exam(Recorded(digest="bb"), whole=True), "digest bb"),
-        (Recorded(digest="aa"), None, Exam(Recorded(digest="bb"), whole=True), ""),
+        (Recorded(digest="aa+bb"), None, Exam(Recorded(digest="bb"), entire=True), "digest bb"),
+        (Recorded(digest="aa"), None, Exam(Recorded(digest="bb"), entire=True), ""),
     ],
 )
-def test_what_weights_may_know_is_told_by_their_origin(learnt, version, tested, line):
+def test_what_weights_may_know_is_reported_by_their_origin(learnt, version, tested, line):
     reason = known(origin(learnt, version), tested)
     assert line in reason and bool(reason) == bool(line)
 
 
-def test_further_tests_are_of_whole_sets():
+def test_further_tests_are_of_full_sets():
     experiment = replace(SIMULATED, unseen=("leaf",), other_jitters_mm=(1.0,))
-    assert [(t.settings.seed, t.whole, t.new_shapes) for t in exams_of(experiment)] == [
+    assert [(t.settings.seed, t.entire, t.new_shapes) for t in exams_of(experiment)] == [
         (0, False, False),
         (1000, True, True),
         (1000, True, False),
@@ -131,14 +131,14 @@ def test_weights_of_earlier_versions_count_with_all_that_they_may_have_seen(tmp_
     check_kept_out(folder, exams_of(replace(SIMULATED, paired=PairedData(seed=7))))
     write_json(tmp_path / "experiment.json", to_json(RECORDED))
     with pytest.raises(UserError, match="recordings that are tested"):
-        check_kept_out(folder, [Exam(replace(RECORDED.paired, digest="bb"), whole=True)])
-    begun = replace(SIMULATED, train=replace(SIMULATED.train, start="somewhere"))
-    write_json(tmp_path / "experiment.json", to_json(begun))
+        check_kept_out(folder, [Exam(replace(RECORDED.paired, digest="bb"), entire=True)])
+    started = replace(SIMULATED, train=replace(SIMULATED.train, start="somewhere"))
+    write_json(tmp_path / "experiment.json", to_json(started))
     with pytest.raises(UserError, match="began from weights whose data it does not tell"):
         origins_of(folder)
 
 
-def test_released_weights_tell_their_origin(tmp_path):
+def test_released_weights_give_their_origin(tmp_path):
     """Those of today's data keep out what every set of their seed keeps out; those of an earlier version do not."""
     standard = WEIGHTS / "standard"
     for model in standard.glob("*/model.json"):
@@ -150,8 +150,10 @@ def test_released_weights_tell_their_origin(tmp_path):
     shutil.copytree(standard, older)
     for model in older.glob("*/model.json"):
         model.write_text(model.read_text().replace(VERSION, "2.4.0"))
-    begun = replace(SIMULATED, train=replace(SIMULATED.train, start=str(older)))
+    started = replace(SIMULATED, train=replace(SIMULATED.train, start=str(older)))
     with pytest.raises(UserError, match=r"older/disentangled learnt from tactip_paired 2\.4\.0 of seed 0"):
-        run_stages(begun, ("data", "disentangled", "posenet", "evaluate"), tmp_path / "runs", tmp_path / "data", "none")
+        run_stages(
+            started, ("data", "disentangled", "posenet", "evaluate"), tmp_path / "runs", tmp_path / "data", "none"
+        )
     assert [path.name for path in tmp_path.iterdir()] == ["older"]
-    check_kept_out(older / "disentangled", exams_of(replace(begun, paired=PairedData(seed=7))))
+    check_kept_out(older / "disentangled", exams_of(replace(started, paired=PairedData(seed=7))))

@@ -32,7 +32,7 @@ def test_crops_reach_every_place_that_fits_and_no_other():
     np.testing.assert_array_equal(losses.coverage(corners, 24, 20).sum((1, 2)), 5000 * 400)
 
 
-def test_one_crop_of_the_whole_image_is_the_mean_difference(pair):
+def test_one_crop_of_the_full_image_is_the_mean_difference(pair):
     a, b = pair
     counts = losses.coverage(jnp.zeros((3, 1, 2), jnp.int32), 24, 24)
     np.testing.assert_allclose(losses.patch(a, b, counts), np.abs(a - b).mean((1, 2, 3)), rtol=1e-5)

@@ -168,8 +168,8 @@ def test_a_stopped_training_with_muon_ends_equal(tmp_path):
             task, training, batches, lambda: iter([small.pair(1000, 4)]), 0, folder, epoch_images=small.IMAGES
         )
 
-    whole = train(tmp_path / "whole")
+    full = train(tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
         train(tmp_path / "stopped", last=6)
     again = train(tmp_path / "stopped")
-    assert (again.best_step, again.best_loss) == (whole.best_step, whole.best_loss)
+    assert (again.best_step, again.best_loss) == (full.best_step, full.best_loss)

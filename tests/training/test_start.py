@@ -13,7 +13,7 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.model import unshearnet
 from jaxunshear.training import checkpoint, loop
-from jaxunshear.training.start import Start, begun
+from jaxunshear.training.start import Start, started
 from jaxunshear.training.tasks import unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -25,7 +25,7 @@ def tree(value, **shapes):
 
 
 def test_what_both_have_is_taken_and_nothing_else():
-    found = begun(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), head=(5,)))
+    found = started(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), head=(5,)))
     assert jax.tree.map(np.shape, found) == jax.tree.map(np.shape, tree(0.0, E=(2, 3), DS=(4,)))
     assert float(found["params"]["E"]["kernel"].min()) == 1 and float(found["params"]["DS"]["kernel"].max()) == 0
 
@@ -44,7 +44,7 @@ def test_what_both_have_is_taken_and_nothing_else():
 )
 def test_weights_that_do_not_fit_are_refused(start, line):
     with pytest.raises(UserError, match=line):
-        begun(tree(0.0, E=(2, 3)), start)
+        started(tree(0.0, E=(2, 3)), start)
 
 
 def trained(folder, start):

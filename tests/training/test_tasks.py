@@ -132,7 +132,7 @@ LABELLED = replace(small.TRAINING, label_weight=0.5)
 
 
 @pytest.mark.parametrize(
-    ("training", "told"),
+    ("training", "reported"),
     [
         (small.TRAINING, False),
         (WATCHED, False),
@@ -141,8 +141,8 @@ LABELLED = replace(small.TRAINING, label_weight=0.5)
         (LABELLED, True),
     ],
 )
-def test_labels_are_read_only_where_a_loss_asks_for_them(training, told):
-    assert labelled(training) == told
+def test_labels_are_read_only_where_a_loss_asks_for_them(training, reported):
+    assert labelled(training) == reported
 
 
 @pytest.mark.parametrize("net", [small.NET, replace(small.NET, disentangled=False)], ids=["disentangled", "entangled"])

@@ -103,14 +103,14 @@ def mirrored(sensor: Sensor) -> list[Row]:
 
 def resumed(sensor: Sensor) -> list[Row]:
     """One motion in two calls."""
-    whole = np.array(
+    full = np.array(
         [slide(-1.0, 0.0, (0.8, 1.5), depth=depth, twist=twist) for depth, twist in ((2.0, 0.0), (3.5, 15.0))]
     )
     rows = []
     for level, bar, note in (("auto", 0.1, ""), (EXACT, 0.02, FINE)):
-        at_once, _ = follow(sensor, (EDGE,), paths(whole), level)
-        _, pressed = follow(sensor, (EDGE,), paths(whole[:, :2]), level)
-        later, _ = follow(sensor, (EDGE,), paths(whole[:, 1:]), level, pressed)
+        at_once, _ = follow(sensor, (EDGE,), paths(full), level)
+        _, pressed = follow(sensor, (EDGE,), paths(full[:, :2]), level)
+        later, _ = follow(sensor, (EDGE,), paths(full[:, 1:]), level, pressed)
         apart = px_apart(sensor, at_once.pins, later.pins)
         good = bool(at_once.converged.all() and later.converged.all())
         rows.append(_px("press and slide in one call against in two", apart, bar, good, note))
