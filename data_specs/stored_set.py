@@ -1,7 +1,7 @@
 """What all builders share: TFDS without TensorFlow, over the examples of `jaxunshear.dataset`.
 
 A set appears in one step (TFDS moves the finished folder into place) and with it `shards.json`, the SHA-256 of each shard,
-by which a reader tells a truncated or damaged file. Contacts made so far lie under `<data_dir>/.partial/` until then.
+by which a reader detects a truncated or damaged file. Contacts made so far lie under `<data_dir>/.partial/` until then.
 """
 
 import contextlib

@@ -1,6 +1,8 @@
 """Tables in README and docs, from docs/results: `python docs/make_tables.py` prints them; a test compares."""
 
 import json
+from collections.abc import Callable
+from itertools import starmap
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -38,6 +40,7 @@ READINGS = {
     "l1:l2=0.001:0.001, kernels=mean": "**1e-3, of a kernel's mean**",
     "lambda 10": "1e-3, of a kernel's mean; and lambda 10",
 }
+GRID = (("ms_ssim/disentangled", 3), ("pose/disentangled/edge_mm", 2))
 PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
 
 
@@ -90,11 +93,11 @@ def standard() -> str:
         "| | MS-SSIM@4 | pins, px rms | x, mm | yaw, deg | edge distance, mm | edge angle, deg |",
         "|---|---|---|---|---|---|---|",
     ]
-    for look, told in LOOKS.items():
+    for look, shown in LOOKS.items():
         likeness = _cell(metrics[f"ms_ssim/{look}"], 3) if f"ms_ssim/{look}" in metrics else ""
         pins = metrics.get(f"pin_error/{look}/rms_px") if look != "sheared" else None
         cells = [_cell(metrics[f"pose/{look}/{name}"], digits) for name, digits in QUANTITIES]
-        lines.append(_line(told, [likeness, f"{pins['mean']:.3f}" if pins else "", *cells]))
+        lines.append(_line(shown, [likeness, f"{pins['mean']:.3f}" if pins else "", *cells]))
     return "\n".join(lines)
 
 
@@ -150,7 +153,7 @@ def pairings() -> str:
     """Errors by what a slide is paired with."""
     lines = ["| a slide's partner | unsheared: y, mm | unsheared: Rz, deg |", "|---|---|---|"]
     for cell in _cells("pairings"):
-        (name,) = (told for way, told in PAIRINGS.items() if way in cell["label"])
+        (name,) = (shown for way, shown in PAIRINGS.items() if way in cell["label"])
         lines.append(_line(name, [_cell(cell["metrics"][f"pose/disentangled/{q}"], d) for q, d in COLUMNS]))
     return "\n".join(lines)
 
@@ -164,12 +167,12 @@ def simulated_slides() -> str:
     for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
         lines.append(_line(name, ["taps", *(_cell(one[f"{key}/{q}"], d) for q, d in columns)]))
     for name, key in (("slides unsheared", "disentangled"), ("slides, directly", "sheared_learnt")):
-        for way, told in SOURCES.items():
+        for way, shown in SOURCES.items():
             found = [_cell(cells[way][f"pose/{key}/{q}"], d) for q, d in columns]
-            lines.append(_line(name, [f"taps and {told}", *found]))
-    for way, told in SOURCES.items():
+            lines.append(_line(name, [f"taps and {shown}", *found]))
+    for way, shown in SOURCES.items():
         found = [_cell(cells[way][f"pose_recovery/disentangled/{q}"], 2) for q, _ in columns]
-        lines.append(_line("recovery", [f"taps and {told}", *found]))
+        lines.append(_line("recovery", [f"taps and {shown}", *found]))
     return "\n".join(lines)
 
 
@@ -187,9 +190,9 @@ def tenth() -> str:
         "taps of the slide's own depth": results["tests"]["depth_0mm"],
     }
     lines = [f"| MS-SSIM to the tap | {' | '.join(kinds.values())} |", "|---|" + "---|" * len(kinds)]
-    for told, found in tests.items():
+    for shown, found in tests.items():
         values = [(found["ms_ssim"][kind]["overall"], found["spread"]["ms_ssim"][kind]["overall"]) for kind in kinds]
-        lines.append(_line(told, [f"{mean:.3f} [{low:.3f}, {high:.3f}]" for mean, (low, high) in values]))
+        lines.append(_line(shown, [f"{mean:.3f} [{low:.3f}, {high:.3f}]" for mean, (low, high) in values]))
     return "\n".join(lines)
 
 
@@ -203,11 +206,11 @@ def transfer() -> str:
         "|---|---|---|---|---|",
     ]
     kinds = {"taps": "tap", "slides as recorded": "sheared", "**slides unsheared**": "unsheared"}
-    for told, kind in kinds.items():
+    for shown, kind in kinds.items():
         values = [
             ([run[f"{reader}.{kind}.{q}"] for run in runs], digits) for reader in readers for q, digits in COLUMNS
         ]
-        lines.append(_line(told, [_of_values(each, digits) for each, digits in values]))
+        lines.append(_line(shown, [_of_values(each, digits) for each, digits in values]))
     undone = []
     for reader in readers:
         for q, _ in COLUMNS:
@@ -220,12 +223,12 @@ def refit() -> str:
     """What the simulator gains on contacts kept out, by the object's frame, by each value of the sensor, and by all of them."""
     rows = {row["name"]: row["value"] for row in json.loads((RESULTS / "validate_refit.json").read_text())["rows"]}
     lines = ["| changed | before | after | R2 gained, taps | R2 gained, slides |", "|---|---|---|---|---|"]
-    for name, told in REFITTED.items():
+    for name, shown in REFITTED.items():
         values = [f"{rows[f'{when}.{name}']:.3g}" if f"{when}.{name}" in rows else "" for when in ("before", "after")]
-        lines.append(_line(told, values + [f"{rows[f'gain.r2.{kind}.{name}']:+.3f}" for kind in ("tap", "slide")]))
-    for when, told in (("before", "R2 before the refit, frame found"), ("after", "R2 after it")):
+        lines.append(_line(shown, values + [f"{rows[f'gain.r2.{kind}.{name}']:+.3f}" for kind in ("tap", "slide")]))
+    for when, shown in (("before", "R2 before the refit, frame found"), ("after", "R2 after it")):
         found = [rows[f"before.r2.{kind}" if when == "before" else f"r2.{kind}"] for kind in ("tap", "slide")]
-        lines.append(_line(told, ["", "", *(f"{value:.3f}" for value in found)]))
+        lines.append(_line(shown, ["", "", *(f"{value:.3f}" for value in found)]))
     return "\n".join(lines)
 
 
@@ -263,7 +266,7 @@ WALKED = {
 def _runs(name: str, begins: str = "") -> list[dict[str, dict[str, Any]]]:
     """The rows by name of the trainings that stand in a result file, those whose name begins so."""
     runs = json.loads((RESULTS / f"{name}.json").read_text())["runs"]
-    return [{row["name"]: row for row in run["rows"]} for told, run in runs.items() if told.startswith(begins)]
+    return [{row["name"]: row for row in run["rows"]} for shown, run in runs.items() if shown.startswith(begins)]
 
 
 def _of_walks(rows: list[dict[str, Any]], field: str, digits: int) -> str:
@@ -280,9 +283,9 @@ def servo() -> str:
     """How far walks are from the edge, mm: the mean of each walk, over starts and trainings."""
     runs = _runs("servo")
     lines = [f"| | {' | '.join(WALKED.values())} |", "|---|" + "---|" * len(WALKED)]
-    for shape, told in _shapes(runs[0]).items():
+    for shape, shown in _shapes(runs[0]).items():
         found = [[run[f"{shape}/{way}"] for run in runs if f"{shape}/{way}" in run] for way in WALKED]
-        lines.append(_line(told, [_of_walks(rows, "walk_mm", 2) for rows in found]))
+        lines.append(_line(shown, [_of_walks(rows, "walk_mm", 2) for rows in found]))
     return "\n".join(lines)
 
 
@@ -291,24 +294,24 @@ def servo_pins() -> str:
     pins, images = _runs("servo_pins"), _runs("servo")
     columns = ((pins, "disentangled"), (images, "disentangled"), (images, "sheared"), (images, "true"))
     lines = ["| | pins, unsheared | images, unsheared | images, sheared | true pose |", "|---|---|---|---|---|"]
-    for shape, told in _shapes(pins[0]).items():
+    for shape, shown in _shapes(pins[0]).items():
         found = [[run[name] for run in runs if (name := f"{shape}/{way}") in run] for runs, way in columns]
-        lines.append(_line(told, [_of_walks(rows, "walk_mm", 2) for rows in found]))
+        lines.append(_line(shown, [_of_walks(rows, "walk_mm", 2) for rows in found]))
     return "\n".join(lines)
 
 
 def objects() -> str:
-    """IoU with the true shape over the whole grid, by maker: over starts and trainings."""
+    """IoU with the true shape over the full grid, by maker: over starts and trainings."""
     runs, looks = _runs("reconstruct"), {"disentangled": "unsheared", "sheared": "sheared"}
     lines = [
-        "| | " + " | ".join(f"{made}, {told}" for made in MADE for told in looks.values()) + " |",
+        "| | " + " | ".join(f"{made}, {shown}" for made in MADE for shown in looks.values()) + " |",
         "|---|" + "---|" * 6,
     ]
-    for shape, told in _shapes(runs[0]).items():
+    for shape, shown in _shapes(runs[0]).items():
         rows = [
             [run[name] for run in runs if (name := f"{shape}/{made}/{way}") in run] for made in MADE for way in looks
         ]
-        lines.append(_line(told, [_of_walks(each, "walk_iou", 2) for each in rows]))
+        lines.append(_line(shown, [_of_walks(each, "walk_iou", 2) for each in rows]))
     return "\n".join(lines)
 
 
@@ -325,9 +328,29 @@ def readings() -> str:
         steps = [trained[0]["step"].index(step) for step in (75, 450, 1350)]
         sizes = [fmean(row["inner"][at] for row in trained) for at in steps]
         losses = [fmean(row["validation"]["supervised"][at] for row in trained) for at in steps[1:]]
-        told = [f"{value:.4f}" for value in sizes] + [f"{value:.3f}" for value in losses]
-        lines.append(_line(READINGS[cell["label"]], [*told, _cell(cell["metrics"]["ms_ssim/disentangled"], 3)]))
+        shown = [f"{value:.4f}" for value in sizes] + [f"{value:.3f}" for value in losses]
+        lines.append(_line(READINGS[cell["label"]], [*shown, _cell(cell["metrics"]["ms_ssim/disentangled"], 3)]))
     return "\n".join(lines)
+
+
+def lambda_split() -> str:
+    """MS-SSIM and edge distance over the weight of the patch loss and the split of the codes; means over seeds."""
+    return _grid(lambda cell: [f"{cell['metrics'][name]['mean']:.{digits}f}" for name, digits in GRID])
+
+
+def lambda_split_leaks() -> str:
+    """R2 of MLP probes: pose from z_s, slide from z_p; means over seeds."""
+    leaks = ("pose from z_s (mlp)/r2", "slide from z_p (mlp)/r2")
+    return _grid(lambda cell: [f"{cell['ablation'][name]['mean']:.2f}" for name in leaks])
+
+
+def _grid(numbers: Callable[[dict[str, Any]], list[str]]) -> str:
+    """A cell's numbers at its place of the sweep lambda_split."""
+    table: dict[str, list[str]] = {}
+    for cell in _cells("lambda_split"):
+        table.setdefault(cell["point"][0], []).append(", ".join(numbers(cell)))
+    splits = list(dict.fromkeys(cell["point"][1] for cell in _cells("lambda_split")))
+    return "\n".join([_line("lambda", splits), "|---|" + "---|" * len(splits), *starmap(_line, table.items())])
 
 
 def parted() -> str:
@@ -363,8 +386,8 @@ def parted_pins() -> str:
         found, spoilt = cell["metrics"], cell["ablation"]
         likeness, pins = _cell(found["ms_ssim/disentangled"], 3), _cell(found["pins/disentangled"], 2)
         errors = [_cell(found[f"pose/disentangled/{name}"], digits) for name, digits in QUANTITIES[2:]]
-        told = [_of_values(list(spoilt[name]["per_seed"].values()), 2) for name in drawn]
-        lines.append(_line(cell["label"], [likeness, pins, *errors, *told]))
+        shown = [_of_values(list(spoilt[name]["per_seed"].values()), 2) for name in drawn]
+        lines.append(_line(cell["label"], [likeness, pins, *errors, *shown]))
     return "\n".join(lines)
 
 
@@ -393,19 +416,19 @@ def parted_skin_slide() -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for cell in _cells("parted_skin"):
-        told = [
+        shown = [
             _of_values(list(cell["ablation"][f"{name}, all/{field}"]["per_seed"].values()), 2)
             for field in ("mae", "coverage")
             for name in names
         ]
-        lines.append(_line(cell["label"], told))
+        lines.append(_line(cell["label"], shown))
     return "\n".join(lines)
 
 
 def joint() -> str:
     """Pose and slide of recorded slides, read together; and what the half-widths of the answers hold, least and most of the seeds."""
     lines = ["| | error | 95 % of errors within | which holds of the test |", "|---|---|---|---|"]
-    for name, told in (("recorded_joint", "flat surface"), ("recorded_edge_joint", "edge")):
+    for name, shown in (("recorded_joint", "flat surface"), ("recorded_edge_joint", "edge")):
         (cell,) = _cells(name)
         found = cell["metrics"]
         for key in [key for key in found if key.startswith("pose/sheared_learnt/")]:
@@ -417,7 +440,7 @@ def joint() -> str:
                 f"{width['mean']:.2f} {unit}",
                 _of_values(list(held["per_seed"].values()), 2),
             ]
-            lines.append(_line(f"{told}: {quantity.replace('_', ' ')}", cells))
+            lines.append(_line(f"{shown}: {quantity.replace('_', ' ')}", cells))
     return "\n".join(lines)
 
 
@@ -425,7 +448,7 @@ def parted_slide() -> str:
     """Error and coverage of the slide read from both codes, by whether it has slipped: means of the seeds with least and most."""
     runs = json.loads((RESULTS / "parted_leakage.json").read_text())["runs"]
     learnt = {
-        name: [run for told, run in runs.items() if told.startswith(f"{name}, seed")]
+        name: [run for shown, run in runs.items() if shown.startswith(f"{name}, seed")]
         for name in ("parted", "the paper's losses")
     }
     lines = [
@@ -434,12 +457,12 @@ def parted_slide() -> str:
     ]
     parts = {"all": "all", "sticking": "not all of the skin slips", "slipped": "all of it slips"}
     for name, trained in learnt.items():
-        for part, told in parts.items():
+        for part, shown in parts.items():
             rows = [[r for r in run["slide"] if r["part"] == part] for run in trained]
             cells = [
                 _of_values([row[axis][field] for row in rows], 2) for field in ("mae", "coverage") for axis in (0, 1)
             ]
-            lines.append(_line(name, [f"{told} ({rows[0][0]['slides']:,})", *cells]))
+            lines.append(_line(name, [f"{shown} ({rows[0][0]['slides']:,})", *cells]))
     return "\n".join(lines)
 
 
@@ -449,7 +472,7 @@ def found_pins() -> str:
     lines = ["| pins read | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
     kinds = {"tap": "tap", "sheared": "slide", "disentangled": "slide, unsheared"}
     for prefix, source in (("", "true"), ("found.", "found")):
-        for kind, told in kinds.items():
+        for kind, shown in kinds.items():
             names = ((f"ms_ssim.{kind}.overall", 3), (f"pins.{kind}.rms_px", 2))
             names += tuple(
                 (f"pose_mae.{kind}.{quantity}", digits) for quantity, digits in (("edge_mm", 2), ("edge_deg", 1))
@@ -458,7 +481,7 @@ def found_pins() -> str:
                 _of_values([run[f"{prefix}{name}"] for run in runs], digits) if f"{prefix}{name}" in runs[0] else ""
                 for name, digits in names
             ]
-            lines.append(_line(f"{told}, {source}", cells))
+            lines.append(_line(f"{shown}, {source}", cells))
     return "\n".join(lines)
 
 
@@ -485,14 +508,14 @@ def _other_slides(name: str, tests: dict[str, str]) -> str:
     looks = [("tap", "tap", cells[0]), ("sheared", "sheared", cells[0])]
     looks += [(cell["label"], "disentangled", cell) for cell in cells]
     for test, slides in tests.items():
-        for told, kind, cell in looks:
+        for shown, kind, cell in looks:
             found = {key: cell["metrics"][f"{test}: pose/{kind}/{key}"] for key, _ in QUANTITIES[2:]}
             pins = "0" if kind == "tap" else _cell(cell["metrics"][f"{test}: pins/{kind}"], 2)
             ratios = [
                 [found[key]["per_seed"][seed] / one for seed, one in first[key]["per_seed"].items()] for key in found
             ]
             shown = [_of_values(each, 2) if kind == "disentangled" else "" for each in ratios]
-            lines.append(_line(f"{slides} | {told}", [pins, *(_cell(found[k], d) for k, d in QUANTITIES[2:]), *shown]))
+            lines.append(_line(f"{slides} | {shown}", [pins, *(_cell(found[k], d) for k, d in QUANTITIES[2:]), *shown]))
     return "\n".join(lines)
 
 
@@ -501,8 +524,8 @@ def few_pairs() -> str:
     as a multiple of the least that any way has with all pairs."""
     cells = sorted(_cells("few_pairs"), key=lambda cell: -int(cell["label"].partition("%")[0]))
     errors = {"pins/disentangled": 2} | {f"pose/disentangled/{name}": digits for name, digits in QUANTITIES[2:]}
-    whole = [cell["metrics"] for cell in cells if cell["label"].startswith("100%")]
-    least = {name: min(metrics[name]["mean"] for metrics in whole) for name in errors}
+    complete = [cell["metrics"] for cell in cells if cell["label"].startswith("100%")]
+    least = {name: min(metrics[name]["mean"] for metrics in complete) for name in errors}
     lines = [
         "| poses with their tap, what teaches | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg | times all pairs' |",
         "|---|---|---|---|---|---|",
@@ -510,8 +533,8 @@ def few_pairs() -> str:
     for cell in cells:
         found = cell["metrics"]
         times = " / ".join(f"{found[name]['mean'] / least[name]:.2f}" for name in errors)
-        told = [_cell(found[name], digits) for name, digits in errors.items()]
-        lines.append(_line(cell["label"], [_cell(found["ms_ssim/disentangled"], 3), *told, times]))
+        shown = [_cell(found[name], digits) for name, digits in errors.items()]
+        lines.append(_line(cell["label"], [_cell(found["ms_ssim/disentangled"], 3), *shown, times]))
     return "\n".join(lines)
 
 

@@ -3,7 +3,7 @@
     jaxunshear run experiments/best.py
 
 Expected on two cores: some hours; not measured on today's data. Sensor and networks of `standard.py`, but that the disentangled one
-sees seven and a half times as many poses, 15 times as many images, and is told how far apart the poses lie that a PoseNet
+sees seven and a half times as many poses, 15 times as many images, and is given how far apart the poses lie that a PoseNet
 of its own (`posenet_teacher`) reads off its image and off the tap. Both PoseNets see six times as many poses; the one that
 is evaluated five times as many images.
 """

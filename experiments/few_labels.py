@@ -4,7 +4,7 @@
 
 Over pins. All taps are labelled; of the slides a share, drawn at random anew for each seed, smaller shares within the larger ones. Two
 ways: slides without a label are left out; or a PoseNet that learns from the labelled ones, turned about the sensor's axis as well,
-reads their poses, and all slides are unsheared to what taps look like there. Rows `sheared_learnt` are of the PoseNet that learns from
+reads their poses, and all slides are unsheared to how taps appear there. Rows `sheared_learnt` are of the PoseNet that learns from
 the labelled slides directly.
 
 Expected (docs/results/few_labels.json, an hour on two cores): with a tenth of the labels y .21 mm and Rz 2.8 deg unsheared, .25 and

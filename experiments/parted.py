@@ -9,7 +9,7 @@ poses, and equal slides, have equal codes. Its shear code is noisy, so that noth
 own, and DS does not teach the pose code. The other rows leave one of these out, `the paper's losses` all; in the last the pose that a
 PoseNet of taps reads off the unsheared pins is taught, too.
 
-Expected: docs/results/parted.json; half an hour on two cores. `jaxunshear ablate runs/sweeps/parted/rows/ROW --leakage` for a whole table.
+Expected: docs/results/parted.json; half an hour on two cores. `jaxunshear ablate runs/sweeps/parted/rows/ROW --leakage` for a full table.
 """
 
 from dataclasses import replace

@@ -7,7 +7,7 @@ pose code of a slide agrees with that of its tap, that the shear code is noisy, 
 teach the pose code. Both rows learn from true poses, too, as recorded.py does.
 
 Expected: docs/results/parted_skin.json; half an hour on a core. The pose code lets go of the slide; the shear code is left empty. For a
-whole table
+full table
 
     jaxunshear ablate runs/sweeps/parted_skin/rows/ROW --leakage
 """

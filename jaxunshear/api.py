@@ -54,7 +54,7 @@ class Model:
         return prepare_frame(self.perceiver.preprocess, frame, self.perceiver.view or View())
 
     def unshear(self, images: np.ndarray) -> np.ndarray:
-        """(B, S, S) float32 in [0, 1]: as a tap at the same poses would look. Raises UserError."""
+        """(B, S, S) float32 in [0, 1]: as a tap at the same poses would appear. Raises UserError."""
         answers = self._answers(images)
         if answers.unsheared is None:
             raise UserError(f"{self.folder} holds no network that unshears: train {NETWORK}, or load another model")
@@ -83,7 +83,7 @@ class Model:
         return self._in_batches(images, self.perceiver.answer)
 
     def _in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Any]) -> Any:
-        """A few images are not filled up to a whole batch: to find their pins takes longer than to compile once more."""
+        """A few images are not filled up to a full batch: to find their pins takes longer than to compile once more."""
         images = self._checked(images)
         return in_batches(run, images, min(BATCH, len(images)))
 
@@ -104,7 +104,7 @@ class Model:
 
 
 def load_model(name: str | Path, like: str | Path | None = None) -> Model:
-    """Released weights by name, or the folder of a finished run. `like`: a folder of recordings that tells where pins stand untouched,
+    """Released weights by name, or the folder of a finished run. `like`: a folder of recordings that shows where pins stand untouched,
     for networks over pins that learnt in simulation alone. Raises UserError."""
     folder = model_folder(Path(name))
     experiment = load_settings(folder)

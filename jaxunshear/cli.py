@@ -39,7 +39,7 @@ fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can mend (one line); 130 when interrupted."""
+    """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can fix (one line); 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
     warnings.formatwarning = _noted
     settle()

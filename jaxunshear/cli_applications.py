@@ -68,7 +68,9 @@ def add_parsers(commands: Any) -> None:
     parser.add_argument("--depth", metavar="MM", type=float, default=3.0, help="of the contact (3)")
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the starts (0)")
 
-    parser = command("reconstruct", "whole objects from the walks that `servo` left", "where they are, and results go")
+    parser = command(
+        "reconstruct", "complete objects from the walks that `servo` left", "where they are, and results go"
+    )
     add_model(parser)
     _add_stimulus(parser)
 
@@ -105,7 +107,7 @@ def add_model(parser: argparse.ArgumentParser, default: Path = DEFAULT) -> None:
 
 
 def add_like(parser: argparse.ArgumentParser) -> None:
-    text = "contacts of the same sensor and camera, whose mean tells where pins stand (default: the frames themselves)"
+    text = "contacts of the same sensor and camera, whose mean shows where pins stand (default: the frames themselves)"
     parser.add_argument("--like", metavar="DIR", type=Path, help=text)
 
 
@@ -204,12 +206,12 @@ def _geometry(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[
     from jaxunshear.applications.geometry_scores import geometry_of, geometry_rows
     from jaxunshear.applications.geometry_ways import INVERSE, ways_of
     from jaxunshear.applications.perception import unshearers, unshearing_of
-    from jaxunshear.applications.table import plain_table
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.image.framing import undeformed
     from jaxunshear.image.settings import Preprocess
     from jaxunshear.report import geometry_figure
     from jaxunshear.storage import write_bytes
+    from jaxunshear.table import plain_table
 
     if arguments.contacts < 3:
         raise UserError(f"--contacts {arguments.contacts}: use at least 3")
@@ -253,11 +255,11 @@ def _stimuli(text: str) -> tuple[str, ...]:
 
 def _servo(arguments: argparse.Namespace, out: Path, model: "Model") -> dict[str, Any]:
     from jaxunshear.applications import perception, servo
-    from jaxunshear.applications.table import plain_table
     from jaxunshear.applications.walk_scores import walk_rows
     from jaxunshear.contact.rings import deepest_mm
     from jaxunshear.report.walk_figure import walk_figure
     from jaxunshear.storage import write_bytes
+    from jaxunshear.table import plain_table
 
     names = _stimuli(arguments.stimulus)
     if arguments.starts < 1:
@@ -292,9 +294,9 @@ def _reconstruct(arguments: argparse.Namespace, out: Path, model: "Model") -> di
     from jaxunshear.applications.fresh import fresh_contacts
     from jaxunshear.applications.objects import makers_for, objects_of
     from jaxunshear.applications.servo import made_with, stored_walks
-    from jaxunshear.applications.table import plain_table
     from jaxunshear.report.object_figure import PICTURES, object_figure
     from jaxunshear.storage import write_bytes
+    from jaxunshear.table import plain_table
 
     folder, experiment = model
     paired, _ = simulated_of(experiment, "reconstruct")

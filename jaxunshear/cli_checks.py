@@ -188,8 +188,8 @@ def _bench(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _bench_strangers(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.applications.table import plain_table
     from jaxunshear.checks import confidence
+    from jaxunshear.table import plain_table
 
     rows = confidence.bench(arguments.recordings or [], arguments.seed or 0)
     print(plain_table(rows, ("name", "images", "refused", "accepted", "low", "high", "auc")))
@@ -219,8 +219,8 @@ def _bench_networks(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _bench_pins(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.applications.table import plain_table
     from jaxunshear.checks import bench_pins
+    from jaxunshear.table import plain_table
 
     if arguments.size is not None and not 64 <= arguments.size <= 1024:
         raise UserError(f"--size {arguments.size}: use 64 to 1024 px")

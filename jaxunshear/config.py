@@ -214,10 +214,8 @@ def _describe(kind: Any) -> str:
         inner, *more = typing.get_args(kind)
         if more[-1:] != [...]:
             return "numbers joined by ':'"
-        return {int: "whole numbers", float: "numbers", str: "names"}.get(inner, "pairs a:b") + " separated by commas"
-    return {int: "a whole number", float: "a number", bool: "true or false", str: "text", Sensor: "a sensor's name"}[
-        kind
-    ]
+        return {int: "integers", float: "numbers", str: "names"}.get(inner, "pairs a:b") + " separated by commas"
+    return {int: "an integer", float: "a number", bool: "true or false", str: "text", Sensor: "a sensor's name"}[kind]
 
 
 def _parse(text: str, kind: Any, name: str) -> Any:

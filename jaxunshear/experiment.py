@@ -1,4 +1,4 @@
-"""What an experiment file holds: one frozen dataclass for the whole way of the data. Imports no JAX."""
+"""What an experiment file holds: one frozen dataclass for the entire path of the data. Imports no JAX."""
 
 from dataclasses import dataclass, field, replace
 

@@ -1,4 +1,4 @@
-"""A finished run at work on recordings: unshears them and tells their poses. Imports JAX only once the paths are known good.
+"""A finished run at work on recordings: unshears them and determines their poses. Imports JAX only once the paths are known good.
 
 >>> unshear_recordings(Path("recordings/edge"), Path("runs/demo"), Path("unsheared"))
 """
@@ -52,7 +52,7 @@ def learnt_note(experiment: Experiment) -> str:
     if over_pins(experiment) and experiment.pins.turned:
         return (
             f"{seen}, drawn as other sensors and cameras would show them. What they read has a zero and a sense of its own, which a few "
-            "labelled taps tell (`jaxunshear evaluate MODEL --recordings DIR`); more exact are networks that learn from your own "
+            "labelled taps show (`jaxunshear evaluate MODEL --recordings DIR`); more exact are networks that learn from your own "
             "(`jaxunshear fit`)."
         )
     return f"{seen}: for recordings take the weights `skin`, or learn from your own with `jaxunshear fit`."
@@ -280,7 +280,7 @@ def _read(path: Path, preprocess: Preprocess) -> "Recordings":
 
 
 def _targets(names: tuple[str, ...]) -> list[str]:
-    """Where each image goes: its own name as PNG; `a.jpg` beside `a.png` keeps its whole name."""
+    """Where each image goes: its own name as PNG; `a.jpg` beside `a.png` keeps its full name."""
     targets: list[str] = []
     taken: set[str] = set()
     for name in names:
@@ -294,7 +294,7 @@ def _targets(names: tuple[str, ...]) -> list[str]:
 def _answers(
     recordings: "Recordings", network: "Perceiver", understood: "_Understood", label: str
 ) -> "Iterator[tuple[list[int], list[str], Answers, float]]":
-    """Batches of rows, names and answers, and the seconds the networks took for the whole BATCH, compilation apart."""
+    """Batches of rows, names and answers, and the seconds the networks took for the full BATCH, compilation apart."""
     size = recordings.preprocess.size
     network.answer(np.zeros((BATCH, size, size), np.uint8))
     with Progress(label, len(recordings)) as progress:

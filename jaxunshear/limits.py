@@ -54,9 +54,9 @@ LARGEST_PX = 4096
 
 
 def limits(experiment: Experiment) -> Iterator[Rule]:
-    """All rules for `experiment`; the first that does not hold is the one to tell."""
+    """All rules for `experiment`; the first that does not hold is the one to report."""
     yield _name(experiment.name), "name", "use letters, digits, '-', '_' and '.'; it names the folder of the results"
-    yield _seed(experiment.seed), "seed", "use a whole number from 0 to 2147483647"
+    yield _seed(experiment.seed), "seed", "use an integer from 0 to 2147483647"
     yield from _sensor(experiment.sensor)
     if isinstance(experiment.paired, PairedData) and isinstance(experiment.pose, PoseData):
         yield from _simulated(experiment, experiment.paired, experiment.pose)
@@ -86,7 +86,7 @@ def _simulated(experiment: Experiment, paired: PairedData, pose: PoseData) -> It
 
 
 def _recorded(experiment: Experiment) -> Iterator[Rule]:
-    """Of an experiment about recordings; what only they can tell is refused when they are read."""
+    """Of an experiment about recordings; what only they can show is refused when they are read."""
     recorded = experiment.paired
     if not isinstance(recorded, Recorded) or not isinstance(experiment.pose, RecordedTaps):
         yield (
@@ -125,7 +125,7 @@ def _recorded(experiment: Experiment) -> Iterator[Rule]:
     )
     for field in ("test", "validation"):
         yield 0 < getattr(recorded, field) < 0.5, f"paired.{field}", "use a share between 0 and 0.5"
-    yield _seed(recorded.seed), "paired.seed", "use a whole number from 0 to 2147483647"
+    yield _seed(recorded.seed), "paired.seed", "use an integer from 0 to 2147483647"
     yield from _preprocess(recorded.preprocess, "paired.preprocess")
     yield from _target_texts(experiment.targets, RECORDED | SLIDES)
     slides = slides_of(experiment.targets)
@@ -343,7 +343,7 @@ def _data(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[R
         f"{group}.poses",
         f"use at least {BLOCK}, so that each of the three splits gets a pose",
     )
-    yield _seed(data.seed), f"{group}.seed", "use a whole number from 0 to 2147483647"
+    yield _seed(data.seed), f"{group}.seed", "use an integer from 0 to 2147483647"
     yield (
         data.friction is None or data.friction >= 0,
         f"{group}.friction",
@@ -420,7 +420,7 @@ def _camera(camera: Camera, group: str, sensor: Sensor) -> Iterator[Rule]:
     yield (
         camera.distance_mm > sensor.dome_radius_mm,
         f"{group}.distance_mm",
-        f"must exceed the dome's radius ({sensor.dome_radius_mm:g}): the camera looks from above the pins",
+        f"must exceed the dome's radius ({sensor.dome_radius_mm:g}): the camera views the pins from above",
     )
 
 

@@ -14,7 +14,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # malloc.h
 
 
 def keep_freed_memory() -> None:
-    """Tells glibc to keep large freed blocks, and JAX to compute in the calling thread, whose blocks they then are.
+    """Makes glibc keep large freed blocks, and JAX compute in the calling thread, whose blocks they then are.
 
     The first does nothing where the C library is another, the second where JAX has computed already.
     """
@@ -30,7 +30,7 @@ def keep_freed_memory() -> None:
 
 
 def restart_with_large_pages() -> None:
-    """Runs this very command anew, once, with glibc told to ask for large pages: it reads that when a process starts.
+    """Runs this very command anew, once, with glibc set to ask for large pages: it reads that when a process starts.
 
     Does nothing where the C library is another, where GLIBC_TUNABLES is set already, or for an interpreter that was not started
     from a command line.

@@ -16,7 +16,7 @@ from jaxunshear.storage import read_json
 
 @dataclass(frozen=True)
 class Preset:
-    """What a calibration tells."""
+    """What a calibration gives."""
 
     sensor: Sensor
     camera: Camera

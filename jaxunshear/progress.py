@@ -17,7 +17,7 @@ LOG_SECONDS = 10.0
 class Progress:
     """Counts `done` of `total` units. The rate is that of this process: `done` at the start (resumed work) is left out.
 
-    On a terminal one line is drawn over and over; in a log a whole line is written about every ten seconds.
+    On a terminal one line is drawn over and over; in a log a full line is written about every ten seconds.
     """
 
     def __init__(

@@ -37,7 +37,7 @@ LOCK = "run.lock"  # a row of a sweep has a lock of its own
 def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str) -> dict[str, Any]:
     """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>.
 
-    Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can mend, and
+    Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can fix, and
     where another process is at work in that folder.
     """
     for network in TRAINABLE:
@@ -202,7 +202,7 @@ def _times(folder: Path) -> dict[str, float]:
 
     A stage that is done again from the start counts anew. What a run had spent that was killed outright is lost.
     """
-    return read_json_if_sound(folder / TIMES) or {}  # times are no reason to lose the work that they tell of
+    return read_json_if_sound(folder / TIMES) or {}  # times are no reason to lose the work that they measure
 
 
 def _keep_time(folder: Path, stage: str, seconds: float) -> None:

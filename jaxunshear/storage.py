@@ -44,7 +44,7 @@ OF_THE_MACHINE = ("EACCES", "EPERM", "EMFILE", "ENFILE", "ENOMEM", "EIO", "ESTAL
 def blame_the_machine(path: Path, error: BaseException) -> None:
     """Raises a `UserError` where `error`, met in reading `path`, says nothing about the file: no memory, no right, no place.
 
-    Also when a library wrapped it in one of its own. So nobody is told to delete what is sound.
+    Also when a library wrapped it in one of its own. So nobody is asked to delete what is sound.
     """
     codes = {getattr(errno, name, None) for name in OF_THE_MACHINE}
     cause: BaseException | None = error
@@ -85,7 +85,7 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
 
 
 def _measured(path: Path) -> bool:
-    """Whether a file is of `--json`, whose writers tell machines and versions, or of `--lines`."""
+    """Whether a file is of `--json`, whose writers report machines and versions, or of `--lines`."""
     with path.open("rb") as file:
         line = file.readline(2**20)
     with contextlib.suppress(ValueError, TypeError):
@@ -108,7 +108,7 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
 
 
 def _check_writable(folder: Path, named: str) -> None:
-    """By a file without a name in it, or in the nearest folder above that is there: rights alone do not tell of file systems."""
+    """By a file without a name in it, or in the nearest folder above that is there: rights alone say nothing about file systems."""
     place = next(above for above in (folder, *folder.parents) if above.exists())
     try:
         tempfile.TemporaryFile(dir=place).close()
@@ -141,7 +141,7 @@ def write_bytes(path: Path, data: bytes) -> None:
             os.fsync(file.fileno())
         os.replace(part, path)
     except OSError as error:
-        with contextlib.suppress(OSError):  # the first error is the one worth telling
+        with contextlib.suppress(OSError):  # the first error is the one worth reporting
             part.unlink(missing_ok=True)
         raise os_error(path, error) from error
 

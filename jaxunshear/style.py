@@ -1,4 +1,4 @@
-"""How figures look. Imports no Matplotlib."""
+"""How figures are styled. Imports no Matplotlib."""
 
 from textwrap import wrap
 from typing import Any

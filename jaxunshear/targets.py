@@ -152,4 +152,4 @@ def from_json(stored: Any, source: str) -> Targets:
     try:
         return tuple(Target(**each) for each in stored)
     except TypeError as error:
-        raise UserError(f"{source} tells no pose targets that this version knows: train again") from error
+        raise UserError(f"{source} states no pose targets that this version knows: train again") from error

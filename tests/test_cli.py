@@ -26,7 +26,7 @@ BAD_FIELDS = [
     ("--train.epochs 0", "must be above zero"),
     ("--train.epochs -3", "must be above zero"),
     ("--train.epochs inf", "must be a finite number"),
-    ("--train.batch 2.5", "takes a whole number"),
+    ("--train.batch 2.5", "takes an integer"),
     ("--train.batch 0", "must be at least 1"),
     ("--train.batch 100000", "larger than the training set of 2160"),
     ("--train_posenet.batch 100000", "larger than the training set of 4320"),

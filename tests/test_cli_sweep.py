@@ -70,7 +70,7 @@ def test_ray_takes_its_address_and_cores(calls, command, monkeypatch):
         ("none.py", "none.py does not exist"),
         (f"{LAMBDA} --train.patch_weight 1", "varies train.patch_weight"),
         (f"{LAMBDA} --seed 1", "use --seeds"),
-        (f"{LAMBDA} --seeds 1,x", "--seeds takes whole numbers"),
+        (f"{LAMBDA} --seeds 1,x", "--seeds takes integers"),
         (f"{LAMBDA} --seeds 1,1", "lists a seed twice"),
         (f"{LAMBDA} --train.epoch 1", "did you mean --train.epochs"),
         (f"{LAMBDA} --train.epochs 0", "--train.epochs 0.0: must be above zero"),

@@ -55,3 +55,15 @@ def test_commands_exist(page, capsys):
 @pytest.mark.parametrize("page", PAGES)
 def test_pages_are_short(page):
     assert len((ROOT / page).read_text().splitlines()) <= MOST_LINES.get(page, 200)
+
+
+UNPLAIN = r"\b(look|told|begun|whole|tell|tells|mended)\b"  # words that said too many things
+PLACES = ("jaxunshear/**/*.py", "data_specs/**/*.py", "experiments/*.py", "docs/*.md", "docs/*.py", "*.md")
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_words_are_plain(place):
+    files = [path for path in ROOT.glob(place) if path.name != "CHANGELOG.md"]
+    assert files
+    found = [f"{path}: {word}" for path in files for word in re.findall(UNPLAIN, path.read_text(), re.IGNORECASE)]
+    assert not found

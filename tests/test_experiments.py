@@ -59,11 +59,11 @@ def test_sweeps_are_valid_and_self_describing(path):
     assert f"jaxunshear sweep experiments/{path.name}" in text
 
 
-def test_lambda_split_is_five_by_five_by_two():
+def test_lambda_split_is_five_by_five_by_three():
     sweep = load_sweep(FOLDER / "lambda_split.py")
     cells = cells_of(sweep)
-    assert len(cells) == 25 and sweep.seeds == (0, 1)
-    assert len({row.digest for row in rows_of(sweep, cells).values()}) == 50
+    assert len(cells) == 25 and sweep.seeds == (0, 1, 2) and sweep.ablation
+    assert len({row.digest for row in rows_of(sweep, cells).values()}) == 75
     assert all(cell.experiment.unshear.pose_channels + cell.experiment.unshear.shear_channels == 128 for cell in cells)
 
 

@@ -161,7 +161,7 @@ def test_a_half_trained_network_is_not_released(run, tmp_path, name):
         ("results.json", "[]", r"evaluate"),
         ("posenet/model.json", '{"net": {}}', r"model\.json lacks"),
         ("posenet/model.json", "{", r"model\.json"),
-        ("posenet/model.json", json.dumps({"kind": "posenet", "net": asdict(POSENET)}), "tells no pose targets"),
+        ("posenet/model.json", json.dumps({"kind": "posenet", "net": asdict(POSENET)}), "states no pose targets"),
     ],
 )
 def test_a_damaged_run_is_not_released(run, tmp_path, file, text, line):

@@ -256,5 +256,5 @@ def test_targets_come_back_from_json(targets):
 
 @pytest.mark.parametrize("stored", [[{"name": "x_mm"}], [{"title": "x_mm"}], ["x_mm"], 5, None])
 def test_json_of_another_form_is_refused(stored):
-    with pytest.raises(UserError, match=r"posenet/model\.json tells no pose targets that this version knows"):
+    with pytest.raises(UserError, match=r"posenet/model\.json states no pose targets that this version knows"):
         from_json(stored, "posenet/model.json")

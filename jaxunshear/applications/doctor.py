@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.applications.halves import Column, Pairing, column, pairing, taps_and_slides
+from jaxunshear.applications.part import Part
 from jaxunshear.applications.sampled import Seen, seen
 from jaxunshear.applications.uses import Use, lacks_of, learnt_from, uses_of
 from jaxunshear.dataset.labels import MOVE_COLUMNS, POSE_COLUMNS, Problem, columns_of, read_table, table_of
@@ -27,23 +28,6 @@ SAMPLED = 40  # images whose pins are found, shared by the folders
 LEAST_SAMPLED = 8  # in each of many folders
 UNITS = ("mm",) * 3 + ("deg",) * 3
 MOST_LISTED = 20  # images that cannot be read, by name
-
-
-@dataclass(frozen=True)
-class Part:
-    """One folder of recordings."""
-
-    path: Path
-    name: str  # below the examined path
-    layout: str
-    images: int  # that can be used
-    size: tuple[int, int]  # px, width and height of most
-    posed: int  # images whose pose is known
-    moved: int  # and whose move is
-    taps: int
-    slides: int
-    columns: tuple[Column, ...]
-    seen: Seen | None  # None where no image can be used
 
 
 @dataclass(frozen=True)
@@ -65,7 +49,7 @@ class Diagnosis:
 
 
 def examine(path: str | Path) -> Diagnosis:
-    """Reads everything at `path`, and looks for pins in about SAMPLED of the images.
+    """Reads everything at `path`, and finds pins in about SAMPLED of the images.
 
     Raises UserError, in one line, where there is nothing that can be read.
     """
@@ -197,7 +181,7 @@ def _table(
         return "images without a table", ()
     try:
         table = read_table(file)
-    except UserError:  # the reader has told
+    except UserError:  # already reported
         return f"images beside a {file.name} that is no table", ()
     named = [columns_of(table, choices) for choices in (POSE_COLUMNS, MOVE_COLUMNS)]
     columns = [

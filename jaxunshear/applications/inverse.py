@@ -1,4 +1,4 @@
-"""How far the skin is pressed in, from how far the pins have moved: one matrix, so that pins at rest tell of no indentation.
+"""How far the skin is pressed in, from how far the pins have moved: one matrix, so that pins at rest give no indentation.
 
 >>> inverse = learnt(lattice, motion, indentation)     # of taps whose indentation is known, or `of_compliance`
 >>> indentation_of(inverse, motion)                    # (N, P) mm

@@ -1,10 +1,10 @@
-"""Ways from a walk's pins to the object: what each pin tells, where it is put, and what shape is made of all of it.
+"""Ways from a walk's pins to the object: what each pin shows, where it is put, and what shape is made of all of it.
 
 voronoi   the paper's: the growth of the pins' cells, where the pins are, as a height map; no classifier. Cells grow most over an edge:
           what the ridge of the map surrounds is the object
 skin      another height map: where the skin's outer face stands, by the inverse of `inverse.py` and the dome's own shape; above one level,
           `parting_level`, lies the object
-evidence  a logistic regression tells which pins lie over the object; a band that closes is filled
+evidence  a logistic regression determines which pins lie over the object; a band that closes is filled
 
 All take the pins near the sensor's axis. `skin` and `evidence` know the poses of 300 taps, `voronoi` nothing.
 """

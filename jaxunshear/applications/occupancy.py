@@ -1,4 +1,4 @@
-"""Which skin lies over an object, told from how the cells of the pins have grown: evidence, pin by pin.
+"""Which skin lies over an object, determined from how the cells of the pins have grown: evidence, pin by pin.
 
 Skin that bends over an edge is stretched most, and a little outside as much as far inside: the growth of one cell cannot part
 these, how it changes from shell to shell of neighbours does. A logistic regression on both learns it from taps at known poses.

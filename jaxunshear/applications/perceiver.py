@@ -64,7 +64,7 @@ class Perceiver(NamedTuple):
     names: tuple[str, ...]  # of the poses that it reads
     read: Read
     answer: Callable[[np.ndarray], Answers]
-    expected: Expected  # what its sensor looks like in prepared images
+    expected: Expected  # how its sensor appears in prepared images
 
 
 def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Frame | None = None) -> Perceiver:
@@ -116,7 +116,7 @@ def frame_for(path: Path, experiment: Experiment) -> Frame | None:
 
 
 def expected_by(model: Path, experiment: Experiment) -> Expected:
-    """What the sensor of a model looks like in the images that are prepared for it: recorded, or as the simulator draws it."""
+    """How the sensor of a model appears in the images that are prepared for it: recorded, or as the simulator draws it."""
     if isinstance(experiment.paired, Recorded):
         frame = frame_from(read_json(model / FRAME))
         return expected_of(frame.place, frame.size)

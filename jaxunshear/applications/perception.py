@@ -149,7 +149,7 @@ def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[For
         )
     if not targets["disentangled"]:
         raise UserError(
-            f"{model / 'disentangled'} does not tell what its head reads: train it again, or perceive another way"
+            f"{model / 'disentangled'} does not state what its head reads: train it again, or perceive another way"
         )
     return forward_of(nets, targets, precision, by_head=True), variables, targets["disentangled"]
 

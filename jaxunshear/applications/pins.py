@@ -36,7 +36,7 @@ def prepared_size(path: Path) -> int:
             return min(LARGEST_PX, *read_image(file).shape[:2])
         except UserError:
             continue
-    return LARGEST_PX  # none can be read, which `frames` will tell
+    return LARGEST_PX  # none can be read, which `frames` will report
 
 
 def pins_of_recordings(

@@ -1,7 +1,7 @@
-"""Whole objects (paper section 4.4): the contact geometries along a walk, fused onto a grid, and the shape that they enclose.
+"""Complete objects (paper section 4.4): the contact geometries along a walk, fused onto a grid, and the shape that they enclose.
 
-Each step tells of the skin around the sensor's axis how high it stands, or how sure it lies over the object. Put where the sensor
-was, averaged over all steps that touched a cell, this makes a band along the outline. Heights are interpolated to a map of the whole
+Each step gives, of the skin around the sensor's axis, how high it stands, or how sure it lies over the object. Put where the sensor
+was, averaged over all steps that touched a cell, this makes a band along the outline. Heights are interpolated to a map of the entire
 object; where they are greatest over its edge, the object is what their ridge surrounds. Of evidence, it is what a closed band surrounds.
 
 Read `fuse`, then `interpolated`, `ridge_shape` and `filled_shape`.

@@ -1,4 +1,4 @@
-"""Contact geometry of recordings, as they are and unsheared: to look at, as no truth is known."""
+"""Contact geometry of recordings, as they are and unsheared: for inspection, as no truth is known."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -141,7 +141,7 @@ def _pitch(pins: np.ndarray) -> float:
 
 
 def _sure(found: list[Found], sensor: Sensor) -> float | None:
-    """The share of images whose pins can be told apart, or None where they do not form the sensor's lattice."""
+    """The share of images whose pins can be distinguished, or None where they do not form the sensor's lattice."""
     try:
         lattice = fit_lattice([each.pins for each in found], layout_of(sensor))
     except UserError:

@@ -37,7 +37,7 @@ from jaxunshear.scene.stimuli import stimulus_named
 from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 LOST_MM = 8.0  # from the edge: farther than any network has seen
-WINDOW_MM = 3.0  # along the outline, in which a sensor is looked for after a step
+WINDOW_MM = 3.0  # along the outline, in which a sensor is searched for after a step
 PATIENCE = 1.6  # outlines' lengths that a walk may take
 UNSOLVED = 5  # contacts in a row that may fail to converge
 SAVE_EVERY = 50  # steps
@@ -93,7 +93,7 @@ def follow_contour(
     """Walks from every start by every way of perceiving (None: the true pose), until each has closed the outline or come to grief.
 
     `settings` say how camera and image are. The walks are kept in `file` now and then, and in the end; the same call goes on from there.
-    `digests` of the networks of each way tell walks of other networks apart.
+    `digests` of the networks of each way identify walks of other networks.
     """
     stimulus = stimulus_named(course.stimulus)
     line = outline(stimulus)

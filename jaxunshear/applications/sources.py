@@ -149,7 +149,7 @@ def _latest(frames: Iterator[Frame]) -> Iterator[Frame]:
                 with news:
                     newest[:] = [frame]
                     news.notify()
-        except BaseException as error:  # told where the frames are used
+        except BaseException as error:  # raised where the frames are used
             problem.append(error)
         finally:
             over.set()

@@ -1,7 +1,7 @@
 """Perception for a robot: frame in; unsheared image, pose and a confidence out, as a JSON line each.
 
 The step is compiled once, before the first frame, and holds E, DC and PoseNet (or, in its place or beside it, the head on the pose
-code) with their weights: no shear code, no DS. A frame that cannot be used is told and counted, and the next one comes.
+code) with their weights: no shear code, no DS. A frame that cannot be used is reported and counted, and the next one comes.
 """
 
 import base64
@@ -44,7 +44,7 @@ class Robot(NamedTuple):
     step: Step
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: the stream's own
-    expected: Expected | None = None  # what its sensor looks like: confidence falls to nothing for what looks otherwise
+    expected: Expected | None = None  # how its sensor appears: confidence falls to nothing for what appears otherwise
 
 
 def robot_of(

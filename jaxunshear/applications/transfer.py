@@ -3,7 +3,7 @@
 >>> results = score_transfer(experiment, Path("weights"), Path("recordings"), command)
 >>> results["pose_mae"]["unsheared"]["Rz_deg"]
 
-What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, tell how
+What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, show how
 it goes with the labels: a sign and an offset each. The other half is scored, and every slide; nothing is fitted to slides.
 
 Networks over pins are also read by one of another make: a kernel ridge that learns pose from the pins of those same taps. It has nothing
@@ -34,7 +34,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.targets import RECORDED, STILL, names_of, of_labels
 
 BATCH = 32
-SEED = 0  # of the taps that tell how readings and labels go together
+SEED = 0  # of the taps that show how readings and labels go together
 READS = {"x_mm": "edge_mm", "y_mm": "edge_mm", "z_mm": "depth_mm", "Rz_deg": "edge_deg"}  # what goes with a label
 
 
@@ -154,7 +154,7 @@ def _read(
     read."""
     contacts = contacts._replace(
         split=np.zeros(len(contacts.files), int)
-    )  # all alike: whoever looks for training frames finds them
+    )  # all alike: whoever seeks training frames finds them
     frame = frame_of(contacts, settings, experiment.sensor) if over_pins(experiment) else None
     network = perceiver(model, experiment, True, frame)
     view = network.view or common_view(contacts, network.preprocess)

@@ -1,24 +1,19 @@
 """Which commands can use examined recordings, with the command line; and what the recordings lack."""
 
-from __future__ import annotations
-
 import os
 import shlex
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from jaxunshear.applications.halves import Pairing
+from jaxunshear.applications.part import Part
 from jaxunshear.applications.sampled import LEAST_PINS, SENSORS, Pins
 from jaxunshear.dataset.labels import table_of
 from jaxunshear.dataset.preparing import LEAST_FRAMES
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS
 from jaxunshear.scene.sensor import TACTIP_331
-
-if TYPE_CHECKING:
-    from jaxunshear.applications.doctor import Part
 
 FEW = 0.1  # of a folder's contacts: taps among slides, or slides among taps, that make it neither
 SIMULATED = (
@@ -110,7 +105,7 @@ def _released(place: Path, pins: Pins, images: int) -> tuple[Use, ...]:
     if pins.sensor != TACTIP_331.name:
         why = f"the released networks know {TACTIP_331.pins} pins; train a --model of this sensor"
     elif images < LEAST_FRAMES:
-        why = f"the mean of {LEAST_FRAMES} contacts or more tells where pins stand: name a folder of them by --like"
+        why = f"the mean of {LEAST_FRAMES} contacts or more shows where pins stand: name a folder of them by --like"
     lines = _line("unshear", place, "--out", "unsheared"), _line("pose", place)
     return tuple(Use(line, why, "" if why else SIMULATED) for line in lines)
 

@@ -32,7 +32,7 @@ from jaxunshear.storage import write_bytes, write_json, write_text
 IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter
 FIRST_OF = 3  # images, of which the first fit takes one
 CONTACTS_EACH = 40  # solved for each recorded one, about
-LEAST_LABELLED = 12  # contacts from which the labels' reading can be told
+LEAST_LABELLED = 12  # contacts from which the labels' reading can be determined
 SAME_FRAMING = 0.05  # of the outermost ring's radius: two that differ by more are two cameras
 UNITS = {
     "mm_across": "mm",
@@ -57,7 +57,7 @@ def calibrate(
     seed: int = 0,
     log: Log = print,
 ) -> dict[str, Any]:
-    """Fits camera, pins, friction and stiffness to the recordings at `path`; see `docs/calibration.md` for what they can tell.
+    """Fits camera, pins, friction and stiffness to the recordings at `path`; see `docs/calibration.md` for what they can determine.
 
     With `out`, writes calibration.json, calibration.txt and calibration.png there; the picture shows recorded images, so it is
     yours to keep or share. Returns `rows` (statistics: recorded, before, after), `parameters`, `preset` and `notes`. `sensor` and
@@ -181,14 +181,16 @@ def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: 
     if part.moves is not None and np.isfinite(part.moves).any():  # a slide that cannot be read is no tap
         rows = rows[np.isfinite(part.moves[rows]).all(axis=-1)]
     if part.poses is None or len(rows) < LEAST_LABELLED:
-        notes.append(f"{part.name}: fewer than {LEAST_LABELLED} labelled poses, so it tells framing and pin size only")
+        notes.append(
+            f"{part.name}: fewer than {LEAST_LABELLED} labelled poses, so it determines framing and pin size only"
+        )
         return Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
     moves = None if part.moves is None else part.moves[rows]
     reading = read_labels(seen.take(rows), part.poses[rows], moves, start, sensor)
     if reading is None:
         notes.append(
             f"{part.name}: simulated touches as labelled move pins otherwise than these images show "
-            f"(correlation below {CREDIBLE}), so it tells framing and pin size only"
+            f"(correlation below {CREDIBLE}), so it determines framing and pin size only"
         )
         return Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
     edge = (
@@ -241,7 +243,7 @@ def _simulated(groups: list[Group], sensor: Sensor, values: Values, tips: list[t
 def _parameters(
     start: Values, fitted: Fitted, sensor: Sensor, radius: tuple[float, float, float], held: Collection[str]
 ) -> list[dict[str, Any]]:
-    """Rows; `low` and `high` are None for what was not fitted, `determined` says whether the images tell it."""
+    """Rows; `low` and `high` are None for what was not fitted, `determined` says whether the images determine it."""
     rows = []
     low: float | None
     high: float | None
@@ -286,7 +288,7 @@ def _reported(held: Collection[str], fitted: Fitted, lost: dict[str, int]) -> li
     missing = [name for name in fittable if name not in fitted.determined]
     if missing:
         notes.append(
-            f"not fitted, as no labelled {'slides' if missing == ['friction'] else 'contacts'} tell them: {', '.join(missing)}"
+            f"not fitted, as no labelled {'slides' if missing == ['friction'] else 'contacts'} determine them: {', '.join(missing)}"
         )
     notes += [
         f"{count} simulated contacts were out of reach or did not converge in {where}"

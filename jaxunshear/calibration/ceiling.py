@@ -1,4 +1,4 @@
-"""What labels alone can tell of the pins: a regression from pose and slide, never asked about a contact that it learnt from.
+"""What labels alone can predict of the pins: a regression from pose and slide, never asked about a contact that it learnt from.
 
 What is left over is what no simulator of the labelled motion can explain: the robot's errors, the camera's pixels, and for few
 contacts what the regression has not learnt yet, so that more contacts raise it.

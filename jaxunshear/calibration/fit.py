@@ -22,7 +22,7 @@ BOOTSTRAPS = 400
 
 
 class Fitted(NamedTuple):
-    """`low`, `high`: 95 % bootstrap interval over images, by name; `determined`: whether the images tell."""
+    """`low`, `high`: 95 % bootstrap interval over images, by name; `determined`: whether the images determine it."""
 
     values: Values
     low: dict[str, float]
@@ -46,7 +46,7 @@ def fit(
     """Gauss-Newton with damping on all groups at once; what `held` names keeps its start.
 
     `start`, where the priors stand, has an entry of `surface_mm` for every group; the search may `begin` elsewhere. `advance` is
-    told how many contacts were solved.
+    called with how many contacts were solved.
     """
     problem = Problem(groups, sensor, start, held, advance)
     prior = problem.prior()

@@ -39,7 +39,7 @@ class Folder:
 
 
 class Aligned(NamedTuple):
-    """What labels do not tell of a folder, read off images that are not compared."""
+    """What a folder's labels do not give, read off images that are not compared."""
 
     frame: Frame
     angle: float  # rad, of the camera

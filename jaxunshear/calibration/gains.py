@@ -62,7 +62,7 @@ def gains(
 
 def gains_table(rows: list[Row]) -> str:
     """A line for each value: before, after, and what it gains alone."""
-    from jaxunshear.applications.table import plain_table
+    from jaxunshear.table import plain_table
 
     known = {str(row["name"]): row["value"] for row in rows}
     lines: list[dict[str, Any]] = []

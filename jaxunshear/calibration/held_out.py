@@ -14,7 +14,7 @@ SHARE = 3  # of a folder's images at most one in so many aligns it
 
 
 class Parts(NamedTuple):
-    """One folder's images: those that tell how labels and images go together, and others that are compared."""
+    """One folder's images: those that show how labels and images go together, and others that are compared."""
 
     align: Recorded
     scored: Recorded

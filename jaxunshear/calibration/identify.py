@@ -1,11 +1,11 @@
 """Friction and the ratio of the moduli from where pins are seen: gradients of the contact at work.
 
-Pins are simulated for a sensor whose friction and skin:gel ratio the fit is not told, along finer increments than the fit will use,
+Pins are simulated for a sensor whose friction and skin:gel ratio the fit is not given, along finer increments than the fit will use,
 and blurred by noise; the camera sees x and y only. The fit starts from guesses far off and knows the compliance at three
 ratios. Two ways down: L-BFGS-B on the loss and its gradient (the transposed rule of `contact.implicit`), and Gauss-Newton on
 the pins' Jacobian (the forward rule). Both work on logarithms, within bounds.
 
-The Jacobian also says, before any fit, what each kind of motion can tell: `determines`.
+The Jacobian also says, before any fit, what each kind of motion can determine: `determines`.
 """
 
 import io
@@ -129,7 +129,7 @@ METHODS: dict[str, Callable[..., Descent]] = {"L-BFGS-B": lbfgs, "Gauss-Newton":
 
 
 def determines(slopes: np.ndarray, group: np.ndarray, noise_mm: float) -> list[dict[str, Any]]:
-    """What each group of scenes tells, from the Jacobian (B, P, 2, 2) by log(friction) and log(ratio).
+    """What each group of scenes determines, from the Jacobian (B, P, 2, 2) by log(friction) and log(ratio).
 
     `*_mm`: rms motion of a pin in x and y per factor e. Singular values are over the noise: how many standard deviations all pins
     together move per unit of the best and the worst determined mixture, whose share of log(friction) is `best_friction`.
@@ -232,7 +232,9 @@ def _fit_row(
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Plain text."""
-    lines = ["what each kind of motion tells (mm: rms motion of a pin per factor e; std: of the value, both unknown)"]
+    lines = [
+        "what each kind of motion determines (mm: rms motion of a pin per factor e; std: of the value, both unknown)"
+    ]
     lines.append(
         f"{'':14} {'friction':>11} {'ratio':>11} {'singular values':>18} {'std friction':>13} {'std ratio':>10} {'corr.':>6}"
     )

@@ -1,7 +1,7 @@
 """A recording's labels as motions that can be simulated: `pose` and `move` of the robot become paths of the scene.
 
-Robots tell six numbers in a work frame whose depth axis points into the object, as static Euler angles x, y, z about the
-sensor's tip; the sensor hovered, pressed at `pose - move` and went to `pose`. Three things no label tells, and the images do
+Robots report six numbers in a work frame whose depth axis points into the object, as static Euler angles x, y, z about the
+sensor's tip; the sensor hovered, pressed at `pose - move` and went to `pose`. Three things no label gives, and the images do
 (`fit`): how deep the work frame's origin lies, on which side of an edge the object is, and how the camera is turned.
 """
 
@@ -48,7 +48,7 @@ class Motions(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """How the object lies in the frame that labels are told in: what a robot's set-up leaves open, and pins tell."""
+    """How the object lies in the frame of the labels: what a robot's set-up leaves open, and pins show."""
 
     surface_mm: float = 0.0  # of the depth axis, where its top is
     across_mm: float = 0.0  # from the edge to where labels have it, along the scene's x

@@ -1,7 +1,7 @@
 """How labels and images go together, read off the images: the side of the edge, the sense of the slide, the turn of the camera.
 
 Simulated contacts are moved as each reading of the labels says; the right one moves its pins as the recorded ones moved, up to one
-turn (and mirroring) of the camera. A reading that matches none is told, not forced.
+turn (and mirroring) of the camera. A reading that matches none is reported, not forced.
 """
 
 from itertools import product
@@ -42,7 +42,7 @@ def read_labels(
     widths = ring_radii(shell, places, seen.rest)
     slid = moves is not None and bool(np.any(np.abs(moves) > 1e-6))
     best, best_score = None, -np.inf
-    # Cameras look at the pins from behind, so that mirrored is the usual case and comes first.
+    # Cameras see the pins from behind, so that mirrored is the usual case and comes first.
     for sign in (1, -1) if slid else (1,):
         contacts = motions(poses, None if moves is None else sign * moves)
         part = contacts.take(some)

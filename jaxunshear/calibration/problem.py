@@ -196,7 +196,7 @@ class Problem:
         return difference
 
     def redrawer(self, values: Values) -> Callable[[np.random.Generator], np.ndarray]:
-        """A function that gives `all(values)` with the rows of unlabelled groups told by images drawn anew."""
+        """A function that gives `all(values)` with the rows of unlabelled groups from images drawn anew."""
         base, ends = self.all(values), self._ends()
         apart = {}
         for i, group in enumerate(self.groups):

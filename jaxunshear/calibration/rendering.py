@@ -20,7 +20,7 @@ from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.sensor import Sensor, pin_tips
 
 FRAME_PX = 256  # at least: what a camera sees before it is made smaller
-SOME_IMAGES = 16  # tell the size of pins and housing
+SOME_IMAGES = 16  # determine the size of pins and housing
 RADIUS_STEPS = 3
 HOUSING_ROUNDS = 3  # the threshold follows the local mean, so that the ring's area is not all
 UNKNOWN_DEPTHS = (0.03, 0.15)  # over the dome's radius, of flat taps that stand in for unlabelled images
@@ -98,7 +98,7 @@ def fit_pin_radius(
 def fit_housing(groups: list[Group], sensor: Sensor, values: Values, tips: list[np.ndarray]) -> float:
     """The housing's inner radius over the outermost pins' (`Camera.housing`) that makes images as white as the recorded ones.
 
-    What is white beside the pins is a ring from there to the mask, so that its area tells.
+    What is white beside the pins is a ring from there to the mask, so that its area gives the radius.
     """
     housing = values.housing
     for _ in range(HOUSING_ROUNDS):

@@ -1,4 +1,4 @@
-"""What a calibration tells: rows of recorded, before and after, and one page of curves and example images."""
+"""What a calibration reports: rows of recorded, before and after, and one page of curves and example images."""
 
 import io
 from collections.abc import Sequence

@@ -92,13 +92,13 @@ def _name(path: Path, folder: Path) -> str:
 def _first(recordings: Recordings) -> np.ndarray:
     """The first image that can be read."""
     for file in recordings.files[:-1]:
-        with contextlib.suppress(UserError):  # `frames` will tell
+        with contextlib.suppress(UserError):  # `frames` will report it
             return read_image(file)
     return read_image(recordings.files[-1])
 
 
 def _choose(moves: np.ndarray | None, rows: np.ndarray, count: int, generator: np.random.Generator) -> np.ndarray:
-    """At most `count` rows, with short slides as likely as long ones: they are rare, and tell most about sticking."""
+    """At most `count` rows, with short slides as likely as long ones: they are rare, and say most about sticking."""
     rows = generator.permutation(rows)
     if moves is None or len(rows) <= count:
         return np.sort(rows[:count])

@@ -50,7 +50,9 @@ def view_of(taps: Taps, lattice: Lattice, size: int, known: Calibrated) -> View:
     rows = np.flatnonzero(np.isfinite(taps.pins).all((1, 2)) & np.isfinite(taps.pose).all(1))
     rows = np.random.default_rng(0).permutation(rows)[:ALIGNED_BY]
     if len(rows) < LEAST:
-        raise UserError(f"{len(rows)} taps have a label and all pins: at least {LEAST} tell how a simulated slide lies")
+        raise UserError(
+            f"{len(rows)} taps have a label and all pins: at least {LEAST} are needed to place a simulated slide"
+        )
     pins, pose = taps.pins[rows].astype(np.float64), taps.pose[rows].astype(np.float64)
     seen = _seen(pins, lattice, size)
     reading = read_labels(seen, pose, None, known.values, known.sensor)

@@ -4,7 +4,7 @@ seen = observe(images, TACTIP_331)          # binary images (N, S, S)
 radii = ring_radii(seen.lattice.shell, seen.place, seen.rest)       # (N, rings)
 motion = ring_motion(seen.lattice.shell, seen.place - seen.rest)    # (N, rings + 1)
 
-Rings are told by the motions of the pins that were found: their mean place would jump by a sixtieth of the radius with every pin of the
+Rings are given by the motions of the pins that were found: their mean place would jump by a sixtieth of the radius with every pin of the
 outermost ring that the housing hides.
 """
 
@@ -38,7 +38,7 @@ class Seen(NamedTuple):
     sure: np.ndarray  # (N,) bool: the pins' identities are beyond doubt
     found: np.ndarray  # (N,) pins
     spacing: np.ndarray  # (N,) usual distance between nearest neighbours
-    white: np.ndarray  # (N,) white share of the whole image, housing and all
+    white: np.ndarray  # (N,) white share of the full image, housing and all
 
     def take(self, rows: np.ndarray) -> "Seen":
         return Seen(self.size, self.lattice, *(field[rows] for field in self[2:]))
@@ -163,7 +163,7 @@ def summaries(seen: Seen, slide: np.ndarray | None = None, yaw: np.ndarray | Non
     diameter, middle = _by_ring(shell, seen.diameter), _by_ring((shell > CENTRAL).astype(int), seen.diameter)[:, 0]
     followed = np.isfinite(seen.diameter).any(axis=1)
     usual, area = np.full((2, len(followed)), np.nan)
-    usual[followed] = np.nanmean(seen.diameter[followed], axis=1)  # the median would be that of a few whole pixels
+    usual[followed] = np.nanmean(seen.diameter[followed], axis=1)  # the median would be that of a few integers
     area[followed] = np.nansum(np.pi / 4 * seen.diameter[followed] ** 2, axis=1) / seen.size**2
     rows = [
         Summary("pins found", "1", seen.found.astype(float)),

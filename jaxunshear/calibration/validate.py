@@ -27,7 +27,7 @@ FITTED_TO = (
 CEILING = "ceiling: a regression from the labels of these contacts, which more of them raise: from few it may lie below"
 GAINED = (
     "r2 gained: on contacts that the refit never saw, by this value alone with the object's frame found anew; frame: by finding it, "
-    "before the refit; all: by the whole refit"
+    "before the refit; all: by the full refit"
 )
 
 Log = Callable[[str], None]
@@ -84,7 +84,7 @@ def validate(
     text = "\n\n".join(tables) + "\n" + "".join(f"\nnote: {note}" for note in notes)
     log(text)
     if out is not None:
-        from jaxunshear.report.validate_figure import validate_figure
+        from jaxunshear.calibration.validate_figure import validate_figure
 
         write_text(Path(out) / "validate.txt", text + "\n")
         write_bytes(Path(out) / "validate.png", validate_figure(compared))
@@ -93,7 +93,7 @@ def validate(
 
 def table(rows: list[dict[str, Any]]) -> str:
     """A line for taps, slides and each part of them."""
-    from jaxunshear.applications.table import plain_table
+    from jaxunshear.table import plain_table
 
     lines: dict[str, dict[str, Any]] = {}
     for row in rows:

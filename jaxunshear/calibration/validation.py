@@ -32,7 +32,7 @@ class Compared:
     name: str
     recorded: np.ndarray  # (N, P, 2)
     simulated: np.ndarray  # (N, P, 2)
-    ceiling: np.ndarray  # (N, P, 2) told by the labels alone, from other contacts
+    ceiling: np.ndarray  # (N, P, 2) predicted by the labels alone, from other contacts
     shell: np.ndarray  # (P,)
     rest: np.ndarray  # (P, 2) places in the image, from its middle
     mm_per_px: np.ndarray  # (P,) at the height of each pin
@@ -88,7 +88,7 @@ def places(values: Values, sensor: Sensor, size: int, flat: np.ndarray, moved: n
 def settled(
     values: Values, sensor: Sensor, size: int, place: np.ndarray, moved: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`stand` (P, 2) and `places` (N, P, 2) of pins that are recorded at `place` (N, P, 2): their mean over contacts tells where they
+    """`stand` (P, 2) and `places` (N, P, 2) of pins that are recorded at `place` (N, P, 2): their mean over contacts gives where they
     stand, once it is known how far the contacts move it."""
     wanted = np.nanmean(place, axis=0)
     flat = stand(values, sensor, size, wanted)
@@ -134,7 +134,7 @@ Row = dict[str, float | int | str | None]
 
 
 def rows_of(parts: list[Compared]) -> list[Row]:
-    """Scores of taps and slides over all folders, whole and by ring, depth, distance to the edge and length of the slide."""
+    """Scores of taps and slides over all folders, in full and by ring, depth, distance to the edge and length of the slide."""
     rows: list[Row] = []
     for kind in ("tap", "slide"):
         mine = [part.take(np.flatnonzero(part.taps == (kind == "tap"))) for part in parts]

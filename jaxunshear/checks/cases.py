@@ -119,10 +119,8 @@ def _materials() -> Iterator[Case]:
     dragged = motion(4.0, at=(-8.0, 0.0), slide=(3.0, 1.0))
     for ratio in (1e-2, 1e6):
         sensor = replace(TACTIP_331, skin_modulus_mpa=ratio * TACTIP_331.gel_modulus_mpa)
-        yield one_path(f"skin:gel {ratio:.0e}, whole dome", dragged, sensor=sensor)
-    yield one_path(
-        "nu 0.4999, whole dome", dragged, sensor=replace(TACTIP_331, gel_poisson=0.4999, skin_poisson=0.4999)
-    )
+        yield one_path(f"skin:gel {ratio:.0e}, full dome", dragged, sensor=sensor)
+    yield one_path("nu 0.4999, full dome", dragged, sensor=replace(TACTIP_331, gel_poisson=0.4999, skin_poisson=0.4999))
     usual = one_path("", dragged)
     for factor in (1e-6, 1e6):
         moduli = (factor * TACTIP_331.skin_modulus_mpa, factor * TACTIP_331.gel_modulus_mpa)

@@ -1,4 +1,4 @@
-"""How well `image.understood` tells a sensor's images from others, and where its weights come from.
+"""How well `image.understood` distinguishes a sensor's images from others, and where its weights come from.
 
 groups = [simulated(TACTIP_331, Camera(), 200, seed=0), recorded(folder, 200, seed=0)]
 base, weights = calibrate([observe(group, seed=0) for group in groups])
@@ -26,7 +26,7 @@ from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor
 SIZE = 128
 COUNT = 100  # images of a group
 LATTICE_FROM = 60  # recorded images, at most, which are not judged
-STRICT = 3e-4  # of the penalty on weights, without which kinds that are told apart at a glance make them endless
+STRICT = 3e-4  # of the penalty on weights, without which kinds that differ at a glance make them endless
 SURE = 1.96  # standard deviations: intervals of 95 %
 
 

@@ -118,7 +118,7 @@ def resumed(sensor: Sensor) -> list[Row]:
 
 
 def frictionless(sensor: Sensor) -> list[Row]:
-    """Without friction only the end of a path counts, up to where each increment looked for the edge."""
+    """Without friction only the end of a path counts, up to where each increment searched for the edge."""
     end = slide(-1.0, 0.5, (0.0, 0.0), yaw=10.0)
     roundabout = slide(-1.0, 0.5, (2.0, -1.5), yaw=-20.0, twist=30.0)
     made = _ends(sensor, [end, roundabout], friction=0.0)

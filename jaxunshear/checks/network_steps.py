@@ -1,8 +1,8 @@
 """Training steps without the loop about them, so that networks of one shape are compiled once for all that is tried on them.
 
-    found = walk(net, training, make, folder)     # some steps, each looked at, saved, and used
+    found = walk(net, training, make, folder)     # some steps, each inspected, saved, and used
 
-Steps, looks and checkpoints are the loop's own; learning rate and patch weight are arguments of the compiled step.
+Steps, inspections and checkpoints are the loop's own; learning rate and patch weight are arguments of the compiled step.
 """
 
 import functools
@@ -98,12 +98,12 @@ def found_of(net: Net, arrays: dict[str, Any], variables: Any, steps: int, last:
 
 
 def images_of(batch: Batch) -> np.ndarray:
-    """What a network is given to look at: taps for PoseNet, sheared images for the others."""
+    """The images that a network is given: taps for PoseNet, sheared images for the others."""
     return batch["image" if "image" in batch else "sheared"]
 
 
 def infer(net: Net, variables: Any, images: Any) -> dict[str, Any]:
-    """Images (B, S, S, 1) in [0, 1] -> all that the network tells of them, each (B, ...)."""
+    """Images (B, S, S, 1) in [0, 1] -> all that the network infers from them, each (B, ...)."""
     if isinstance(net, PoseNet):
         outputs = posenet.predict(net, variables, images)
         return {"outputs": outputs, **posenet.pose_from_outputs(outputs, TARGETS)}

@@ -1,6 +1,6 @@
 """Trainings at their extremes: settings, images and labels that could make a network's numbers infinite.
 
-Most are steps without the loop (`network_steps.py`), some a whole training as a user would run it. Where images are spoilt, every
+Most are steps without the loop (`network_steps.py`), some a full training as a user would run it. Where images are spoilt, every
 second batch is: a network that has only ever seen one constant learns nothing that could break.
 """
 
@@ -45,6 +45,7 @@ PATCH_WEIGHTS = (0.0, 1e-2, 1.0, 1e2, 1e4)
 BROKEN_FROM = 6  # steps before what breaks a training: more than to its first checkpoint, fewer than to its second
 VALIDATION = -1  # the step whose batch is validated and used: odd, so spoilt where every second one is
 KEPT = f"the checkpoint of step {SAVED_EVERY} is kept"
+REMEDY = "the data, then run the same command"
 Change = Callable[[int, Batch], Batch]  # of the float batch that follows so many steps
 
 
@@ -135,11 +136,11 @@ def _rates(net: Net) -> Iterator[NetworkCase]:
 def _images(net: Net) -> Iterator[NetworkCase]:
     for name, kind in KINDS.items():
         yield steps_case(f"images {name}", net, change=every_second(kind))
-    yield steps_case("images with a NaN", net, change=_nan, expects=(STOPPED,), words=_words("of examples 1;", "mend"))
+    yield steps_case("images with a NaN", net, change=_nan, expects=(STOPPED,), words=_words("of examples 1;", REMEDY))
     words = _words("to 1e+25;", "learning_rate")
     yield steps_case("images of 1e25", net, change=_huge, expects=(STOPPED,), words=words)
     if isinstance(net, PoseNet):
-        words = _words("pose not finite", "in pose of examples 0, 1, 2, 3;", "mend")
+        words = _words("pose not finite", "in pose of examples 0, 1, 2, 3;", REMEDY)
         yield steps_case("infinite labels", net, change=_unknown, expects=(STOPPED,), words=words)
 
 

@@ -175,7 +175,7 @@ def _inference(net: Net) -> Iterator[NetworkCase]:
 
 
 def _nan_inference(net: Net) -> Found:
-    """A NaN in the second image reaches what is told of it, and of no other image."""
+    """A NaN in the second image reaches what is inferred from it, and from no other image."""
     run, images = programs(net, TRAINING).infer, images_of(batch_of(net, UNSEEN, 4))
     clean, broken = (jax.device_get(run(learnt(net), given)) for given in (as_floats(images), with_nan(images)))
     others = {name: np.delete(values, 1, 0) for name, values in broken.items()}
@@ -199,6 +199,6 @@ def _precision(net: Net, kind: Any, bar: float) -> Found:
     difference = np.concatenate([(usual[name] - other[name]).ravel() for name in names])
     error = np.abs(difference).max() if kind == jnp.float64 else np.sqrt(np.mean(difference**2))
     spread = min(float(values.std(0).max()) for values in usual.values())
-    wrong = "" if spread > 0.02 else "the network tells the same of every image: nothing was compared"
+    wrong = "" if spread > 0.02 else "the network gives the same for every image: nothing was compared"
     wrong = wrong or ("" if error > 0 else "not one number differs: nothing was cast")
     return Found({"float32": usual, "other": other}, error=float(error), bar=bar, wrong=wrong)

@@ -18,7 +18,7 @@ from jaxunshear.contact import friction as physics
 from jaxunshear.contact.friction import BETWEEN_CHECKS, OVER_RELAXATION, RHO, System, project
 
 Solver = Callable[..., tuple[jax.Array, jax.Array, jax.Array, jax.Array]]
-MEMORY = 5  # steps that Anderson's extrapolation looks back on
+MEMORY = 5  # earlier steps that Anderson's extrapolation uses
 GROWTH = 2.0  # of its residual, beyond which an extrapolated step is taken back
 NEWTON_LIMIT = 40  # iterations, each a matrix factorised for every scene
 
@@ -62,7 +62,7 @@ def _largest_eigenvalue(system: System) -> jax.Array:
 
 
 def _iterate(step: Callable, state: Any, tolerance: jax.Array, limit: int, every: int) -> tuple:
-    """Repeat `step`(state) -> (state, error (B,)), `every` times between looks, until all are below their tolerance."""
+    """Repeat `step`(state) -> (state, error (B,)), `every` times between checks, until all are below their tolerance."""
 
     def unfinished(carry):
         _, error, _, count = carry

@@ -14,7 +14,7 @@ FRICTION = 0.5
 
 
 def slip_distance(body: HalfSpace, radius_mm: Length) -> Length:
-    """The slide (mm) after which a stuck contact slips as a whole: 3 mu P / (16 a G*)."""
+    """The slide (mm) after which a stuck contact slips fully: 3 mu P / (16 a G*)."""
     return 3 * FRICTION * load(body, radius_mm) / (16 * radius_mm * body.pull_modulus)
 
 
@@ -121,7 +121,7 @@ def cycle(body: HalfSpace, size: float = 8.5, share: float = 0.8) -> list[Row]:
 
 
 def torsion(body: HalfSpace) -> list[Row]:
-    """A sphere, pressed and then twisted about its normal: stuck as a whole, and slipping as a whole."""
+    """A sphere, pressed and then twisted about its normal: fully stuck, and fully slipping."""
     rows = []
     for sizes, words in ((np.array([4.5, 6.5, 8.5, 10.5]), ""), (np.array([5.0, 7.0, 9.0, 11.0]), ", rim on a ring")):
         a = sizes * SPACING_MM

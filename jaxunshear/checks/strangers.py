@@ -72,7 +72,7 @@ def _resampled(
     image: np.ndarray, scale: float, turn: float = 0.0, shift: np.ndarray | tuple = (0.0, 0.0)
 ) -> np.ndarray:
     """Scaled and turned about the middle, then shifted by px as (row, column). The edge of the mask goes on outwards, as housings do:
-    pieces of its ring that black cut off would look like pins."""
+    pieces of its ring that black cut off would pass for pins."""
     middle = (len(image) - 1) / 2
     back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]) / scale
     offset = np.moveaxis(np.indices(image.shape), 0, -1) - middle - np.asarray(shift)
@@ -129,7 +129,7 @@ def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
 
 
 def _square_grid(image: np.ndarray, rng: Generator) -> np.ndarray:
-    """Even, over the whole image: a sieve, a textile, a screen."""
+    """Even, over the full image: a sieve, a textile, a screen."""
     size = len(image)
     spacing = size * rng.uniform(0.03, 0.12)
     steps = np.arange(-size, size, spacing)

@@ -115,7 +115,7 @@ def nothing_solved(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts
 
 
 def _untouched(sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level) -> tuple[Contacts, Skins, np.ndarray]:
-    """Of paths for which no node seemed to be needed. One that ends inside the stimulus tells that some are: a grazing touch."""
+    """Of paths for which no node seemed to be needed. One that ends inside the stimulus shows that some are: a grazing touch."""
     nodes = dome(sensor).nodes
     pose = paths.points[:, -1].astype(float)
     pose[:, [YAW, TILT_X, TILT_X + 1]] = np.radians(pose[:, [YAW, TILT_X, TILT_X + 1]])

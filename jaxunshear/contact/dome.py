@@ -1,7 +1,7 @@
 """The condensed dome of a sensor: computed once (about 10 s), then kept in a cache folder.
 
 A cache file is a checksum and what it is the checksum of: the harmonics of the answer (7 MB), and the settings they belong to.
-Whatever is not as it should be is told and made again; two processes at the same work each put a whole file in place.
+Whatever is not as it should be is reported and made again; two processes at the same work each put a complete file in place.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ _BROKEN = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
 
 
 def dome(sensor: Sensor) -> Compliance:
-    """The compliance of a sensor's contact nodes and pins, from the cache where it is there and whole."""
+    """The compliance of a sensor's contact nodes and pins, from the cache where it is there and complete."""
     return put_together(_cached(sensor, varied=False))
 
 
@@ -93,7 +93,7 @@ def _cached(sensor: Sensor, varied: bool) -> Response:
     part = path.with_name(f"{path.name}.{uuid.uuid4().hex}.part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        part.touch()  # before the work: a folder that cannot be written to is told at once
+        part.touch()  # before the work: a folder that cannot be written to is reported at once
         with Progress(f"dome of {sensor.name}", _harmonics(sensor) + 1, unit="harmonics") as progress:
             made = _compute(sensor, varied, _mesh_mm(sensor), progress)
         part.write_bytes(_packed(made, text))
@@ -103,7 +103,7 @@ def _cached(sensor: Sensor, varied: bool) -> Response:
             f"cannot write the cache file {path}: {error.strerror}; set JAXUNSHEAR_CACHE to a folder with room"
         ) from error
     finally:
-        with contextlib.suppress(OSError):  # the first error is the one worth telling
+        with contextlib.suppress(OSError):  # the first error is the one worth reporting
             part.unlink(missing_ok=True)
     return made
 

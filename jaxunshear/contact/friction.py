@@ -3,13 +3,13 @@
 At every increment the nodal forces f = (t, p) answer: no penetration, no pull, |t| <= mu p, and t opposes the slip of this
 increment. With u = W f and a gap g that is linear in u this is a fixed point f = P(f - (W f + b)), where P cuts p at zero
 and then t to the disk of radius mu p (Alart & Curnier 1991). It is found by ADMM with one precomputed inverse,
-(W + rho I)^-1, over-relaxed: each iteration is one matrix product for the whole batch. W is scaled to a unit mean diagonal.
+(W + rho I)^-1, over-relaxed: each iteration is one matrix product for the entire batch. W is scaled to a unit mean diagonal.
 Without friction the unknowns are p alone.
 
 We stop on a length: ADMM's two residuals, W (x - z), by which the elastic forces x and the admissible ones z move the skin
 differently, and rho (z - z_before), both in mm, against the length of the increment. A residual relative to the forces would
 let small warm-started steps stop without moving; one in the forces themselves would pass over a small pull on every node,
-which moves the skin as a whole by a hundred times more than the same pull on one.
+which moves the entire skin by a hundred times more than the same pull on one.
 
 The level frame is the sensor frame with its tilt undone: there the stimulus' top is the plane z = 0, and P is as above.
 Read `follow_path` first; `solve_increment` is the solver.

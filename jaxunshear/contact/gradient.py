@@ -101,7 +101,7 @@ def pin_model(
 
     Skin and gel are known at the sensor's own ratio, and nearby to first order; or at rising `ratios` and, by cubic Hermite
     interpolation in the logarithm, in between. With `start`, each path goes on from its first point with that skin. `wide`
-    False keeps about half of the nodes, those that usually suffice: faster, but nothing tells where they do not.
+    False keeps about half of the nodes, those that usually suffice: faster, but nothing shows where they do not.
     """
     level = level_named(level)
     check_paths(sensor, len(names), paths)

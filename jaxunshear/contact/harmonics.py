@@ -41,10 +41,10 @@ def spread_forces(rings: int, harmonics: int) -> np.ndarray:
 
 def sixfold(count: int) -> np.ndarray:
     """(6, count) permutations of the ring lattice 1 + 6 + 12 + ...: [k, i] is the node where node i comes to lie when the
-    lattice turns by +60 k degrees. Raises ValueError where `count` nodes are no whole number of rings."""
+    lattice turns by +60 k degrees. Raises ValueError where `count` nodes do not fill complete rings."""
     rings = (1 + np.sqrt(max(4 * count - 1, 1) / 3)) / 2
     if rings != round(rings) or count < 1:
-        raise ValueError(f"{count} nodes are no whole number of rings 1 + 6 + 12 + ...")
+        raise ValueError(f"{count} nodes do not fill complete rings 1 + 6 + 12 + ...")
     turned = [np.zeros((6, 1), int)]
     for k in range(1, round(rings)):
         turned.append(1 + 3 * k * (k - 1) + (np.arange(6 * k) + k * np.arange(6)[:, None]) % (6 * k))

@@ -12,7 +12,7 @@ the systems are built again. The same matrix polishes the force by semismooth Ne
 so that the answer that is differentiated holds to rounding.
 
 At a switch, where a node is about to touch, part, stick or slip, P has a kink and the pins have one-sided derivatives only.
-What comes out then belongs to the side on which the node was found. `switch_distance` tells how far the nearest switch was.
+What comes out then belongs to the side on which the node was found. `switch_distance` says how far the nearest switch was.
 """
 
 from functools import partial

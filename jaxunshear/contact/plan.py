@@ -65,13 +65,13 @@ MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
 WIDE = (1.1, 3.0)  # both, where that was not enough
 # A tap without friction differs from one with it by 0.08 px rms (of 256) at 1 to 1.5 mm of depth and by 0.9 px at 6 mm.
 FRICTIONLESS_TAP_MM = 1.0
-BETWEEN_POSES_MM = 1.5  # along a leg, where that is looked at
-LEAST_LEG_MM = 1e-6  # a shorter motion is none: float32 could not tell it from standing still
+BETWEEN_POSES_MM = 1.5  # along a leg, where contact is checked
+LEAST_LEG_MM = 1e-6  # a shorter motion is none: float32 could not distinguish it from standing still
 # padded sizes, so that few programs are compiled
 NODE_COUNTS = (16, 32, 48, 64, 96, 128, 160, 192, 224, 256, 320, 384, 448, 512, 640, 768, 1024)
 BATCHES = (1, 4, 16, 32, 64, 256)
 LEAST_SPLIT = 24  # scenes in a batch that is worth splitting
-WORTH = 0.9  # of the whole's cost: more parts must save more than this
+WORTH = 0.9  # of the unsplit cost: more parts must save more than this
 PRODUCTS = 16  # of a matrix with the forces, an increment
 ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
@@ -178,7 +178,7 @@ def gaps(
 
 
 def reachable(obstacles: Obstacles, nodes: np.ndarray, centre_mm: float, paths: Paths, wide: bool) -> np.ndarray:
-    """(B, N) bool: the contact nodes (N, 3) that each path can bring into contact; `wide` looks further."""
+    """(B, N) bool: the contact nodes (N, 3) that each path can bring into contact; `wide` searches further."""
     points = paths.points.astype(float).copy()
     points[..., [YAW, TILT_X, TILT_X + 1]] = np.radians(points[..., [YAW, TILT_X, TILT_X + 1]])
     change = np.diff(points, axis=1)
@@ -220,7 +220,7 @@ def make_plan(
 ) -> list[Batch]:
     """Every path in one batch of at most `batch`; nodes (N, 3), sixfold (6, N) as `elasticity.sixfold`.
 
-    The dome looks the same after a turn by 60 deg, so each scene is turned to bring its contact to the side of +x: scenes
+    The dome is the same after a turn by 60 deg, so each scene is turned to bring its contact to the side of +x: scenes
     that touch with half of the dome then need the same half.
     """
     everything = np.ones((len(paths), len(nodes)), bool)
@@ -280,7 +280,7 @@ def _cost(group: _Group, rows: np.ndarray) -> float:
 
 
 def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
-    """Halved along the feature that saves most, and again, as long as the parts together cost less than the whole."""
+    """Halved along the feature that saves most, and again, as long as the parts together cost less than the unsplit batch."""
     fits = len(rows) <= group.batch
     if fits and len(rows) <= LEAST_SPLIT:
         return [rows]

@@ -60,7 +60,7 @@ def check_paths(sensor: Sensor, stimuli: int, paths: Paths) -> None:
 
 
 def check_started(paths: Paths) -> None:
-    """Refuses, where there is no skin to start from, paths that stand still in contact: nothing tells how it came about."""
+    """Refuses, where there is no skin to start from, paths that stand still in contact: nothing says how it came about."""
     still = np.all(np.abs(np.diff(paths.points, axis=1)) < LEAST_LEG_MM, axis=(1, 2))
     held = np.flatnonzero(still & (paths.points[:, 0, DEPTH] > 0))
     if len(held):

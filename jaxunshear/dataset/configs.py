@@ -1,4 +1,4 @@
-"""The stored configurations of both data sets, and how a set made with other settings is told apart. Imports no JAX."""
+"""The stored configurations of both data sets, and how a set made with other settings is distinguished. Imports no JAX."""
 
 import dataclasses
 import hashlib

@@ -1,4 +1,4 @@
-"""What tells recordings from others: digests of their folders. Imports no JAX."""
+"""What distinguishes recordings from others: digests of their folders. Imports no JAX."""
 
 import hashlib
 from pathlib import Path

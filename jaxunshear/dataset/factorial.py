@@ -1,4 +1,4 @@
-"""Slides that several poses share, so that "the pose of this one, after the slide of that one" can be looked up: what a simulator alone can
+"""Slides that several poses share, so that "the pose of this one, after the slide of that one" can be fetched: what a simulator alone can
 give. For sets made with `paired.poses_a_slide` of two or more.
 
 >>> reader = FactorialReader(settings, folder, metadata)

@@ -140,7 +140,7 @@ def read_targets(table: Table, names: Sequence[str]) -> tuple[Targets, list[Prob
 
 
 def table_of(folder: Path) -> Path | None:
-    """The table that tells of the images of a recording."""
+    """The table that describes the images of a recording."""
     files = (folder / name for name in TABLES)
     return next((file for file in files if file.is_file()), None)
 
@@ -214,7 +214,7 @@ def _ids(table: Table, rows: Sequence[Row | None]) -> tuple[np.ndarray, list[Pro
             continue
         number = _number(cell, MOST_POSES)
         if number is None or number < 0 or number % 1:
-            bad.append((row.number, f"pose_id is {_shown(cell)}, no whole number"))
+            bad.append((row.number, f"pose_id is {_shown(cell)}, not an integer"))
         else:
             ids[i] = int(number)
     return ids, _reported(table, bad)

@@ -94,7 +94,7 @@ def spread_over(place: np.ndarray, spacing_px: float, size: int) -> Spread:
 
 
 def warped(images: np.ndarray, motion: np.ndarray, spread: Spread) -> np.ndarray:
-    """Images (N, S, S) uint8 whose pins have moved by `motion` (N, P, 2) px: grey at the edges, which tell parts of a pixel."""
+    """Images (N, S, S) uint8 whose pins have moved by `motion` (N, P, 2) px: grey at the edges, which show fractions of a pixel."""
     rows, columns = np.mgrid[: spread.size, : spread.size].astype(np.float32)
     moved = np.empty_like(images)
     for i, image in enumerate(images):

@@ -29,7 +29,7 @@ from jaxunshear.storage import write_bytes
 
 CHUNK = 250  # frames in a file
 NOTHING = np.zeros((0, 1), np.uint8)
-LEAST_FRAMES = 20  # contacts whose mean tells where pins stand
+LEAST_FRAMES = 20  # contacts whose mean shows where pins stand
 LIKE = "name a folder of contacts of the same sensor and camera by --like"
 LATTICE_FRAMES = 60  # training frames that the untouched pins are found from
 
@@ -61,7 +61,7 @@ def frame_of_recordings(recordings: Recordings, preprocess: Preprocess, sensor: 
     files = recordings.files
     if len(files) < LEAST_FRAMES:
         raise UserError(
-            f"{recordings.path} holds {len(files)} images; the mean over {LEAST_FRAMES} contacts or more tells where pins stand: {LIKE}"
+            f"{recordings.path} holds {len(files)} images; the mean over {LEAST_FRAMES} contacts or more shows where pins stand: {LIKE}"
         )
     view = recordings.common_view()
     if view.box is None:
@@ -99,7 +99,7 @@ def frame_of_files(
             image = prepare_frame(_at(preprocess, size), read_image(files[row]), view)
             found.append(detect(inverse(image) if turned else image))
         except UserError:
-            continue  # told when all frames are read
+            continue  # reported once all frames are read
     lattice = fit_lattice([each.pins for each in found], layout_of(sensor))
     scale = preprocess.size / size
     place = (lattice.place + 0.5) * scale - 0.5
@@ -170,7 +170,7 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
     return {
         "number": number,
         "images": pack(images),
-        "seen": pack(seen[usable & ~sure]) if (usable & ~sure).any() else NOTHING,  # to look at once more
+        "seen": pack(seen[usable & ~sure]) if (usable & ~sure).any() else NOTHING,  # to be tried once more
         "pins": np.where(sure[:, None, None], pins, np.nan),
         "sure": sure,
         "usable": usable,

@@ -75,7 +75,7 @@ class Reader:
     ) -> Callable[[int], Iterator[Batch]]:
         """Endless training batches from any step on; every epoch is shuffled anew.
 
-        `shift` is the largest random shift along each axis as a fraction of the image size, rounded to whole pixels; both
+        `shift` is the largest random shift along each axis as a fraction of the image size, rounded to integer pixels; both
         images of a pair shift alike and their pins with them. A sheared image is paired with a random tap of its pose.
         """
         rows = self._rows("train")
@@ -91,7 +91,7 @@ class Reader:
 
         drawn = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
         order = _shuffled(self.length("train"), batch, seed)
-        # whether nothing of an example is drawn at random: then a batch is read whole
+        # whether nothing of an example is drawn at random: then a batch is read at once
         still = not shift and all(len(each) == 1 for each in siblings)
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
@@ -140,7 +140,7 @@ class SetReader(Reader):
 
 
 def shifted(example: Batch, columns: int, rows: int) -> Batch:
-    """Moves images (S, S, 1) by whole pixels, black flowing in, and pins with them."""
+    """Moves images (S, S, 1) by integer pixels, black flowing in, and pins with them."""
     moved = dict(example)
     for name in example.keys() & set(IMAGES):
         size = len(example[name])

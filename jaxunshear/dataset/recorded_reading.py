@@ -219,7 +219,7 @@ class RecordedSet:
     def _redrawn(self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: Render) -> np.ndarray:
         """(N, S, S) uint8: of each pose (N, 6) the nearest training tap, its pins moved to where the renderer puts them (N, P, 2).
 
-        Real dots and the real housing, which a PoseNet that learnt from taps knows; dots drawn anew look foreign to it.
+        Real dots and the real housing, which a PoseNet that learnt from taps knows; dots drawn anew appear foreign to it.
         """
         taps = self._of("train", False)
         taps = _taken(taps, np.isfinite(taps["pose"]).all(axis=1))

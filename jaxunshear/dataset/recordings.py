@@ -71,7 +71,7 @@ class Recordings:
         return os.fsencode(file.relative_to(root).as_posix()).decode("utf-8", "backslashreplace")
 
     def frames(self, view: View | None = None) -> Iterator[tuple[int, str, np.ndarray]]:
-        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), seen as `view`; what it does not tell, as each folder's have in common.
+        """(row of `poses`, name, image (S, S) uint8 of {0, 255}), seen as `view`; what it does not give, as each folder's have in common.
 
         Raises UserError if not one image can be read.
         """
@@ -105,14 +105,14 @@ class Recordings:
             self.notes.append(problem)
 
     def common_view(self, folder: Path | None = None) -> View:
-        """The crop and the whites that suit up to PROBES frames, of all or of one folder, evenly spaced: a crop that trembled would look
-        like motion. No crop where they differ in size."""
+        """The crop and the whites that suit up to PROBES frames, of all or of one folder, evenly spaced: a crop that trembled would appear
+        as motion. No crop where they differ in size."""
         from jaxunshear.image.preprocess import View, common_view, own_view
 
         files = [file for file in self.files if folder in (None, file.parent)]
         views, sizes = [], set[tuple[int, ...]]()
         for file in files[:: -(-len(files) // PROBES)]:
-            with contextlib.suppress(UserError):  # `frames` will tell
+            with contextlib.suppress(UserError):  # `frames` will report it
                 raw = read_image(file)
                 sizes.add(raw.shape[:2])
                 views.append(own_view(self.preprocess, raw))
@@ -232,7 +232,7 @@ def _images(folder: Path) -> list[Path]:
 
 
 def _check_json(folder: Path, notes: list[str]) -> None:
-    """Nothing in these files is needed to unshear; a broken one is only told of."""
+    """Nothing in these files is needed to unshear; a broken one is only reported."""
     for file in sorted(folder.glob("*.json")):
         try:
             json.loads(file.read_text(encoding="utf-8"))
@@ -242,7 +242,7 @@ def _check_json(folder: Path, notes: list[str]) -> None:
 
 
 def _targets(folder: Path, images: list[Path], notes: list[str]) -> Targets:
-    """What the folder's table tells of its images."""
+    """What the folder's table says of its images."""
     for file in (folder / name for name in TABLES):
         if file.is_file():
             try:

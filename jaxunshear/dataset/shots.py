@@ -89,7 +89,7 @@ def _slides(settings: PairedData, stimulus: str) -> np.ndarray:
 
 
 def _ages(settings: PairedData | PoseData, stimulus: int) -> np.ndarray:
-    """(poses,) in [0, 1]: the stimuli take turns, so that wear tells nothing about the shape."""
+    """(poses,) in [0, 1]: the stimuli take turns, so that wear reveals nothing about the shape."""
     order = np.arange(settings.poses) * len(settings.stimuli) + stimulus
     return order / (settings.poses * len(settings.stimuli) - 1)
 

@@ -19,7 +19,7 @@ def split_of(seed: int, stimulus: str, pose: int) -> int:
 
 
 def splits_of(seed: int, stimulus: str, poses: int) -> np.ndarray:
-    """(poses,) index into SPLITS. 60:20:20 for whole blocks; a last, broken one gives what its poses are."""
+    """(poses,) index into SPLITS. 60:20:20 for full blocks; a last, broken one gives what its poses are."""
     return np.array([split_of(seed, stimulus, pose) for pose in range(poses)], int)
 
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-MOST_TAPS = 2000  # of the training split are looked through, evenly chosen
+MOST_TAPS = 2000  # of the training split are searched, evenly chosen
 REACH = 0.25  # of the image's side: how far a translation may go
 
 
@@ -26,7 +26,7 @@ def training_taps(batches: Iterable[Mapping[str, np.ndarray]]) -> np.ndarray:
 
 
 def baseline_images(taps: Array, tap: Array, sheared: Array) -> dict[str, Array]:
-    """By name of `score.BASELINES`; taps (M, S, S, 1) uint8 of the training split. Only "translated" looks at the tap."""
+    """By name of `score.BASELINES`; taps (M, S, S, 1) uint8 of the training split. Only "translated" uses the tap."""
     known = taps.astype(sheared.dtype) / 255
     return {
         "mean_tap": jnp.broadcast_to(known.mean(0), sheared.shape),
@@ -43,7 +43,7 @@ def nearest(known: Array, images: Array) -> Array:
 
 
 def translated(image: Array, target: Array) -> Array:
-    """`image` (S, S, 1) moved by the whole pixels, at most REACH of its side, that bring it nearest to `target` in mean squared
+    """`image` (S, S, 1) moved by the integer shift, at most REACH of its side, that brings it nearest to `target` in mean squared
     difference; black flows in. No translation can do better: this one knows the answer."""
     size = image.shape[0]
     most = int(REACH * size)

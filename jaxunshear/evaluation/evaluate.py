@@ -229,7 +229,7 @@ def _further(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
 
 
 def _tables(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
-    """All that is told of the scores of one test."""
+    """All that is reported of the scores of one test."""
     labels, ranges = gathered.labels, settings.ranges
     drawn = (labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED)
     poses = numbered_poses(labels["stimulus"], labels["pose_id"])

@@ -32,7 +32,7 @@ class Exchanged(NamedTuple):
 
 
 def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchanged | None:
-    """Of the first group of test poses that is whole; None where poses share no slides, or the network reads images."""
+    """Of the first group of test poses that is complete; None where poses share no slides, or the network reads images."""
     folder = Path(run_dir) / "disentangled"
     net, variables = read_net(folder), load_best(folder)
     reader = open_examples(experiment, "disentangled", data_dir, run_dir).reader

@@ -2,9 +2,9 @@
 
     results = leakage(experiment, Path("runs/demo"), Path("datasets"), command)
 
-A probe learns from codes of training slides and answers for those of test slides; R2 is 1 where it tells all, 0 where nothing. Beside it
+A probe learns from codes of training slides and answers for those of test slides; R2 is 1 where it recovers all, 0 where nothing. Beside it
 stand a ceiling (the same probe on the network's own input), a floor (labels shuffled among training slides) and the codes of an
-untrained network. A slide is told as the sensor feels it, in its own frame.
+untrained network. A slide is given as the sensor feels it, in its own frame.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -121,7 +121,7 @@ def leakage(
 def _slide(
     experiment: Experiment, reader: Reader, seen: str, encode: Encode, batches: Sequence[Batch], data_dir: Path
 ) -> list[dict[str, Any]]:
-    """What both codes together tell of the slide, in mm and deg, and how surely."""
+    """What both codes together say of the slide, in mm and deg, and how surely."""
     learnt, tested = batches
     between = _taken(experiment, reader, "validation", seen, MOST_TESTED)
     codes = [np.concatenate(list(encode(batch[seen]).values()), axis=1) for batch in (learnt, between, tested)]
@@ -213,7 +213,7 @@ def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: 
 
 
 def _reported(experiment: Experiment, batch: Batch, data_dir: Path) -> dict[str, Known]:
-    """What there is to tell of each slide: all of its pose and of its slide that the data vary."""
+    """What there is to report of each slide: all of its pose and of its slide that the data vary."""
     slide = _slides(experiment, batch, data_dir)
     if isinstance(experiment.paired, PairedData):
         pose = [target for name in SIMULATED for target in _varied(name, experiment.paired.ranges)]

@@ -1,6 +1,6 @@
 """Pin error of every kind of image against the true pins of its tap.
 
-A lattice shifted by a whole pitch matches itself again but for its rim, so missed and extra pins belong to the figure,
+A lattice shifted by a full pitch matches itself again but for its rim, so missed and extra pins belong to the figure,
 and `true_slide`, from known identities, says how far the pins of the sheared images really are from the tap's.
 """
 

@@ -1,7 +1,7 @@
-"""Probes: what a linear map and a small network can tell of a quantity from a code, learnt on some contacts, asked on others.
+"""Probes: what a linear map and a small network can recover of a quantity from a code, learnt on some contacts, asked on others.
 
 >>> answers = PROBES["mlp"](codes, wanted, others, groups)    # (N, F), (N, K), (M, F) -> (M, K)
->>> mean, deviation = gaussian(codes, wanted, others, groups)  # the same network, that tells how sure it is: (M, K) each
+>>> mean, deviation = gaussian(codes, wanted, others, groups)  # the same network, that says how sure it is: (M, K) each
 
 Both scale each number of the code by its own spread, so that what is whispered counts as what is shouted.
 """
@@ -79,7 +79,7 @@ def _scaled(codes: np.ndarray, wanted: np.ndarray, others: np.ndarray):
 
 
 def _kept_out(groups: np.ndarray) -> np.ndarray:
-    """(N,) every fifth group, whole."""
+    """(N,) all of every fifth group."""
     return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
 
 

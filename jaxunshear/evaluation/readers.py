@@ -111,7 +111,7 @@ def _read_batch(name: str, reader: PoseReader, outputs: Outputs) -> dict[str, Po
 def read_pins(
     reader: PoseReader, lattice: Lattice, images: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
-    """Errors (N,) by `read/pins/<kind>/<quantity>` of the poses that pins found in images (N, S, S) uint8 tell; NaN of images whose pins
+    """Errors (N,) by `read/pins/<kind>/<quantity>` of the poses that pins found in images (N, S, S) uint8 give; NaN of images whose pins
     are not identified for sure."""
     errors: dict[str, np.ndarray] = {}
     for kind in (kind for kind in READ if kind in images):

@@ -3,7 +3,7 @@
 A small network learns mean and deviation of each quantity from the codes of training slides. Its deviations are then stretched until
 the intervals hold 95 % of the validation slides (split conformal: no distribution is assumed), and are tested on others.
 
-A slide that has slipped cannot be seen whole: where all the skin that touches slips, what was commanded and what is felt are two things.
+A slide that has slipped cannot be seen in full: where all the skin that touches slips, what was commanded and what is felt are two things.
 """
 
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ def slides_read(
     poses: np.ndarray,
     slipped: np.ndarray | None = None,
 ) -> list[dict[str, Any]]:
-    """A row a quantity. `codes` (N, F) and `told` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
+    """A row a quantity. `codes` (N, F) and `reported` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
     test poses; `slipped` (M,) which test slides have, where that is known."""
     names = list(reported[0])
     learnt, calibrating, true = (np.concatenate(list(each.values()), axis=1) for each in reported)

@@ -1,4 +1,4 @@
-"""How long a robot waits for an image: each network that looks at sheared ones, by itself, one image at a time."""
+"""How long a robot waits for an image: each network that takes sheared ones, by itself, one image at a time."""
 
 import time
 from collections.abc import Callable, Sequence

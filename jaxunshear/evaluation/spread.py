@@ -1,6 +1,6 @@
 """How far a mean would move if the test had drawn other contacts: bootstrap intervals.
 
-Slides at one pose share their tap, so they are no independent draws: whole poses are drawn, each with all its slides.
+Slides at one pose share their tap, so they are no independent draws: entire poses are drawn, each with all its slides.
 """
 
 import numpy as np

@@ -84,14 +84,14 @@ def pose_by_size(
     seed: int,
 ) -> dict[str, Any]:
     """What `tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
-    shallow touch tells little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
+    shallow touch shows little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
     parts, nor has a test without poses."""
     felt = {name: score for name, score in scores.items() if name.startswith("pose/")}
     if least == most or not felt:
         return {}
     bounds = np.linspace(least, most, PARTS + 1)
     part, poses = np.digitize(size, bounds[1:-1]), numbered_poses(stimulus, pose_id)
-    digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as tell the parts apart
+    digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as distinguish the parts
     found: dict[str, Any] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
         inside = part == index

@@ -90,7 +90,7 @@ def _prepared(experiment: Experiment, run_dir: Path, contacts: Contacts, setting
 
 
 def table(results: dict[str, Any]) -> str:
-    """What a person wants to know at once: errors of pose by what was looked at, PoseNet's and, where there are others, theirs."""
+    """What a person wants to know at once: errors of pose by what was read, PoseNet's and, where there are others, theirs."""
     names = [target["name"] for target in results["targets"]]
     lines = _errors("error", results["pose_mae"], names)
     recovery = results["pose_recovery"].get("unsheared")

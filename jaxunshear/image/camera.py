@@ -39,12 +39,12 @@ def project(camera: Camera, tips: Array, sensor: Sensor) -> Array:
 
 
 def drift(nuisance: Nuisance, age: Array | float) -> Array:
-    """How far the whole view has moved at `age` (...,) in [0, 1]: (..., 2) px of the frame as (column, row)."""
+    """How far the entire view has moved at `age` (...,) in [0, 1]: (..., 2) px of the frame as (column, row)."""
     return nuisance.drift_px * jnp.asarray(age, jnp.float32)[..., None] * np.asarray(DRIFT_DIRECTION, np.float32)
 
 
 def to_image_px(camera: Camera, preprocess: Preprocess, px_frame: Array) -> Array:
-    """Positions in px of the frame -> px of the preprocessed image (pixel centres lie at whole numbers in both)."""
+    """Positions in px of the frame -> px of the preprocessed image (pixel centres lie at integers in both)."""
     return (px_frame + 0.5) * (preprocess.size / camera.frame_px) - 0.5
 
 
@@ -83,7 +83,7 @@ def frame(
 class _Dots(NamedTuple):
     centre: Array  # (N, 2) px as (column, row)
     radius: Array  # (N,) px
-    weight: Array  # (N,) 1 for a whole dot; two dots that share a pin have about a half each
+    weight: Array  # (N,) 1 for a full dot; two dots that share a pin have about a half each
 
 
 def _softness(nuisance: Nuisance) -> float:

@@ -15,7 +15,7 @@ from jaxunshear.scene.sensor import Sensor, pin_lattice
 BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
 TURN_DEG = 1.5
 ALIKE = 1.1  # how much worse a turn may match and still be the same lattice turned by its own symmetry
-ENOUGH = 0.7  # of a layout's pins: images that show fewer tell nothing of it
+ENOUGH = 0.7  # of a layout's pins: images that show fewer say nothing of it
 MOST = 60  # images, evenly spaced: more do not change the mean
 
 
@@ -25,7 +25,7 @@ class Layout(NamedTuple):
     name: str
     flat: np.ndarray  # (P, 2) about the middle
     shell: np.ndarray  # (P,) 0 in the middle
-    symmetry_deg: float  # turned by this it is the same again, and no image can tell
+    symmetry_deg: float  # turned by this it is the same again, and no image shows which
 
 
 def layout_of(sensor: Sensor) -> Layout:
@@ -53,7 +53,7 @@ def read_layout(file: Path) -> Layout:
     flat = np.array(rows).reshape(-1, 2)
     if len(flat) < 20 or not np.isfinite(flat).all():
         raise UserError(
-            f"--layout {file}: {len(flat)} pins with finite places; at least 20 are needed to tell them apart"
+            f"--layout {file}: {len(flat)} pins with finite places; at least 20 are needed to distinguish them"
         )
     if len(np.unique(flat, axis=0)) < len(flat):
         raise UserError(f"--layout {file}: two pins stand at the same place")
@@ -72,7 +72,7 @@ def _is_number(word: str) -> bool:
 def fit_lattice(frames: list[np.ndarray], layout: Layout) -> Lattice:
     """The lattice that the found pins (N, 2) px of images of one camera share: the mean place of each pin.
 
-    Raises UserError where they do not look like pins of this layout.
+    Raises UserError where they do not appear to be pins of this layout.
     """
     full = [found for found in frames if len(found) >= ENOUGH * len(layout.flat)]
     if not full:

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from jaxunshear.scene.sensor import Sensor
 
-NEIGHBOURS = 18  # pins that tell where another one is
+NEIGHBOURS = 18  # pins that give the place of another one
 DEGREES = (2, 3, 4)  # of the polynomials that a motion is refined by, one after the other
 
 

@@ -20,7 +20,7 @@ BRINKS = 3  # pins deep, at most, that one left out leads to others
 
 
 def measured(lattice: Lattice, track: Track, found: Found) -> Track:
-    """A track whose missing and doubtful pins are looked for in their windows, where there is an image."""
+    """A track whose missing and doubtful pins are searched for in their windows, where there is an image."""
     if found.white is None or track.seen.mean() < 0.6:
         return track
     motion = filled(lattice, track.motion)
@@ -41,9 +41,9 @@ def measured(lattice: Lattice, track: Track, found: Found) -> Track:
 
 
 def _as_found(lattice: Lattice, track: Track, again: np.ndarray, found: Found) -> Track:
-    """A track whose pins that were measured `again` (P,) stand on the whole dots that are near.
+    """A track whose pins that were measured `again` (P,) stand on the complete dots that are near.
 
-    A whole dot's centroid is the better measurement: a window that is smaller than a pin finds white all over, and stays near where the
+    A complete dot's centroid is the better measurement: a window that is smaller than a pin finds white all over, and stays near where the
     neighbours put it. That these expect the pin elsewhere is doubt, and was judged before.
     """
     rows = np.flatnonzero(again & track.seen)

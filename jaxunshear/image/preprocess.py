@@ -120,16 +120,16 @@ def _one_thread() -> AbstractContextManager[object]:
 
 @lru_cache(maxsize=1)
 def _blas() -> ThreadpoolController:
-    return ThreadpoolController()  # looks for libraries: milliseconds
+    return ThreadpoolController()  # searches for libraries: milliseconds
 
 
 def own_view(preprocess: Preprocess, raw: np.ndarray) -> View:
-    """What one frame tells. Raises UserError for one that is not usable."""
+    """What one frame shows. Raises UserError for one that is not usable."""
     return View(_box(preprocess, to_grey(raw)), ((raw.dtype.name, white_of(raw)),))
 
 
 def common_view(views: list[View]) -> View:
-    """Of some frames' own views: the median crop, since one that trembled would look like motion, and the brightest white of each
+    """Of some frames' own views: the median crop, since one that trembled would appear as motion, and the brightest white of each
     type of number, since a contrast that changed would too."""
     boxes = [view.box for view in views if view.box]
     pairs = [pair for view in views for pair in view.whites]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole on the dome's axis that looks at the pins from inside, and a square grey frame.
+    """A pinhole on the dome's axis that sees the pins from inside, and a square grey frame.
 
     `mm_across` is the width, at the height of the undeformed apex pin, that fills the frame. Both lengths are fitted to
     real 331-pin images: the outermost pins stand at 0.375 of the width from the centre, and rings draw closer together
@@ -36,7 +36,7 @@ class Nuisance:
     blur_px: float = 0.6  # standard deviation, frame pixels
     noise: float = 0.02  # standard deviation of each pixel
     brightness: float = 0.15  # largest relative change of the pins' brightness
-    drift_px: float = 0.0  # largest slow shift of the whole view over a set, frame pixels
+    drift_px: float = 0.0  # largest slow shift of the entire view over a set, frame pixels
     drift_brightness: float = 0.0  # relative loss of brightness over a set: wear
 
 

@@ -1,9 +1,9 @@
 """Which pin is which: found pins of a binary image get the identities of the sensor's lattice.
 
-A slide moves pins by more than their spacing, so the nearest lattice point is the wrong one. But the skin is smooth: taken as a whole, the
+A slide moves pins by more than their spacing, so the nearest lattice point is the wrong one. But the skin is smooth: taken together, the
 pins move by a low polynomial of their place, to well below half a spacing. Mean and spread of all found pins give a first affine
 motion; pairs of mutually nearest pins then refine polynomials of rising degree, and last each pin follows its neighbours. What is
-not smooth in the end is taken back there and grown anew from the pins around; what is not smooth then is told as doubt.
+not smooth in the end is taken back there and grown anew from the pins around; what is not smooth then is reported as doubt.
 
 Where pins have left the view, mean and spread mislead. Then the frames that went well help: motions of one sensor differ in two or
 three ways (slides along x and y, and the depth), so a grid over these is laid on the found pins, and the best are refined.
@@ -115,7 +115,7 @@ def follow_pins(lattice: Lattice, seen: Found, usual: Usual | None = None) -> Tr
 
 
 def _ended(lattice: Lattice, seen: Found, tree: cKDTree, which: np.ndarray) -> Track:
-    """From rows (P,) of the found pins: mended, then measured where that leaves doubt."""
+    """From rows (P,) of the found pins: repaired, then measured where that leaves doubt."""
     which = repaired(lattice, seen.pins, tree, which)
     motion = np.where(which[:, None] >= 0, seen.pins[which] - lattice.place, np.nan)
     return measured(lattice, judged(lattice, motion, which, len(seen.pins)), seen)
@@ -165,7 +165,7 @@ def _searched(lattice: Lattice, found: np.ndarray, usual: Usual) -> np.ndarray:
     """The usual motions (TRIED, P, 2) that put the lattice nearest to the found pins.
 
     A pin counts as far off as the nearest found one, half a spacing at most; so does one too many or too few in view. Distances are read
-    off a map at half a pixel, so that the whole grid costs little more than one frame.
+    off a map at half a pixel, so that the entire grid costs little more than one frame.
     """
     low = found.min(axis=0) - 2 * lattice.spacing
     high = found.max(axis=0) + 2 * lattice.spacing

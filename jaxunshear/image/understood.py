@@ -1,6 +1,6 @@
 """Whether an image is one of the sensor that a model was made for: networks answer to noise as readily as to pins.
 
-What a sensor looks like is five numbers, read in the same way off its untouched pins and off an image: how many pins, how far apart, the
+A sensor's appearance is five numbers, read in the same way off its untouched pins and off an image: how many pins, how far apart, the
 radius and the middle of their circle, and how even their neighbourhoods are. None of them changes when the sensor is turned.
 
     expected = expected_of(lattice.place, 128)
@@ -40,7 +40,7 @@ WEIGHT = {"pins": 1.33, "spacing": 0.49, "rim": 1.43, "middle": 1.31, "regular":
 
 @dataclass(frozen=True)
 class Expected:
-    """What a sensor's untouched pins look like in the prepared images."""
+    """How a sensor's untouched pins appear in the prepared images."""
 
     pins: int
     spacing: float  # from a pin to its three nearest, the median; of the image's side
@@ -154,7 +154,7 @@ def score(seen: Seen, expected: Expected) -> float:
 
 
 def verdict(images: np.ndarray, expected: Expected) -> Verdict:
-    """On images (N, S, S) uint8 of {0, 255} of one folder; twenty tell enough. Raises ValueError for none."""
+    """On images (N, S, S) uint8 of {0, 255} of one folder; twenty are enough. Raises ValueError for none."""
     if not len(images):
         raise ValueError("no images to judge")
     seen = [seen_of(image) for image in images]

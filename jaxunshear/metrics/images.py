@@ -47,11 +47,11 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Array:
     before a 2x2 mean. Values and gradients of finite images are finite; where a clamped factor makes the value 0, so is the
     gradient. An image with a NaN scores NaN.
 
-    Raises `ValueError` for shapes that differ, integers, an image too small for `scales`, or scales that are no whole number.
+    Raises `ValueError` for shapes that differ, integers, an image too small for `scales`, or scales that are no integer.
     """
     a, b = _checked(a, b)
     if not isinstance(scales, int | np.integer) or not 1 <= scales <= len(WEIGHTS):
-        raise ValueError(f"scales must be a whole number, 1 to {len(WEIGHTS)}, not {scales}")
+        raise ValueError(f"scales must be an integer, 1 to {len(WEIGHTS)}, not {scales}")
     scales = int(scales)
     size = min(a.shape[1:3])
     if scales > (fit := scales_that_fit(size)):

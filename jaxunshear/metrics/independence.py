@@ -1,4 +1,4 @@
-"""How much one set of numbers tells of another: pure functions of arrays."""
+"""How much one set of numbers says about another: pure functions of arrays."""
 
 import numpy as np
 

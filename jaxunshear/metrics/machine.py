@@ -47,7 +47,7 @@ def _processor() -> str:
 
 
 def _memory_gib() -> int:
-    """0 where the system does not tell."""
+    """0 where the system does not say."""
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30)
     except (ValueError, OSError, AttributeError):

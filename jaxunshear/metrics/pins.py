@@ -1,6 +1,6 @@
 """Pin error: how far the pins seen in an image stand from where they should.
 
-Similarity of images is blind to a grid shifted by a whole pitch; centroids matched one to one are not.
+Similarity of images is blind to a grid shifted by a full pitch; centroids matched one to one are not.
 """
 
 from typing import NamedTuple

@@ -79,7 +79,7 @@ def kernel_gradient(x: Array, dy: Array, k: int, border: int) -> Array:
 
 
 def suits_image(image: Array | jax.ShapeDtypeStruct, w: Array) -> bool:
-    """Whether `gather`, `scatter` and `outer` take an image and a kernel (4, 4, ...), here: of float32, one channel and whole vectors."""
+    """Whether `gather`, `scatter` and `outer` take an image and a kernel (4, 4, ...), here: of float32, one channel and full vectors."""
     square, one = image.shape[1] == image.shape[2] and image.shape[1] % 4 == 0, image.shape[3] == 1
     floats = image.dtype == w.dtype == jnp.float32
     return square and one and floats and w.shape[2] * w.shape[3] % WIDEST == 0 and available()
@@ -100,13 +100,13 @@ def outer(image: Array, blocks: Array) -> Array:
 
 
 def takes(x: Array, *more: Array, source: str) -> bool:
-    """Whether the four passes of `norm.py` take these arrays, here: float32, whole vectors of channels, on a CPU with a compiler."""
+    """Whether the four passes of `norm.py` take these arrays, here: float32, full vectors of channels, on a CPU with a compiler."""
     floats = all(array.dtype == jnp.float32 for array in (x, *more))
     return floats and x.shape[-1] // (4 if source == "blocks" else 1) % WIDEST == 0 and available()
 
 
 def moments(x: Array, *, source: str) -> tuple[Array, Array]:
-    """Of bands of rows, then of the whole: a band stays in the cache for the deviations from its own mean."""
+    """Of bands of rows, then of all: a band stays in the cache for the deviations from its own mean."""
     parts = _call("Moments", _bands(x, source), x, source=source)
     mean = jnp.mean(parts[:, 0], 0)
     return mean, jnp.mean(parts[:, 1] + (parts[:, 0] - mean) ** 2, 0)
@@ -154,7 +154,7 @@ def _call(name: str, shape: tuple[int, ...], *arrays: Array, **attributes: int |
 
 
 def available() -> bool:
-    """Whether JAX is on a CPU and the compiled form is there; the first call of a process looks for it, or makes it."""
+    """Whether JAX is on a CPU and the compiled form is there; the first call of a process searches for it, or makes it."""
     if form() != "compiled":
         return False
     with _once:
@@ -179,8 +179,8 @@ def _load() -> bool:
 
 
 def _library(compiler: list[str]) -> ctypes.CDLL:
-    """For this source, compiler, processor, user and JAX, from the cache folder where it is there and whole."""
-    macros = _run([*compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull])  # tell compiler and processor
+    """For this source, compiler, processor, user and JAX, from the cache folder where it is there and complete."""
+    macros = _run([*compiler, "-march=native", "-dM", "-E", "-x", "c++", os.devnull])  # identify compiler and processor
     reported = "\n".join([*compiler, *FLAGS, jaxlib.__version__, str(getattr(os, "getuid", str)())]).encode()
     key = hashlib.sha256(b"".join(source.read_bytes() for source in SOURCES) + reported + macros).hexdigest()[:16]
     path = cache_folder().absolute() / f"compiled-{key}.so"

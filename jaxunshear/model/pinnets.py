@@ -22,7 +22,7 @@ from jaxunshear.model.parts import check_sheared, holds
 from jaxunshear.model.settings import PinNet, PinPoseNet, PinRenderer, PinUnshear
 
 Variables = dict[str, Any]
-LEAST_VARIANCE = 1e-3  # of a code: one that tells nothing yet is not to agree at any cost
+LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet is not to agree at any cost
 
 
 class Trunk(nn.Module):

@@ -1,10 +1,10 @@
-"""A head that reads the pose off the pose code, in training alone: what it is told of poses, the encoder learns.
+"""A head that reads the pose off the pose code, in training alone: what it is taught of poses, the encoder learns.
 
 >>> params = init((4, 4, 256), 5, jax.random.key(0))
 >>> outputs = predict(params, z_p)                                # (B, 4, 4, 256) -> (B, 5) in [0, 1]
 >>> pose_from_outputs(outputs, targets)["edge_mm"]                 # (B,); outputs are those of PoseNet
 
-Ours, not the paper's. It sees the code as a whole, as PoseNet's two dense layers see their features.
+Ours, not the paper's. It sees the entire code, as PoseNet's two dense layers see their features.
 """
 
 from typing import Any
@@ -19,7 +19,7 @@ HIDDEN = 128  # as many as PoseNet has
 
 
 class Network(nn.Module):
-    """Two dense layers over the whole code, sigmoid outputs. The first is normalised over its units: codes are never negative, and
+    """Two dense layers over the entire code, sigmoid outputs. The first is normalised over its units: codes are never negative, and
     without it steps that lower all units at once, as Muon's are, leave most of them at zero for good."""
 
     outputs: int

@@ -1,4 +1,4 @@
-"""One function for all networks that unshear, and one for all that read poses, told apart by their settings."""
+"""One function for all networks that unshear, and one for all that read poses, distinguished by their settings."""
 
 from typing import Any
 

@@ -50,7 +50,7 @@ def _geometry(results: dict[str, Any], folder: Path) -> str:
     lead = (
         "How far the skin is pressed in, from the pins, against the simulator's own indentation: by the areas of their Voronoi cells, "
         "by how these change, and by the inverse of the dome's compliance or one learnt from taps. Contacts that no network has seen, "
-        "each with a 95 % interval over contacts, of one training. Images whose pins cannot be told for sure are left out and counted."
+        "each with a 95 % interval over contacts, of one training. Images whose pins are not identified for sure are left out and counted."
     )
     return page.section(
         "Contact geometry", lead, page.table(head, rows), _picture(folder / "geometry.png"), _command(results)
@@ -65,7 +65,7 @@ def _walks(results: dict[str, Any], folder: Path) -> str:
         )
 
     lead = (
-        "The sensor follows outlines in the simulator, steered by what each way of perceiving tells it. Walks that closed the outline; "
+        "The sensor follows outlines in the simulator, steered by what each way of perceiving reports. Walks that closed the outline; "
         "below, how far the sensor was from it in mm: mean / 95th percentile / largest."
     )
     ways = {row["way"]: row["perceive_ms"] for row in results["rows"]}
@@ -93,7 +93,7 @@ def _objects(results: dict[str, Any], folder: Path) -> str:
     names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
     pictures = (_picture(folder / f"{name}-{file}.png") for name in names for file, _ in PICTURES.values())
     lines = [row | {"stimulus": f"{row['stimulus']}, {row['object']}"} for row in results["rows"]]
-    return page.section("Whole objects", lead, _by_way(lines, cell), *pictures, _command(results))
+    return page.section("Complete objects", lead, _by_way(lines, cell), *pictures, _command(results))
 
 
 def _stream(results: dict[str, Any], folder: Path) -> str:

@@ -9,7 +9,7 @@ AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
 
 
 def text_of(diagnosis: Diagnosis) -> list[str]:
-    """The whole diagnosis."""
+    """The full diagnosis."""
     parts = diagnosis.parts
     posed = sum(part.posed for part in parts)
     lines = [

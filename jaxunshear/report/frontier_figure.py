@@ -21,7 +21,7 @@ ERRORS = {  # of the disentangled network: metric, label, whether more is better
 }
 COSTS = {"train_seconds": "seconds of training", "ms_per_image": "ms an image"}
 NETWORK = "disentangled"
-TEST = ("paired.", "sensor")  # settings that decide which contacts the test holds, and how their images look
+TEST = ("paired.", "sensor")  # settings that decide which contacts the test holds, and how their images appear
 SIZES = (
     "paired.preprocess.size",
     "paired.camera.frame_px",
@@ -72,7 +72,7 @@ def _test(cell: dict[str, Any]) -> dict[str, str]:
 def points(summary: dict[str, Any], metric: str, cost: str) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
 
-    Milliseconds are those of all cells with the same network in the same precision, since nothing else tells them apart. MS-SSIM of
+    Milliseconds are those of all cells with the same network in the same precision, since nothing else distinguishes them. MS-SSIM of
     other scales than the reference's (other image sizes) is another quantity, and left out.
     """
     found = []

@@ -86,5 +86,5 @@ def _error(value: float | None, quantity: str) -> str:
 def _run_total(results: dict[str, Any]) -> str:
     machine, total = results["machine"], duration(sum(results["time_s"].values()))
     return page.card(
-        "Whole run", "", total, f"sum of its stages; {machine['cores']} cores, {machine['device'].split(':')[0]}"
+        "Entire run", "", total, f"sum of its stages; {machine['cores']} cores, {machine['device'].split(':')[0]}"
     )

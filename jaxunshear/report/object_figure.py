@@ -1,4 +1,4 @@
-"""Whole objects as they were felt: evidence or heights along the walk, and the shape made of it against the true one."""
+"""Complete objects as they were felt: evidence or heights along the walk, and the shape made of it against the true one."""
 
 import io
 

@@ -45,7 +45,7 @@ ABREAST = 5  # cards that fit a row
 
 
 def page(title: str, *body: str) -> str:
-    """A whole document; `title` is plain text, `body` is HTML."""
+    """A complete document; `title` is plain text, `body` is HTML."""
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'

@@ -9,7 +9,7 @@ from jaxunshear.report.page import number
 
 WAYS = {
     "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap "
-    "need be recorded there, and the two poses are equal. How true the drawings are, the errors of pose on partners tell.",
+    "need be recorded there, and the two poses are equal. How true the drawings are, the errors of pose on partners show.",
     "nearest": "A slide's partner is the recorded tap whose pose is nearest, in units of the labels' ranges. In training, a "
     "pair counts the less the further the two poses are apart.",
     "pose_id": "A slide's partner is the tap that was recorded at the same pose, under the same pose_id.",

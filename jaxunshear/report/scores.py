@@ -51,7 +51,7 @@ def apart(results: dict[str, Any], column: str, what: str, digits: int, better: 
         if column not in columns:
             continue
         low, high = results["spread"]["difference"][kind][column]
-        verdict = "not told apart" if low <= 0 <= high else "better" if low * better > 0 else "worse"
+        verdict = "not distinguishable" if low <= 0 <= high else "better" if low * better > 0 else "worse"
         name = words.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
         said.append(f"{name} {columns[column]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}] ({verdict})")
     return (

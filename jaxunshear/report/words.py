@@ -1,4 +1,4 @@
-"""What the page of a run calls things, told from its `results.json`: kinds of contacts, quantities, partners."""
+"""What the page of a run calls things, determined from its `results.json`: kinds of contacts, quantities, partners."""
 
 from html import escape
 from typing import Any
@@ -105,7 +105,7 @@ def heading(name: str) -> str:
 
 
 def digits(results: dict[str, Any], name: str) -> int:
-    """Of an error: a real sensor's pins tell some lengths to a few hundredths of a mm."""
+    """Of an error: a real sensor's pins determine some lengths to a few hundredths of a mm."""
     return 2 if simulated(results) or unit(name) != "mm" else 3
 
 

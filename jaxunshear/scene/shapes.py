@@ -22,7 +22,7 @@ Radius = Callable[
 
 FAR_MM = 125.0  # further than any dome reaches
 AT_CORNER_MM = 1e-4  # nearer than this to a corner, rounding decides where a point lies from it
-STEPS = 8  # of Newton's method: what floats can tell, from starts as coarse as here
+STEPS = 8  # of Newton's method: what floats can resolve, from starts as coarse as here
 STARTS = 13  # along half a petal
 
 

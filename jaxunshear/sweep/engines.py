@@ -30,7 +30,7 @@ def ray_engine(address: str | None, cores: int) -> Engine:
     if importlib.util.find_spec("ray") is None:
         raise UserError("--engine ray needs Ray: pip install -c constraints.txt '.[ray]'")
     host, colon, port = (address or "").removeprefix("ray://").rpartition(":")
-    if colon:  # else None, or "auto": Ray looks for a cluster on this machine
+    if colon:  # else None, or "auto": Ray searches for a cluster on this machine
         try:
             socket.create_connection((host, int(port)), timeout=10).close()  # Ray itself would try for minutes
         except (OSError, ValueError) as error:

@@ -1,4 +1,4 @@
-"""A whole sweep: data sets, rows, summary. Whatever is there already is kept, so the same command continues. No JAX here:
+"""A full sweep: data sets, rows, summary. Whatever is there already is kept, so the same command continues. No JAX here:
 the rows' own processes need the device."""
 
 import itertools
@@ -58,7 +58,7 @@ def run_sweep(
         if picture:
             write_bytes(folder / "sweep.png", picture)
         else:
-            (folder / "sweep.png").unlink(missing_ok=True)  # an earlier one tells of other rows
+            (folder / "sweep.png").unlink(missing_ok=True)  # an earlier one shows other rows
         write_json(folder / "sweep.json", summary)
     return summary
 

@@ -79,7 +79,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     try:
         return tuple(int(part) for part in text.split(","))
     except ValueError:
-        raise UserError(f"--seeds takes whole numbers separated by commas, not '{text}'") from None
+        raise UserError(f"--seeds takes integers separated by commas, not '{text}'") from None
 
 
 def base_of(sweep: Sweep) -> Experiment:
@@ -156,7 +156,7 @@ def _rules(sweep: Sweep) -> Iterator[tuple[bool, str, str]]:
         and len(seeds) > 0
         and all(isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed <= LARGEST_SEED for seed in seeds),
         "seeds",
-        f"(or --seeds) is no tuple of whole numbers from 0 to {LARGEST_SEED}",
+        f"(or --seeds) is no tuple of integers from 0 to {LARGEST_SEED}",
     )
     yield len(set(seeds)) == len(seeds), "seeds", "(or --seeds) lists a seed twice"
     yield isinstance(sweep.ablation, bool), "ablation", "is neither True nor False"

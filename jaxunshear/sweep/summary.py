@@ -14,7 +14,7 @@ from jaxunshear.sweep.rows import Cell, axis_values, name_of
 from jaxunshear.sweep.settings import Sweep, base_of, names_of
 
 TABLES = ("pin_error", "half_width", "coverage")  # of a run's results: figures that are no means over contacts
-# of the paired data: names, how contacts look, what is made of recorded ones
+# of the paired data: names, how contacts appear, what is made of recorded ones
 NOT_CONTACTS = (
     "config",
     "camera",

@@ -127,7 +127,7 @@ def _started(task: dict[str, Any], folder: Path) -> Experiment:
 
 
 def _reuse(source: Path, target: Path) -> None:
-    """A copy of the finished training `source` as `target`, whole or not at all."""
+    """A copy of the finished training `source` as `target`, complete or not at all."""
     if (target / "summary.json").exists():
         return
     if not (source / "summary.json").exists():

@@ -101,7 +101,7 @@ def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
 
 
 def renamed(batch: dict[str, Any]) -> dict[str, Any]:
-    """Trainings that read poses name whatever they look at "image", or "pins"."""
+    """Trainings that read poses name their input "image", or "pins"."""
     if "canonical" in batch or "canonical_pins" in batch:
         return batch
     return {{"sheared": "image", "sheared_pins": "pins"}.get(name, name): x for name, x in batch.items()}

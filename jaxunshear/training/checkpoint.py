@@ -8,7 +8,7 @@ FOLDER/summary.json                once the training has come to its end
 
 FOLDER/weights.npz                 of a released model, in the place of checkpoints: the arrays that using it takes, and their digest
 
-A checkpoint is written under another name and then renamed, so a killed run leaves whole ones only. The latest and the
+A checkpoint is written under another name and then renamed, so a killed run leaves complete ones only. The latest and the
 best are kept.
 """
 
@@ -105,7 +105,7 @@ def holds_model(folder: Path) -> bool:
 
 
 def check_finished(folder: Path) -> None:
-    """Raises UserError where the training in `folder` was begun and has not come to its end, or says so in a damaged file;
+    """Raises UserError where the training in `folder` was started and has not come to its end, or says so in a damaged file;
     released weights have come to it."""
     folder = Path(folder)
     if (folder / MODEL).exists() and not any((folder / name).exists() for name in (SUMMARY, WEIGHTS)):
@@ -207,7 +207,7 @@ def read_targets(folder: Path) -> Targets:
     stored = storage.read_json(path)
     if "targets" not in stored and stored.get("kind") != "posenet":
         return ()
-    return from_json(stored.get("targets"), str(path))  # a PoseNet that tells none was trained by an earlier version
+    return from_json(stored.get("targets"), str(path))  # a PoseNet that gives none was trained by an earlier version
 
 
 def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:

@@ -3,7 +3,7 @@
 draw = drawing_of(rest, share)       # rest (P, 2) px
 batch = draw(batch, key)             # {"pins"}, or {"canonical_pins", "sheared_pins"} (B, P, 2) px, and {"edge"}
 
-The dome is the same all round, so a whole batch is turned about its axis by one angle, the edge's direction with it. How far a slide
+The dome is the same all round, so an entire batch is turned about its axis by one angle, the edge's direction with it. How far a slide
 drags the pins is drawn for each contact: friction and stiffness of an unknown skin. So is how the sensor stands before its camera;
 canonical pins keep their places, so that unshearing takes these away as well.
 """

@@ -1,6 +1,6 @@
 """A training stops where its numbers are no longer finite: nothing learnt after that is worth keeping.
 
-Terms are looked at after every step, the state before it is kept: a step's terms come from before its update, so weights that
+Terms are inspected after every step, the state before it is kept: a step's terms come from before its update, so weights that
 have just been thrown away do not show in them.
 """
 
@@ -56,7 +56,7 @@ def _inspected(batch: Batch) -> tuple[str, str]:
             more = ", ..." if len(rows) > NAMED else ""
             wrong.append(f"{name} of examples {', '.join(map(str, rows[:NAMED]))}{more}")
     if wrong:
-        return f"with NaN or infinity in {'; '.join(wrong)}", "mend the data, then run the same command"
+        return f"with NaN or infinity in {'; '.join(wrong)}", "fix the data, then run the same command"
     least, most = min(array.min() for array in arrays.values()), max(array.max() for array in arrays.values())
     hint = "if these are as they should be, lower learning_rate (in another folder)"
     return f"whose numbers are {least:g} to {most:g}", hint

@@ -1,4 +1,4 @@
-"""What weights may know of a test: told by the origins of their data alone, before anything is simulated or trained. Imports no JAX.
+"""What weights may know of a test: determined by the origins of their data alone, before anything is simulated or trained. Imports no JAX.
 
 An origin is the description of a set as it stands in model.json: {"set": ..., "version": ..., "settings": {...}}.
 """
@@ -33,7 +33,7 @@ def known(origin: Origin, exam: Exam) -> str:
     """Why weights that learnt from `origin` may know contacts that are tested, and what to do; empty where they cannot.
 
     Other seeds draw other poses. Sets of one seed share their poses: since data version 3 also their splits. Recordings are the same
-    where a folder's digest is; of other folders nothing can be told, and they are taken for others.
+    where a folder's digest is; of other folders nothing can be determined, and they are taken for others.
     """
     if isinstance(exam.settings, Recorded):
         return _recorded(origin, exam.settings, exam.entire) if origin["set"] == RECORDED_SET else ""

@@ -148,7 +148,7 @@ def train(
             began = time.perf_counter()
 
     if math.isinf(best_loss):
-        hint = "look for broken data in the validation split, or lower learning_rate, and train in another folder"
+        hint = "check for broken data in the validation split, or lower learning_rate, and train in another folder"
         raise UserError(f"training {folder}: its validation loss ({task.rank}) was never finite; {hint}")
     summary = Summary(
         kind=task.kind,

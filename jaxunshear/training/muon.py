@@ -1,6 +1,6 @@
 """Muon (Jordan et al. 2024): momentum whose singular values are all brought near one, as an optax transformation.
 
-Adam scales every weight alone; Muon turns the whole update of a kernel towards an orthogonal matrix, so that what has a
+Adam scales every weight alone; Muon turns the entire update of a kernel towards an orthogonal matrix, so that what has a
 weak gradient is learnt as fast as what has a strong one.
 
 The momentum is Jordan's; `optax.contrib.muon` corrects it for its start, which turns the second update by 8 %, the thirtieth by less

@@ -58,7 +58,7 @@ def _split_rule(origin: dict[str, Any]) -> dict[str, Any]:
 
 
 def origins_of(folder: Path) -> list[dict[str, Any]]:
-    """Of all that the weights in `folder` have learnt from, their own set first. Raises UserError where they do not tell."""
+    """Of all that the weights in `folder` have learnt from, their own set first. Raises UserError where they do not say."""
     model = read_json(folder / "model.json")
     if isinstance(model, dict) and model.get("origin") and "taken_over" in model:
         return [model["origin"], *model["taken_over"]]
@@ -71,7 +71,7 @@ def _earlier_origins(folder: Path, model: dict[str, Any]) -> list[dict[str, Any]
     own = model.get("origin")
     started = "start" in model if own else any(experiment.get(name, {}).get("start") for name in TRAININGS)
     if started:
-        raise UserError(f"{folder} began from weights whose data it does not tell: use weights that were trained anew")
+        raise UserError(f"{folder} began from weights whose data it does not name: use weights that were trained anew")
     version = (own or {}).get("version", "before 3.0.0")
     origins = [own] if own else []
     for name, kind in (("paired", PAIRED_SET), ("pose", POSE_SET)):
@@ -82,7 +82,7 @@ def _earlier_origins(folder: Path, model: dict[str, Any]) -> list[dict[str, Any]
             made = RECORDED_VERSION if recorded else version
             origins.append({"set": set_, "version": made, "settings": settings})
     if not origins:
-        raise UserError(f"{folder} does not tell what it learnt from: use weights with an experiment.json beside them")
+        raise UserError(f"{folder} does not say what it learnt from: use weights with an experiment.json beside them")
     return origins
 
 

@@ -52,5 +52,5 @@ def exchanged(training: Training) -> bool:
 
 
 def labelled(training: Training) -> bool:
-    """Whether a network that unshears is told true poses."""
+    """Whether a network that unshears is given true poses."""
     return training.label_weight > 0 or (training.pose_weight > 0 and training.pose_target == "label")

@@ -4,7 +4,7 @@ turns = turns_of(rest, sense)                         # rest (P, 2) px
 pins = turned(turns, k, pins)                         # (B, P, 2) px, turned by the k-th angle
 outputs = turned_outputs(turns, k, outputs, targets)  # the pose that goes with it
 
-A dome is nearly the same all round, its camera and its housing are not. So the network is told by how much an example was turned, and
+A dome is nearly the same all round, its camera and its housing are not. So the network is given how far each example was turned, and
 what it reads off pins as they are is corrected by examples as they are.
 """
 
@@ -25,7 +25,7 @@ TWIST = "Rz_deg"  # the angle about the sensor's axis
 ANGLES = 24  # a circle, in steps of 15 deg
 AROUND = 40  # pins that the motion between them is interpolated from
 TRIED = 200  # taps that are turned to find the sense
-ALIKE = 0.75  # of their own motion: how far turned taps may be from recorded ones, and still look like them
+ALIKE = 0.75  # of their own motion: how far turned taps may be from recorded ones, and still resemble them
 
 
 class Turns(NamedTuple):
@@ -75,7 +75,7 @@ def sense_of(rest: np.ndarray, pins: np.ndarray, poses: np.ndarray, targets: Tar
     """Whether the twist grows (1) or falls (-1) as the pins (N, P, 2) px turn with their labels (N, 6), from x towards y of the image.
 
     Taps are turned both ways and compared with those recorded nearest to where they should be. Raises UserError where the twist is no
-    target over the full circle, and where neither looks like what was recorded: then what is touched does not turn with its label.
+    target over the full circle, and where neither resembles what was recorded: then what is touched does not turn with its label.
     """
     if not any(target.name == TWIST and target.circle for target in targets):
         raise UserError(f"pins.turned: asks for {TWIST} over the full circle among the targets: leave it at 0")
@@ -95,7 +95,7 @@ def sense_of(rest: np.ndarray, pins: np.ndarray, poses: np.ndarray, targets: Tar
     sense = min(apart, key=apart.__getitem__)
     if not apart[sense] < ALIKE:
         raise UserError(
-            f"pins.turned: turned touches do not look like recorded ones (they differ by {apart[sense]:.2f} of their motion): "
+            f"pins.turned: turned touches do not resemble recorded ones (they differ by {apart[sense]:.2f} of their motion): "
             "leave it at 0"
         )
     return sense

@@ -124,7 +124,7 @@ def test_ways_that_ask_for_a_head_are_there_where_one_is(model, tmp_path):
 def test_a_head_that_gives_no_targets_and_an_edge_that_is_none_are_refused(model, tmp_path):
     variables = checkpoint.load_best(model / "disentangled")
     kept(tmp_path / "older" / "disentangled", "unshear", NET, variables, ())
-    with pytest.raises(UserError, match="disentangled does not tell what its head reads"):
+    with pytest.raises(UserError, match="disentangled does not state what its head reads"):
         load_forward(tmp_path / "older", "code")
     kept(tmp_path / "other" / "disentangled", "unshear", NET, variables, of_ranges(("x_mm", "yaw_deg"), Ranges()))
     with pytest.raises(UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"):

@@ -6,9 +6,9 @@ import pytest
 from jaxunshear.calibration.ceiling import explained_by_labels
 from jaxunshear.calibration.labels import motions
 from jaxunshear.calibration.prediction import Values, interpolation, place_of, probe, skin_to_gel
+from jaxunshear.calibration.validate_figure import validate_figure
 from jaxunshear.calibration.validation import Compared, centred, mm_per_px, places, r2, rows_of, settled, stand
 from jaxunshear.image.lattice import shells
-from jaxunshear.report.validate_figure import validate_figure
 from jaxunshear.scene.sensor import TACTIP_331_FITTED, pin_lattice, pin_tips
 
 SENSOR = TACTIP_331_FITTED

@@ -86,5 +86,5 @@ def test_sixfold_turns_the_lattice():
         np.testing.assert_allclose(np.exp(1j * apart), 1, atol=1e-12)
         np.testing.assert_array_equal(np.sort(image), np.arange(37))
     for count in (0, 2, 8, 36):
-        with pytest.raises(ValueError, match="no whole number of rings"):
+        with pytest.raises(ValueError, match="do not fill complete rings"):
             sixfold(count)

@@ -62,7 +62,7 @@ def replaced(row, by):
         ([*LINES, LINES[2]], 5, "image_2.png has the same row already, 3", []),
         ([*LINES, line("image_9.png")], 5, "there is no image 'image_9.png' in this folder", []),
         ([LINES[0], "", *LINES[1:], line("b"), line("a")], 6, "no image 'b' in this folder (2 such rows)", []),
-        (replaced(3, line(NAMES[1], "x")), 3, "pose_id is 'x', no whole number", []),
+        (replaced(3, line(NAMES[1], "x")), 3, "pose_id is 'x', not an integer", []),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )

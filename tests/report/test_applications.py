@@ -49,7 +49,7 @@ def put(folder, name, results):
 def test_what_was_run_is_shown_and_nothing_else(run, picture):
     assert applications.sections(run) == []
     page = write_report(run).read_text()
-    assert "Contact geometry" not in page and "Whole objects" not in page
+    assert "Contact geometry" not in page and "Complete objects" not in page
     put(
         run / "geometry",
         "geometry",

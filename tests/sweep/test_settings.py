@@ -35,8 +35,8 @@ BAD = [
     ({"rows": ((("seed", 1),),)}, "sweep.rows varies seed: list the seeds"),
     ({"rows": ((("train.bach", 4),),)}, "did you mean --train.batch"),
     ({"seeds": ()}, "sweep.seeds (or --seeds) is no tuple"),
-    ({"seeds": (0, -1)}, "whole numbers from 0"),
-    ({"seeds": (0, True)}, "whole numbers from 0"),
+    ({"seeds": (0, -1)}, "integers from 0"),
+    ({"seeds": (0, True)}, "integers from 0"),
     ({"seeds": (2, 2)}, "lists a seed twice"),
     ({"networks": ("resnet",)}, "network resnet is unknown"),
     ({"networks": ()}, "name at least one"),
@@ -71,7 +71,7 @@ def test_a_field_within_a_varied_group_cannot_be_overridden():
 
 BAD_CELLS = [
     ({"grid": (("train.batch", (4, 0)),)}, "cell batch=0: --train.batch 0: must be at least 1"),
-    ({"grid": (("train.batch", (4, "many")),)}, "cell batch=many: --train.batch takes a whole number"),
+    ({"grid": (("train.batch", (4, "many")),)}, "cell batch=many: --train.batch takes an integer"),
     ({"rows": ((("train.l1", -1.0),),)}, "cell l1=-1.0: --train.l1 -1.0"),
     ({"ablation": True, "networks": ("posenet",)}, "needs the network 'disentangled'"),
     ({"grid": (("train.batch", (4, 8)),), "reference": "batch=5"}, "use one of 'batch=4'; 'batch=8'"),

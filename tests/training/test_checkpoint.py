@@ -130,7 +130,7 @@ def test_a_posenet_gives_its_targets_and_others_may(tmp_path):
     assert checkpoint.read_targets(tmp_path / "told" / "posenet") == targets
     assert checkpoint.read_targets(tmp_path / "told" / "unshear") == targets
     assert checkpoint.read_targets(tmp_path / "older" / "unshear") == ()
-    with pytest.raises(UserError, match=r"older.posenet.model\.json tells no pose targets .*: train again"):
+    with pytest.raises(UserError, match=r"older.posenet.model\.json states no pose targets .*: train again"):
         checkpoint.read_targets(tmp_path / "older" / "posenet")
 
 

@@ -34,7 +34,7 @@ def test_the_terms_are_named_and_the_gradient_only_where_it_is_alone(tmp_path, v
 
 def test_a_sound_batch_points_to_the_learning_rate(tmp_path):
     said = line(tmp_path, {"patch": jnp.asarray(np.nan)})
-    assert "whose numbers are -3.5 to 255;" in said and "lower learning_rate" in said and "mend" not in said
+    assert "whose numbers are -3.5 to 255;" in said and "lower learning_rate" in said and "fix the data" not in said
 
 
 def test_broken_examples_are_named_and_many_are_cut_short(tmp_path):
@@ -43,7 +43,7 @@ def test_broken_examples_are_named_and_many_are_cut_short(tmp_path):
     batch["pose"][:, 3] = np.inf
     said = line(tmp_path, {"patch": jnp.asarray(np.nan)}, batch)
     assert "in image of examples 2, 9; pose of examples 0, 1, 2, 3, 4, 5, 6, 7, ...;" in said
-    assert "mend the data" in said and "learning_rate" not in said
+    assert "fix the data" in said and "learning_rate" not in said
 
 
 def test_what_is_kept_is_said(tmp_path):

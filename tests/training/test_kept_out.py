@@ -122,7 +122,7 @@ def test_recordings_split_anew_are_refused_and_a_run_s_own_helpers_add_nothing(t
 def test_weights_of_earlier_versions_count_with_all_that_they_may_have_seen(tmp_path):
     folder = tmp_path / "posenet"
     write_json(folder / "model.json", {"kind": "posenet"})
-    with pytest.raises(UserError, match="does not tell what it learnt from"):
+    with pytest.raises(UserError, match="does not say what it learnt from"):
         origins_of(folder)
     write_json(tmp_path / "experiment.json", to_json(SIMULATED))
     assert [each["settings"]["seed"] for each in origins_of(folder)] == [0, 1]
@@ -134,7 +134,7 @@ def test_weights_of_earlier_versions_count_with_all_that_they_may_have_seen(tmp_
         check_kept_out(folder, [Exam(replace(RECORDED.paired, digest="bb"), entire=True)])
     started = replace(SIMULATED, train=replace(SIMULATED.train, start="somewhere"))
     write_json(tmp_path / "experiment.json", to_json(started))
-    with pytest.raises(UserError, match="began from weights whose data it does not tell"):
+    with pytest.raises(UserError, match="began from weights whose data it does not name"):
         origins_of(folder)
 
 

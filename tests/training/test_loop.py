@@ -175,7 +175,7 @@ def test_the_line_names_the_batch_and_its_broken_examples(tmp_path):
         unshear(tmp_path, broken_from(6))
     line = str(stop.value)
     assert "of batch 6 (batches(6) begins with it again) with NaN or infinity in canonical of examples 0;" in line
-    assert "mend the data" in line and "learning_rate" not in line and "\n" not in line
+    assert "fix the data" in line and "learning_rate" not in line and "\n" not in line
     assert (
         np.isnan(next(broken_from(6)(6))["canonical"][0, 3, 3])
         and not np.isnan(next(broken_from(6)(5))["canonical"]).any()

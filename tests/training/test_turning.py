@@ -95,7 +95,7 @@ def test_the_sense_is_found_in_the_recordings(sense):
 
 def test_touches_that_do_not_turn_with_their_label_are_refused():
     pins, poses = contacts(600, 1)
-    with pytest.raises(UserError, match="turned touches do not look like recorded ones"):
+    with pytest.raises(UserError, match="turned touches do not resemble recorded ones"):
         sense_of(REST, pins[RNG.permutation(600)], poses, of_labels((), poses))
     with pytest.raises(UserError, match="asks for Rz_deg over the full circle"):
         sense_of(REST, pins, poses, of_labels(("y_mm", "Rz_deg:range"), poses))

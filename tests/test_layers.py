@@ -1,0 +1,70 @@
+"""What imports what: a step of the data's way imports the steps before it, and no two files import each other."""
+
+import ast
+from graphlib import TopologicalSorter
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+STEPS = (
+    "scene",
+    "contact",
+    "image",
+    "dataset",
+    "calibration",
+    "model",
+    "training",
+    "evaluation",
+    "applications",
+    "report",
+    "sweep",
+)
+FILES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for folder in ("jaxunshear", "data_specs")
+    for path in (ROOT / folder).rglob("*.py")
+}
+
+
+def imported(module: str) -> set[str]:
+    """Files of ours that a file imports, at its top or later."""
+    found = set()
+    for node in ast.walk(ast.parse(FILES[module].read_text())):
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names = {f"{node.module}.{name.name}" for name in node.names}
+            found |= {name if name in FILES else node.module for name in names}
+    return found & FILES.keys()
+
+
+def step_of(module: str) -> int | None:
+    parts = module.split(".")
+    return STEPS.index(parts[1]) if len(parts) > 1 and parts[1] in STEPS else None
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_no_step_imports_a_later_one(step):
+    mine = [module for module in FILES if step_of(module) == STEPS.index(step)]
+    assert len(mine) > 1
+    later = {(a, b) for a in mine for b in imported(a) if (step_of(b) or 0) > STEPS.index(step)}
+    assert not later
+
+
+def test_no_two_files_import_each_other():
+    """Raises CycleError, which names them."""
+    order = list(TopologicalSorter({module: imported(module) for module in FILES}).static_order())
+    assert order.index("jaxunshear.errors") < order.index("jaxunshear.cli") and len(order) == len(FILES)
+
+
+def test_settings_import_no_jax():
+    """They are read before anything is computed, and by processes that compute nothing."""
+    seen, left = set(), ["jaxunshear.config", "jaxunshear.dataset.configs"]
+    while left:
+        module = left.pop()
+        seen.add(module)
+        left += imported(module) - seen
+        text = FILES[module].read_text()
+        assert "\nimport jax" not in text and "\nfrom jax " not in text and "flax" not in text, module
+    assert {"jaxunshear.experiment", "jaxunshear.limits", "jaxunshear.scene.sensor"} <= seen
