@@ -71,7 +71,7 @@ def demo() -> str:
     return "\n".join(lines)
 
 
-LOOKS = {
+SHOWN = {
     "tap": "tap",
     "sheared": "sheared",
     "translated": "sheared, best translation",
@@ -87,16 +87,16 @@ QUANTITIES = (("x_mm", 2), ("yaw_deg", 1), ("edge_mm", 2), ("edge_deg", 1))
 
 
 def standard() -> str:
-    """Likeness, pins and errors of the standard experiment by what is looked at."""
+    """Likeness, pins and errors of the standard experiment by what is read."""
     metrics = _cells("standard")[0]["metrics"]
     lines = [
         "| | MS-SSIM@4 | pins, px rms | x, mm | yaw, deg | edge distance, mm | edge angle, deg |",
         "|---|---|---|---|---|---|---|",
     ]
-    for look, shown in LOOKS.items():
-        likeness = _cell(metrics[f"ms_ssim/{look}"], 3) if f"ms_ssim/{look}" in metrics else ""
-        pins = metrics.get(f"pin_error/{look}/rms_px") if look != "sheared" else None
-        cells = [_cell(metrics[f"pose/{look}/{name}"], digits) for name, digits in QUANTITIES]
+    for way, shown in SHOWN.items():
+        likeness = _cell(metrics[f"ms_ssim/{way}"], 3) if f"ms_ssim/{way}" in metrics else ""
+        pins = metrics.get(f"pin_error/{way}/rms_px") if way != "sheared" else None
+        cells = [_cell(metrics[f"pose/{way}/{name}"], digits) for name, digits in QUANTITIES]
         lines.append(_line(shown, [likeness, f"{pins['mean']:.3f}" if pins else "", *cells]))
     return "\n".join(lines)
 
@@ -105,8 +105,8 @@ def recoveries() -> str:
     """The share of what a slide adds to an error that is gone again, by reader and network."""
     metrics = _cells("standard")[0]["metrics"]
     lines = ["| recovery | x | yaw | edge distance | edge angle |", "|---|---|---|---|---|"]
-    for look in ("entangled", "entangled_large", "unet", "disentangled", "sheared_learnt"):
-        lines.append(_line(LOOKS[look], [_cell(metrics[f"pose_recovery/{look}/{name}"], 2) for name, _ in QUANTITIES]))
+    for way in ("entangled", "entangled_large", "unet", "disentangled", "sheared_learnt"):
+        lines.append(_line(SHOWN[way], [_cell(metrics[f"pose_recovery/{way}/{name}"], 2) for name, _ in QUANTITIES]))
     return "\n".join(lines)
 
 
@@ -114,9 +114,9 @@ def other_readers() -> str:
     """Errors of the reader that is no neural network, in the standard experiment."""
     metrics = _cells("standard")[0]["metrics"]
     lines = ["| `pixels` reads | x, mm | yaw, deg | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
-    for look in ("tap", "sheared", "entangled", "entangled_large", "unet", "disentangled"):
-        cells = [_cell(metrics[f"read/pixels/{look}/{name}"], digits) for name, digits in QUANTITIES]
-        lines.append(_line(LOOKS[look], cells))
+    for way in ("tap", "sheared", "entangled", "entangled_large", "unet", "disentangled"):
+        cells = [_cell(metrics[f"read/pixels/{way}/{name}"], digits) for name, digits in QUANTITIES]
+        lines.append(_line(SHOWN[way], cells))
     return "\n".join(lines)
 
 
@@ -514,8 +514,8 @@ def _other_slides(name: str, tests: dict[str, str]) -> str:
             ratios = [
                 [found[key]["per_seed"][seed] / one for seed, one in first[key]["per_seed"].items()] for key in found
             ]
-            shown = [_of_values(each, 2) if kind == "disentangled" else "" for each in ratios]
-            lines.append(_line(f"{slides} | {shown}", [pins, *(_cell(found[k], d) for k, d in QUANTITIES[2:]), *shown]))
+            over = [_of_values(each, 2) if kind == "disentangled" else "" for each in ratios]
+            lines.append(_line(f"{slides} | {shown}", [pins, *(_cell(found[k], d) for k, d in QUANTITIES[2:]), *over]))
     return "\n".join(lines)
 
 

@@ -125,7 +125,7 @@ def _trained(x, y, x_out, y_out, others, gaussian):
         updates, opt_state = optimiser.update(jax.grad(loss)(params, rows), opt_state, params)
         return (optax.apply_updates(params, updates), opt_state), None
 
-    def look(carry, keys):
+    def check(carry, keys):
         state, best, chosen = carry
         state, _ = jax.lax.scan(step, state, keys)
         off = error(state[0], x_out, y_out)
@@ -134,5 +134,5 @@ def _trained(x, y, x_out, y_out, others, gaussian):
 
     keys = jax.random.split(jax.random.fold_in(key, 1), (CHECKS, STEPS // CHECKS))
     carry = ((params, optimiser.init(params)), error(params, x_out, y_out), params)
-    (_, _, chosen), _ = jax.lax.scan(look, carry, keys)
+    (_, _, chosen), _ = jax.lax.scan(check, carry, keys)
     return says(chosen, others)
