@@ -16,7 +16,7 @@ SEED = 0
 OVER = "training seeds and test poses"  # what the intervals of several seeds are over
 
 
-def reported(seeds: int) -> dict[str, Any]:
+def spread_of(seeds: int) -> dict[str, Any]:
     """Of sweep.json: what its intervals are."""
     slides = "each drawn pose with all its slides"
     drawn = (

@@ -9,7 +9,7 @@ from jaxunshear.config import show, to_json
 from jaxunshear.evaluation import spread
 from jaxunshear.experiment import recorded_of
 from jaxunshear.report.frontier_figure import efficient
-from jaxunshear.sweep.bootstrap import interval, reported, resampled
+from jaxunshear.sweep.bootstrap import interval, resampled, spread_of
 from jaxunshear.sweep.rows import Cell, axis_values, name_of
 from jaxunshear.sweep.settings import Sweep, base_of, names_of
 
@@ -60,7 +60,7 @@ def summarise(
         ],
         "seeds": sweep.seeds,
         "networks": list(dict.fromkeys(network for cell in cells for network in cell.experiment.networks)),
-        "spread": reported(len(sweep.seeds)),
+        "spread": spread_of(len(sweep.seeds)),
         "reference": reference,
         "cells": [_cell(cell, sweep, measured, done, reference) for cell in cells],
         "base": to_json(base_of(sweep)),
