@@ -318,4 +318,4 @@ def test_help_lists_every_field(command):
 
 
 def test_every_stage_of_a_command_is_one_of_run():
-    assert {stage for stages in cli.STAGES.values() for stage in stages} == set(cli.STAGES["run"])
+    assert {stage for stages in cli.stages.STAGES.values() for stage in stages} == set(cli.stages.STAGES["run"])

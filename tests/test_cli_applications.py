@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import cli_applications
 from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.geometry_ways import WAYS
+from jaxunshear.cli import options
 from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.experiment import Experiment
 from jaxunshear.image.settings import Preprocess
@@ -50,7 +50,7 @@ def model(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    monkeypatch.setattr(cli_applications, "KNOWN", 12)
+    monkeypatch.setattr(options, "KNOWN", 12)
 
 
 @pytest.mark.parametrize(

@@ -4,17 +4,16 @@ import json
 
 import pytest
 
-from jaxunshear import cli_checks
-from jaxunshear.cli import main
+from jaxunshear.cli import checks, main
 from jaxunshear.contact.plan import LEVELS
 
 
 def test_levels_are_those_of_the_plan():
-    assert set(cli_checks.LEVEL_NAMES) == set(LEVELS)
+    assert set(checks.LEVEL_NAMES) == set(LEVELS)
 
 
 def test_values_that_begin_with_a_minus_are_values():
-    words = cli_checks.joined(["plan", "--pose", "-1,0,0,2", "--level", "auto", "--move", "-.5,-2"])
+    words = checks.joined(["plan", "--pose", "-1,0,0,2", "--level", "auto", "--move", "-.5,-2"])
     assert words == ["plan", "--pose=-1,0,0,2", "--level", "auto", "--move=-.5,-2"]
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import cli_applications
 from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.perception import perceptions, unshearers, unshearing_of, ways_of
 from jaxunshear.applications.walk_scores import walk_rows
+from jaxunshear.cli import options
 from jaxunshear.config import to_json
 from jaxunshear.dataset.chunks import render
 from jaxunshear.experiment import Experiment
@@ -114,7 +114,7 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path, monkeypatc
 
 
 def test_servo_then_reconstruct_by_pins(command, model, tmp_path, monkeypatch):
-    monkeypatch.setattr(cli_applications, "KNOWN", 12)
+    monkeypatch.setattr(options, "KNOWN", 12)
     monkeypatch.setattr(servo, "PATIENCE", 4 * 0.5 / outline(STIMULI["disk"]).length)
     words = ("--model", model, "--out", tmp_path / "walks", "--stimulus", "disk")
     answer = command("servo", *words, "--starts", 1, "--ways", "sheared,disentangled")

@@ -9,7 +9,7 @@ from jaxunshear.errors import UserError
 COMMANDS = ("validate",)
 
 
-def add_parser(commands: Any) -> None:
+def add_parsers(commands: Any) -> None:
     """Adds `validate` to an argparse subparsers object."""
     text = "simulate recorded contacts from their labels and compare the motion of every pin"
     parser = commands.add_parser("validate", help=text, description=text)

@@ -6,6 +6,7 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 
+COMMANDS = ("sweep",)
 FLAGS = ("--help", "--version", "--retry-failed")  # no value follows
 OWN_OPTIONS = (
     *FLAGS,
@@ -23,7 +24,7 @@ OWN_OPTIONS = (
 )
 
 
-def add_parser(commands: Any) -> None:
+def add_parsers(commands: Any) -> None:
     """Adds `sweep` to an argparse subparsers object."""
     text = "run an experiment over grids of settings and seeds; continues where a stopped sweep left off"
     usage = "jaxunshear sweep FILE [options] [--field value ...]"
@@ -49,7 +50,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--json", metavar="FILE", type=Path, help="write sweep.json here, too")
 
 
-def run(arguments: argparse.Namespace, fields: list[str], command: str) -> int:
+def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
     if arguments.engine != "ray" and (arguments.ray_address is not None or arguments.ray_cores is not None):
         raise UserError("--ray-address and --ray-cores go with --engine ray")
@@ -64,7 +65,7 @@ def run(arguments: argparse.Namespace, fields: list[str], command: str) -> int:
         from jaxunshear.preset import with_preset
 
         sweep = dataclasses.replace(sweep, base=with_preset(sweep.base, arguments.sensor_from))
-    sweep = with_overrides(sweep, fields)
+    sweep = with_overrides(sweep, arguments.fields)
     if arguments.seeds is not None:
         sweep = dataclasses.replace(sweep, seeds=parse_seeds(arguments.seeds))
     if arguments.recordings is not None:

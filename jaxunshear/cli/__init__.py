@@ -1,0 +1,159 @@
+"""The command line: parses, calls, prints. Every command imports what it needs when it needs it, so help is quick."""
+
+import argparse
+import shlex
+import sys
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from jaxunshear import __version__
+from jaxunshear.cli import (
+    ablate,
+    applications,
+    catalogue,
+    checks,
+    doctor,
+    release,
+    report,
+    stages,
+    sweep,
+    unshear,
+    validate,
+)
+from jaxunshear.environment import check_environment, check_links, settle
+from jaxunshear.errors import Note, UserError
+from jaxunshear.owners import check_apart
+from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
+
+_usual = warnings.formatwarning
+# in the order of `jaxunshear --help`
+MODULES: tuple[Any, ...] = (
+    stages,
+    report,
+    ablate,
+    release,
+    unshear,
+    applications,
+    doctor,
+    sweep,
+    checks,
+    validate,
+    catalogue,
+)
+CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
+AGAIN = "the same command begins anew"
+FIELDS_HELP = """
+fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1:
+"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can fix (one line); 130 when interrupted."""
+    argv = sys.argv[1:] if argv is None else list(argv)
+    warnings.formatwarning = _noted
+    settle()
+    try:
+        return _run(argv)
+    except UserError as error:
+        return _complain(str(error))
+    except KeyboardInterrupt:
+        goes_on = bool(argv) and argv[0] in CONTINUED
+        print(f"stopped; {'run the same command to continue' if goes_on else AGAIN}", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stdout = None  # whoever read us has gone: nothing more can be said there
+        return 141
+    except Exception as error:
+        if disk_is_full(error):
+            return _complain("the disk is full; free some space, then run the same command")
+        if isinstance(error, OSError) and error.filename is not None:
+            return _complain(f"{error.filename}: {error.strerror}")
+        if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+            return _complain("out of memory; use a smaller --train.batch or smaller images")
+        raise
+
+
+def _noted(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None) -> str:
+    if issubclass(category, Note):
+        return f"jaxunshear: note: {' '.join(str(message).split())}\n"
+    return _usual(message, category, filename, lineno, line)
+
+
+def _complain(text: str) -> int:
+    print(f"jaxunshear: error: {' '.join(text.split())}", file=sys.stderr)
+    return 2
+
+
+class _Parser(argparse.ArgumentParser):
+    """Refuses in one line, like everything else."""
+
+    takes_fields = False
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{message}; see `{self.prog} --help`")
+
+    def format_help(self) -> str:
+        if not self.takes_fields:
+            return super().format_help()
+        from jaxunshear.config import field_types  # only for this: help must be quick
+
+        groups: dict[str, list[str]] = {}
+        for name, _ in field_types():
+            groups.setdefault(name.rpartition(".")[0], []).append(name.rpartition(".")[2])
+        lines = [f"  --{group + '.' if group else ''}{{{','.join(names)}}}" for group, names in groups.items()]
+        return super().format_help() + FIELDS_HELP + "\n".join(lines) + "\n"
+
+
+def _parser() -> _Parser:
+    parser = _Parser(prog="jaxunshear", description="From a touch to an unsheared tactile image, in simulation.")
+    parser.add_argument("--version", action="version", version=f"jaxunshear {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
+    for module in MODULES:
+        module.add_parsers(commands)
+    return parser
+
+
+def _run(argv: list[str]) -> int:
+    fields: list[str] = []
+    words = argv
+    if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
+        from jaxunshear.config import parse_overrides, split_overrides
+
+        words, fields = split_overrides(
+            argv, (stages if argv[0] in stages.COMMANDS else sweep).OWN_OPTIONS, sweep.FLAGS
+        )
+        parse_overrides(fields)  # before anything is read: a typo is refused at once
+    try:
+        arguments = _parser().parse_args(checks.joined(list(words)))
+    except SystemExit as leaving:  # --help and --version have printed
+        return int(leaving.code or 0)
+    check_links(vars(arguments).values())
+    _check_places(arguments)
+    if arguments.command not in (*catalogue.COMMANDS, *report.COMMANDS):
+        check_environment()
+    arguments.fields = fields
+    (module,) = (module for module in MODULES if arguments.command in module.COMMANDS)
+    return module.run(arguments, shlex.join(["jaxunshear", *argv]))
+
+
+def _check_places(arguments: argparse.Namespace) -> None:
+    """Refuses, before any work, places for results where these cannot be written or would replace what others live on."""
+    json, out = getattr(arguments, "json", None), getattr(arguments, "out", None)
+    check_apart(json, "--json")
+    check_new_file(json)
+    for option, value in vars(arguments).items():
+        if json is not None and option != "json" and isinstance(value, Path) and value.resolve() == json.resolve():
+            raise UserError(f"--json {json} is also what this command reads or writes: name another file")
+    if arguments.command not in catalogue.COMMANDS:
+        check_new_folder(out)
+    if arguments.command not in (
+        *stages.COMMANDS,
+        *sweep.COMMANDS,
+        *applications.COMMANDS,
+    ):  # these have folders of their own
+        check_apart(out, "--out")

@@ -1,0 +1,48 @@
+"""`jaxunshear ablate`: what the decoders make of codes, and what codes leak."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.cli.options import add_data, add_json
+from jaxunshear.errors import UserError
+
+COMMANDS = ("ablate",)
+
+
+def add_parsers(commands: Any) -> None:
+    text = "show what the decoders make of swapped, blanked, shuffled and foreign codes (the paper's appendix D)"
+    parser = commands.add_parser("ablate", help=text, description=text)
+    parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
+    add_data(parser)
+    parser.add_argument("--leakage", action="store_true", help="what each code holds that it should not, by probes")
+    add_json(parser)
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.config import from_json
+    from jaxunshear.evaluation import ablation, exchange, leakage
+    from jaxunshear.storage import read_json, write_json
+
+    settings = arguments.run / "experiment.json"
+    if not settings.is_file():
+        raise UserError(
+            f"{arguments.run} holds no experiment.json: name the folder of a finished run, such as runs/demo"
+        )
+    experiment = from_json(read_json(settings), str(settings))
+    if arguments.leakage:
+        from jaxunshear.report.leakage_figure import leakage_figure
+        from jaxunshear.storage import write_bytes
+
+        results = leakage.leakage(experiment, arguments.run, arguments.data, command)
+        drawn = exchange.exchanged(experiment, arguments.run, arguments.data)
+        write_bytes(arguments.run / "leakage.png", leakage_figure(results, drawn))
+        print(leakage.table(results))
+        print(arguments.run / "leakage.png")
+    else:
+        results = ablation.ablate(experiment, arguments.run, arguments.data, command)
+        print(ablation.table(results["rows"]))
+        print(arguments.run / "ablation.png")
+    if arguments.json:
+        write_json(arguments.json, results)
+    return 0

@@ -1,0 +1,64 @@
+"""The commands that put networks to use: where their results go, and what stands beside these."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.applications.folders import results_folder
+from jaxunshear.cli import geometry, pins, reconstruct, servo, stream
+from jaxunshear.cli.options import Model
+from jaxunshear.owners import check_apart
+from jaxunshear.storage import check_new_folder
+
+WORK: dict[str, Any] = {
+    "pins": pins,
+    "geometry": geometry,
+    "servo": servo,
+    "reconstruct": reconstruct,
+    "stream": stream,
+}
+COMMANDS = tuple(WORK)
+
+
+def add_parsers(commands: Any) -> None:
+    for work in WORK.values():
+        work.add_parser(commands)
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Runs one of COMMANDS. Returns the exit code.
+
+    Results of a finished run's networks go to its own folder, where its report finds them, unless --out says otherwise.
+    """
+    from jaxunshear.memory import keep_freed_memory
+
+    keep_freed_memory()
+    model = _model(arguments) if arguments.model else None
+    finished = model is not None and (model[0] / "results.json").is_file()
+    home = results_folder(model[0] if model and finished else Path(), arguments.command)
+    out = home if arguments.command == "stream" else arguments.out or home
+    check_new_folder(out)
+    if out.resolve() != home.resolve():
+        check_apart(out, "--out")
+    results = WORK[arguments.command].run(arguments, out, model)
+    from jaxunshear.metrics.machine import machine, versions
+    from jaxunshear.storage import write_json
+
+    results = {"command": command} | results | {"machine": machine(), "versions": versions()}
+    if arguments.json:
+        write_json(arguments.json, results)
+    if arguments.command != "stream" or finished:
+        write_json(out / f"{arguments.command}.json", results)
+    if model and finished and out == home:
+        from jaxunshear.report.report import write_report
+
+        print(write_report(model[0]), file=sys.stderr)
+    return 0
+
+
+def _model(arguments: argparse.Namespace) -> Model:
+    from jaxunshear import infer
+
+    folder = infer.model_folder(arguments.model)
+    return folder, infer.load_settings(folder)

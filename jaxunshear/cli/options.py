@@ -1,0 +1,64 @@
+"""Options that several commands share."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+from jaxunshear.experiment import Experiment
+
+Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
+DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones
+KNOWN = 300  # simulated taps that scales are fitted to
+
+
+def add_model(parser: argparse.ArgumentParser, default: Path = DEFAULT) -> None:
+    parser.add_argument(
+        "--model",
+        metavar="DIR",
+        type=Path,
+        default=default,
+        help=f"a finished run (runs/demo), or released weights by name ({default})",
+    )
+
+
+def add_like(parser: argparse.ArgumentParser) -> None:
+    text = "contacts of the same sensor and camera, whose mean shows where pins stand (default: the frames themselves)"
+    parser.add_argument("--like", metavar="DIR", type=Path, help=text)
+
+
+def add_stimulus(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--stimulus", metavar="NAME,NAME", default="all", help="which objects (all)")
+
+
+def stimuli_of(text: str) -> tuple[str, ...]:
+    """The objects that --stimulus names. Raises UserError."""
+    from jaxunshear.scene.stimuli import SHAPES, shape_named
+
+    names = SHAPES if text == "all" else tuple(name.strip() for name in text.split(","))
+    for name in names:
+        shape_named(name)
+    if len(set(names)) < len(names):
+        raise UserError(f"--stimulus {text}: name each once")
+    return names
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write what was measured, with machine and versions")
+
+
+def add_rows(parser: argparse.ArgumentParser) -> None:
+    text = "write the rows, with command, machine and versions"
+    parser.add_argument("--json", metavar="FILE", type=Path, help=text)
+
+
+def add_data(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+
+
+def new_parser(commands: Any, name: str, text: str, out: str) -> argparse.ArgumentParser:
+    """Of a command with results in a folder and rows in a file."""
+    parser = commands.add_parser(name, help=text, description=text)
+    parser.add_argument("--out", metavar="DIR", type=Path, help=out)
+    add_rows(parser)
+    return parser

@@ -1,0 +1,24 @@
+"""`jaxunshear report`: the page of a finished run."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+
+COMMANDS = ("report",)
+
+
+def add_parsers(commands: Any) -> None:
+    text = "write the HTML page of a finished run"
+    parser = commands.add_parser("report", help=text, description=text)
+    parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    if not (arguments.run / "results.json").is_file():
+        raise UserError(f"{arguments.run} holds no results.json: name the folder of a finished run, such as runs/demo")
+    from jaxunshear.report.report import write_report
+
+    print(write_report(arguments.run))
+    return 0

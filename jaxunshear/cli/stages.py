@@ -1,0 +1,175 @@
+"""The commands that take an experiment: run, data, train, evaluate, fit."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxunshear.cli.options import add_data, add_json
+from jaxunshear.errors import UserError
+from jaxunshear.owners import check_apart
+
+if TYPE_CHECKING:
+    from jaxunshear.experiment import Experiment
+
+NETWORKS = "networks"  # stands for those of the experiment
+STAGES = {
+    "data": ("data",),
+    "train": (NETWORKS,),
+    "evaluate": ("evaluate",),
+    "run": ("data", NETWORKS, "evaluate", "report"),
+    "fit": ("data", NETWORKS, "evaluate", "report"),
+}
+OWN_OPTIONS = (
+    *("--help", "--out", "--data", "--json", "--network", "--recordings", "--taps", "--slides", "--pairs"),
+    "--sensor-from",
+)
+COMMANDS = tuple(STAGES)
+
+
+def add_parsers(commands: Any) -> None:
+    for name, text in (
+        ("run", "all of the next three and the report; continues where a stopped run left off"),
+        ("data", "simulate the two data sets"),
+        ("train", "train the networks"),
+        ("evaluate", "measure the networks on held-out poses"),
+    ):
+        usage = f"jaxunshear {name} FILE [options] [--field value ...]"
+        command = commands.add_parser(name, help=text, description=text, usage=usage)
+        command.takes_fields = True
+        command.add_argument("file", metavar="FILE", type=Path, help="a Python file, such as experiments/demo.py")
+        command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
+        add_data(command)
+        command.add_argument(
+            "--recordings",
+            metavar="DIR",
+            type=Path,
+            help="taps and slides that an experiment such as experiments/recorded.py is about",
+        )
+        _add_sensor(command)
+        if name in ("run", "evaluate"):
+            add_json(command)
+        if name == "train":
+            command.add_argument("--network", metavar="NAME", help="only this one of the experiment's (default: all)")
+
+    text = "fit networks to your own recordings: writes an experiment about them, and runs it"
+    command = commands.add_parser(
+        "fit", help=text, description=text, usage="jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]"
+    )
+    command.takes_fields = True
+    command.add_argument("--taps", metavar="DIR", type=Path, help="recorded taps")
+    command.add_argument("--slides", metavar="DIR", type=Path, help="recorded slides")
+    command.add_argument(
+        "--pairs", metavar="FILE", type=Path, help="CSV with columns slide and tap: which belong together"
+    )
+    command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
+    add_data(command)
+    add_json(command)
+
+
+def _add_sensor(command: argparse.ArgumentParser) -> None:
+    text = "a calibration.json of `jaxunshear calibrate`: its sensor, camera and friction in the simulated experiment"
+    command.add_argument("--sensor-from", metavar="FILE", type=Path, help=text)
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Runs one of COMMANDS. Returns the exit code."""
+    from jaxunshear.experiment import trained
+    from jaxunshear.infer import model_folder
+
+    if arguments.command == "fit":
+        experiment = _fitted(arguments, arguments.fields)
+    elif arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
+        arguments.file = folder
+        experiment = _finished(arguments, arguments.fields)
+        if arguments.recordings:
+            _score(experiment, arguments, command)
+            return 0
+    else:
+        experiment = _experiment(
+            arguments.file, arguments.fields, str(arguments.recordings or ""), arguments.sensor_from
+        )
+    networks = trained(experiment)
+    if getattr(arguments, "network", None):
+        if arguments.network not in networks:
+            raise UserError(f"--network {arguments.network} is none of this experiment's: use {', '.join(networks)}")
+        networks = (arguments.network,)
+    check_apart(getattr(arguments, "json", None), "--json", home=arguments.out / experiment.name)
+    stages = [name for stage in STAGES[arguments.command] for name in (networks if stage == NETWORKS else (stage,))]
+    from jaxunshear.memory import keep_freed_memory
+    from jaxunshear.run import run_stages
+
+    keep_freed_memory()
+    results = run_stages(experiment, tuple(stages), out=arguments.out, data=arguments.data, command=command)
+    if getattr(arguments, "json", None):
+        from jaxunshear.evaluation.measurements import measurements
+        from jaxunshear.storage import write_json
+
+        write_json(arguments.json, measurements(results))
+    return 0
+
+
+def _experiment(file: Path, fields: list[str], recordings: str = "", preset: Path | None = None) -> "Experiment":
+    from jaxunshear.config import load_experiment, override, validate
+
+    experiment = load_experiment(file)
+    if preset:
+        from jaxunshear.preset import with_preset
+
+        experiment = with_preset(experiment, preset)
+    experiment = override(experiment, fields)
+    if recordings:
+        from jaxunshear.fit import with_recordings
+
+        experiment = with_recordings(experiment, recordings, recordings)
+    validate(experiment)
+    return experiment
+
+
+def _fitted(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
+    """The experiment that `fit` writes beside its results."""
+    from jaxunshear.config import override, validate
+    from jaxunshear.fit import BASE, with_recordings, write_experiment
+
+    if not (arguments.taps or arguments.slides):
+        raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
+    experiment = override(BASE, ["--name", "fit", *fields])
+    words = (str(folder or "") for folder in (arguments.taps, arguments.slides, arguments.pairs))
+    experiment = with_recordings(experiment, *words)
+    validate(experiment)
+    file = arguments.out / f"{experiment.name}.py"
+    write_experiment(experiment, file)
+    print(f"experiment: {file}")
+    return experiment
+
+
+def _finished(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
+    """The experiment of a finished run, which is named by its folder."""
+    from dataclasses import replace
+
+    from jaxunshear.infer import load_settings
+
+    if fields or arguments.sensor_from:
+        asked = fields[0] if fields else "--sensor-from"
+        raise UserError(
+            f"{asked}: the settings of a finished run stay as they are; name its experiment file to change them"
+        )
+    experiment = load_settings(arguments.file)
+    folder = arguments.file.resolve()
+    arguments.out = folder.parent
+    return replace(experiment, name=folder.name)
+
+
+def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str) -> None:
+    from jaxunshear.applications.transfer import score_transfer
+    from jaxunshear.evaluation.measurements import measurements
+    from jaxunshear.evaluation.unseen import score_recordings, table
+    from jaxunshear.experiment import recorded_of
+    from jaxunshear.storage import write_json
+
+    if recorded_of(experiment):
+        results = score_recordings(experiment, arguments.file, arguments.recordings, arguments.data, command)
+    else:
+        results = score_transfer(experiment, arguments.file, arguments.recordings, command)
+    print(table(results))
+    if arguments.json:
+        write_json(arguments.json, measurements(results))

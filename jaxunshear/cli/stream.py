@@ -1,0 +1,77 @@
+"""`jaxunshear stream`: perception for a robot, a JSON line a frame."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.cli.options import SKIN, Model, add_like, add_model
+from jaxunshear.errors import UserError
+from jaxunshear.owners import check_apart
+from jaxunshear.storage import check_beside, check_new_file, check_new_folder
+
+
+def add_parser(commands: Any) -> None:
+    text = "perception for a robot: frames in; unsheared image, pose and confidence out, a JSON line each"
+    parser = commands.add_parser("stream", help=text, description=text)
+    parser.add_argument("source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N")
+    add_model(parser, SKIN)
+    add_like(parser)
+    parser.add_argument("--fps", metavar="N", type=float, help="play a folder or video at this rate, as a camera would")
+    parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="(float32)")
+    parser.add_argument(
+        "--way",
+        choices=("disentangled", "code", "both"),
+        default="disentangled",
+        help="whose pose: PoseNet's of the unsheared image; the head's of the pose code, without a PoseNet; their mean (disentangled)",
+    )
+    parser.add_argument("--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)")
+    shown = parser.add_mutually_exclusive_group()
+    shown.add_argument("--images", metavar="DIR", type=Path, help="for unsheared images (default: within the lines)")
+    shown.add_argument("--no-images", action="store_true", help="leave them out")
+    parser.add_argument(
+        "--json", metavar="FILE", type=Path, help="write the summary, with command, machine and versions"
+    )
+
+
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any]:
+    import contextlib
+
+    from jaxunshear.applications.perceiver import frame_for
+    from jaxunshear.applications.sources import frames_of, truth_of
+    from jaxunshear.applications.stream import robot_of, stream
+    from jaxunshear.infer import learnt_note
+
+    if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
+        raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")
+    if arguments.images is not None and Path(arguments.source).exists():
+        check_beside(Path(arguments.source), arguments.images, "--images")
+    check_new_file(arguments.lines, "--lines")
+    check_new_folder(arguments.images, "--images")
+    check_apart(arguments.lines, "--lines")
+    check_apart(arguments.images, "--images")
+    folder, experiment = model
+    source = Path(arguments.source)
+    like = arguments.like or (source if source.is_dir() else None)
+    frame = frame_for(like, experiment) if like else None
+    robot = robot_of(folder, experiment, arguments.precision, arguments.way, frame)
+    frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
+    truth = truth_of(arguments.source, experiment)
+    with contextlib.ExitStack() as stack:
+        lines = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout
+        summary = stream(frames, live, robot, lines, arguments.images, not arguments.no_images, truth)
+    latency = summary["latency_ms"]
+    times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
+    print(
+        f"{summary['used']} frames used, {summary['skipped']} skipped, {summary['dropped']} dropped{times}",
+        file=sys.stderr,
+    )
+    if summary["pose_mae"]:
+        errors = ", ".join(f"{name} {value:.3f}" for name, value in summary["pose_mae"].items())
+        print(f"mean error against the labels: {errors}", file=sys.stderr)
+    print(f"note: {learnt_note(experiment)}", file=sys.stderr)
+    for problem, count in list(summary["problems"].items())[:5]:
+        print(f"skipped {count}: {problem}", file=sys.stderr)
+    if not summary["used"]:
+        raise UserError(f"no frame of {arguments.source} could be used")
+    return summary

@@ -1,0 +1,42 @@
+"""`jaxunshear unshear` and `jaxunshear pose`: recorded images to unsheared ones, and to poses."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.cli.options import SKIN, add_json, add_like, add_model
+
+COMMANDS = ("unshear", "pose")
+
+
+def add_parsers(commands: Any) -> None:
+    for name, text in (
+        ("unshear", "take the slide out of recorded images; also predicts their poses"),
+        ("pose", "predict the poses of recorded images, as they are and unsheared"),
+    ):
+        parser = commands.add_parser(name, help=text, description=text)
+        parser.add_argument("path", metavar="PATH", type=Path, help="an image, or a folder of recordings")
+        add_model(parser, SKIN)
+        add_like(parser)
+        parser.add_argument(
+            "--force", action="store_true", help="answer images that are not of the model's sensor, too"
+        )
+        if name == "unshear":
+            parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")
+        add_json(parser)
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear import infer
+
+    if arguments.command == "unshear":
+        measured = infer.unshear_recordings(
+            arguments.path, arguments.model, arguments.out, force=arguments.force, like=arguments.like
+        )
+    else:
+        measured = infer.pose_of_recordings(arguments.path, arguments.model, force=arguments.force, like=arguments.like)
+    if arguments.json:
+        from jaxunshear.storage import write_json
+
+        write_json(arguments.json, measured)
+    return 0
