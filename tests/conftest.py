@@ -53,7 +53,7 @@ def pytest_unconfigure() -> None:
         shutil.rmtree(os.environ[COMPILED], ignore_errors=True)
 
 
-# They take a worker a minute and more; begun last, they would keep one waiting for the other.
+# They take a worker a minute and more; started last, they would keep one waiting for the other.
 FIRST = ("test_run.py", "test_laboratory.py", "test_gradient.py", "test_loop.py", "test_calibrate.py")
 
 

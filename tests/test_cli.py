@@ -86,7 +86,7 @@ BAD_FIELDS = [
     ("--sensor.layout square", "rings, hexagonal"),
     ("--sensor.gel_poisson 0.5", "incompressible"),
     ("--sensor.pin_radius_mm 1", "would overlap"),
-    ("--paired.camera.distance_mm 10", "from above the pins"),
+    ("--paired.camera.distance_mm 10", "views the pins from above"),
     ("--pose.nuisance.noise 2", "--pose.nuisance.noise"),
     ("--name a/b", "names the folder"),
     ("--name=", "names the folder"),

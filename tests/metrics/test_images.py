@@ -201,7 +201,7 @@ def _exact_ssim(a, b):
 
 
 @pytest.mark.parametrize("scales", [2.0, 0, 6, "2", None])
-def test_scales_are_a_full_number(scales):
+def test_scales_are_an_integer(scales):
     image = np.zeros((1, 192, 192, 1), np.float32)
-    with pytest.raises(ValueError, match="whole number, 1 to 5"):
+    with pytest.raises(ValueError, match="an integer, 1 to 5"):
         images.ms_ssim(image, image, scales)
