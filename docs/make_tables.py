@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable
 from itertools import starmap
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median
 from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
@@ -339,9 +339,9 @@ def lambda_split() -> str:
 
 
 def lambda_split_leaks() -> str:
-    """R2 of MLP probes: pose from z_s, slide from z_p; means over seeds."""
+    """R2 of MLP probes: pose from z_s, slide from z_p; the seeds' median, as a probe that is off on a few contacts has any R2 below 1."""
     leaks = ("pose from z_s (mlp)/r2", "slide from z_p (mlp)/r2")
-    return _grid(lambda cell: [f"{cell['ablation'][name]['mean']:.2f}" for name in leaks])
+    return _grid(lambda cell: [f"{median(cell['ablation'][name]['per_seed'].values()):.2f}" for name in leaks])
 
 
 def _grid(numbers: Callable[[dict[str, Any]], list[str]]) -> str:
@@ -562,7 +562,7 @@ TABLES = {
     "docs/calibration.md": (refit,),
     "docs/applications.md": (geometry, servo, servo_pins, objects),
     "docs/codes.md": (parted, parted_pins, found_pins, parted_slide, joint, parted_skin, parted_skin_slide),
-    "docs/experiments.md": (standard, recoveries, other_readers, readings, tenth),
+    "docs/experiments.md": (standard, recoveries, other_readers, lambda_split, lambda_split_leaks, readings, tenth),
     "docs/limits.md": (few_pairs, twisted, tilted),
 }
 
