@@ -277,7 +277,7 @@ def _fits(value: Any, kind: Any) -> bool:
 def build(data: Any, kind: Any, source: str, name: str) -> Any:
     if groups := _groups(kind):
         given = set(data) if isinstance(data, dict) else set()
-        own = next((group for group in groups if given and _fills(given, set(_hints(group)))), groups[0])
+        own = next((group for group in groups if _fills(given, set(_hints(group)))), groups[0])
         hints = _hints(own)
         if not isinstance(data, dict) or not _fills(given, set(hints)):
             odd = sorted((given ^ set(hints)) - (set(hints) & set(LATER))) if isinstance(data, dict) else ["all of it"]

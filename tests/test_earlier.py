@@ -6,6 +6,7 @@ import pytest
 
 from jaxunshear.config import from_json, replaced, to_json
 from jaxunshear.dataset.configs import describe
+from jaxunshear.dataset.settings import Recorded, RecordedTaps
 from jaxunshear.earlier import LATER, is_later, without_later
 from jaxunshear.errors import UserError
 from jaxunshear.experiment import Experiment
@@ -70,3 +71,8 @@ def test_an_earlier_training_is_the_same_training(tmp_path):
 
 def test_lists_of_json_are_tuples():
     assert is_later("other_tilts_deg", []) and not is_later("other_tilts_deg", [5.0])
+
+
+def test_a_group_without_settings_is_itself():
+    recorded = dataclasses.replace(NOW, paired=Recorded(), pose=RecordedTaps())
+    assert from_json(to_json(recorded)) == recorded
