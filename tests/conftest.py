@@ -34,7 +34,7 @@ compile_lightly()
 REAL = Path(__file__).resolve().parents[1].parent / "shared" / "real"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def light() -> dict[str, str]:
     """For the environment of a process that is to compute the bits of this one."""
     return {"XLA_FLAGS": LIGHT}

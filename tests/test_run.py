@@ -39,10 +39,11 @@ def run_command(folder: Path, *more: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(tmp_path_factory: pytest.TempPathFactory, light: dict[str, str]) -> Path:
     """A folder with the runs/ and datasets/ of a finished tiny experiment."""
     folder = tmp_path_factory.mktemp("whole")
-    done = subprocess.run(run_command(folder, "--json", str(folder / "rows.json")), capture_output=True, text=True)
+    words = run_command(folder, "--json", str(folder / "rows.json"))
+    done = subprocess.run(words, capture_output=True, text=True, env=os.environ | light)
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -76,6 +77,7 @@ def test_the_report_stands_alone(finished):
     assert "data:image/png;base64," in page and "http://" not in page and "https://" not in page
 
 
+@pytest.mark.long
 def test_leakage_of_networks_over_images(finished, command):
     run = finished / "runs" / "tiny"
     answer = command("ablate", run, "--leakage", "--data", finished / "datasets", "--json", finished / "leakage.json")
@@ -86,11 +88,11 @@ def test_leakage_of_networks_over_images(finished, command):
     assert (run / "leakage.png").stat().st_size > 10_000 and "slide from z_p" in answer.out
 
 
-def test_a_second_run_keeps_all_work_and_all_numbers(finished):
+def test_a_second_run_keeps_all_work_and_all_numbers(finished, light):
     before = reproducible(results(finished))
     trained = {path: path.stat().st_mtime_ns for path in (finished / "runs" / "tiny").glob("*/summary.json")}
     assert len(trained) == 3
-    assert subprocess.run(run_command(finished), capture_output=True).returncode == 0
+    assert subprocess.run(run_command(finished), capture_output=True, env=os.environ | light).returncode == 0
     assert reproducible(results(finished)) == before
     assert trained == {path: path.stat().st_mtime_ns for path in trained}
 
@@ -279,12 +281,16 @@ def test_two_runs_in_one_folder_are_refused(stage, tmp_path):
 
 
 @pytest.mark.long
-def test_killed_ten_times_ends_with_the_same_numbers(finished, tmp_path):
+def test_killed_ten_times_ends_with_the_same_numbers(finished, light, tmp_path):
     moments = random.Random(0)
     kills = 0
     while kills < 10:
         process = subprocess.Popen(
-            run_command(tmp_path), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            run_command(tmp_path),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+            env=os.environ | light,
         )
         try:
             process.wait(timeout=moments.uniform(3, 15))
@@ -294,7 +300,7 @@ def test_killed_ten_times_ends_with_the_same_numbers(finished, tmp_path):
             process.wait()
             kills += 1
             time.sleep(0.1)
-    last = subprocess.run(run_command(tmp_path), capture_output=True, text=True)
+    last = subprocess.run(run_command(tmp_path), capture_output=True, text=True, env=os.environ | light)
     assert last.returncode == 0, last.stderr
     assert kills >= 2
     assert reproducible(results(tmp_path)) == reproducible(results(finished))

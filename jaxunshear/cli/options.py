@@ -47,11 +47,6 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", metavar="FILE", type=Path, help="write what was measured, with machine and versions")
 
 
-def add_rows(parser: argparse.ArgumentParser) -> None:
-    text = "write the rows, with command, machine and versions"
-    parser.add_argument("--json", metavar="FILE", type=Path, help=text)
-
-
 def add_data(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
 
@@ -60,5 +55,6 @@ def new_parser(commands: Any, name: str, text: str, out: str) -> argparse.Argume
     """Of a command with results in a folder and rows in a file."""
     parser = commands.add_parser(name, help=text, description=text)
     parser.add_argument("--out", metavar="DIR", type=Path, help=out)
-    add_rows(parser)
+    rows = "write the rows, with command, machine and versions"
+    parser.add_argument("--json", metavar="FILE", type=Path, help=rows)
     return parser

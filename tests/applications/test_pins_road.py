@@ -113,6 +113,7 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path, monkeypatc
     assert row["steps"] == row["unfollowed"] == int(walks.steps) and row["seen_mean_mm"] is None
 
 
+@pytest.mark.long
 def test_servo_then_reconstruct_by_pins(command, model, tmp_path, monkeypatch):
     monkeypatch.setattr(options, "KNOWN", 12)
     monkeypatch.setattr(servo, "PATIENCE", 4 * 0.5 / outline(STIMULI["disk"]).length)

@@ -88,7 +88,11 @@ def test_a_solver_that_does_not_converge_fails_and_is_shown():
 
 
 @pytest.mark.parametrize(
-    ("error", "said"), [(ZeroDivisionError("by nothing"), "by nothing"), (MemoryError(), "MemoryError")]
+    ("error", "said"),
+    [
+        (ZeroDivisionError("by nothing"), "by nothing"),
+        pytest.param(MemoryError(), "MemoryError", marks=pytest.mark.long),
+    ],
 )
 def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
     def crash(*_):

@@ -41,6 +41,7 @@ def test_rows(observed):
     assert rows["the same"]["auc"] == 0.5 and rows["the same"]["accepted"] == 1
 
 
+@pytest.mark.long
 def test_the_command_keeps_its_rows(command, monkeypatch, tmp_path):
     monkeypatch.setattr(confidence, "COUNT", 4)
     answer = command("bench", "strangers", "--seed", "3", "--json", tmp_path / "rows.json")

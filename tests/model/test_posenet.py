@@ -50,7 +50,7 @@ def test_a_range_of_zero_has_no_output_and_leaves_the_others_finite(lateral_mm, 
     assert np.all(np.isfinite(targets))
 
 
-@pytest.mark.parametrize("net", [NET, PoseNet()], ids=["small", "demo"])
+@pytest.mark.parametrize("net", [NET, pytest.param(PoseNet(), marks=pytest.mark.long)], ids=["small", "demo"])
 def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
     init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
     variables = init(net, posenet.outputs_of(TARGETS), jax.random.key(0))

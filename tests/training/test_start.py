@@ -62,6 +62,7 @@ def trained(folder, start):
     )
 
 
+@pytest.mark.long
 def test_a_training_goes_on_from_released_weights_and_knows_which(tmp_path):
     """Those hold E, the pose code and DC: the rest is as fresh as without them."""
     there = unshearnet.init(small.NET, jax.random.key(5))
