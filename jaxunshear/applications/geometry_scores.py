@@ -70,24 +70,24 @@ def geometry_rows(names: tuple[str, ...], contacts: FreshContacts, geometry: Geo
     groups |= {name: contacts.stimulus == index for index, name in enumerate(names)}
     for group, inside in groups.items():
         for (kind, way), height in geometry.height_mm.items():
-            reported = inside & ~np.isnan(height[:, 0])
+            matched = inside & ~np.isnan(height[:, 0])
             row: dict[str, Any] = {
                 "name": f"{group}/{kind}/{way}",
                 "stimulus": group,
                 "kind": kind,
                 "way": way,
                 "contacts": int(inside.sum()),
-                "unmatched": int((inside & ~reported).sum()),
+                "unmatched": int((inside & ~matched).sum()),
                 "ms_per_image": geometry.ms[kind, way],
             }
-            if reported.any():
-                true = contacts.indentation_mm[reported]
-                score = {"correlation": correlation(height[reported], true)}
+            if matched.any():
+                true = contacts.indentation_mm[matched]
+                score = {"correlation": correlation(height[matched], true)}
                 if kind == UNTOUCHED:
-                    row["largest_mm"] = float(np.abs(height[reported]).max())
+                    row["largest_mm"] = float(np.abs(height[matched]).max())
                 else:
-                    score["rmse_mm"] = np.sqrt(np.mean((height[reported] - true) ** 2, axis=-1))
-                spans = intervals(score, np.flatnonzero(reported), SEED)
+                    score["rmse_mm"] = np.sqrt(np.mean((height[matched] - true) ** 2, axis=-1))
+                spans = intervals(score, np.flatnonzero(matched), SEED)
                 for name, values in score.items():
                     row |= {name: float(values.mean()), f"{name}_interval": spans[name]}
             rows.append(row)

@@ -47,8 +47,8 @@ def ways_of(experiment: Experiment, lattice: Lattice, known: FreshContacts) -> d
     """All ways by name, with factors from taps whose indentation is known."""
     paired, _ = simulated_of(experiment, "geometry")
     motion = known_motions(lattice, known)
-    reported = ~np.isnan(motion[:, 0, 0])
-    motion, true = motion[reported], known.indentation_mm[reported]
+    followed = ~np.isnan(motion[:, 0, 0])
+    motion, true = motion[followed], known.indentation_mm[followed]
     usual = cell_areas(lattice, np.zeros_like(lattice.place)).mean()
     physical = of_compliance(experiment.sensor, paired.camera, paired.preprocess)
     fitted = learnt(lattice, motion, true)

@@ -37,10 +37,10 @@ class Maker(NamedTuple):
 def makers_of(sensor: Sensor, lattice: Lattice, known: FreshContacts, distance: np.ndarray) -> dict[str, Maker]:
     """By name; from taps at the depth of the walk whose pins lie (N, P) mm outside the object."""
     motion, rest = known_motions(lattice, known), skin_places(sensor)
-    reported = ~np.isnan(motion[:, 0, 0])
-    motion, distance = motion[reported], distance[reported]
+    followed = ~np.isnan(motion[:, 0, 0])
+    motion, distance = motion[followed], distance[followed]
     near = np.linalg.norm(rest, axis=-1) < NEAR_MM
-    inverse = learnt(lattice, motion, known.indentation_mm[reported])
+    inverse = learnt(lattice, motion, known.indentation_mm[followed])
     tips = pin_tips(sensor)[:, :2]
     px_per_mm = np.sum((lattice.place - lattice.middle) * tips) / np.sum(tips**2)
     towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)

@@ -40,12 +40,12 @@ def learn(lattice: Lattice, place: np.ndarray, growth: np.ndarray, distance: np.
     Skin over the object and beside it count the same. The evidence of skin on the edge is brought to zero, as more of what is
     beside the object is certain than of what is over it.
     """
-    reported = ~np.isnan(growth[:, 0])
+    followed = ~np.isnan(growth[:, 0])
     square = np.sum(place**2, axis=-1) / NEAR_MM**2
     blank = Occupancy(square < 1, _shells(lattice), square, *(np.empty(0),) * 3, 0.0)
-    features = _features(blank, growth[reported])
+    features = _features(blank, growth[followed])
     features = features.reshape(-1, features.shape[-1])
-    apart = distance[reported][:, blank.near].ravel()
+    apart = distance[followed][:, blank.near].ravel()
     mean, deviation = features.mean(axis=0), features.std(axis=0)
     mean[0], deviation[0] = 0, 1  # the constant
     features = (features - mean) / deviation

@@ -55,10 +55,10 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
 
     Rows with a NaN (an image whose pins were not identified) are left out.
     """
-    reported = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
-    put = place[reported] if place.ndim == 3 else place
-    x, y = np.moveaxis(to_target(point[reported], put), -1, 0)
-    reach = max(cover_mm, np.abs(point[reported, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM)
+    followed = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
+    put = place[followed] if place.ndim == 3 else place
+    x, y = np.moveaxis(to_target(point[followed], put), -1, 0)
+    reach = max(cover_mm, np.abs(point[followed, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM)
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
 
     def gathered(weights: np.ndarray) -> np.ndarray:
@@ -67,7 +67,7 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
 
     total = gathered(np.ones_like(x))
     touched = total > LEAST
-    mean = np.divide(gathered(value[reported]), total, out=np.full(total.shape, np.nan), where=touched)
+    mean = np.divide(gathered(value[followed]), total, out=np.full(total.shape, np.nan), where=touched)
     middle = (edges[1:] + edges[:-1]) / 2
     return Fused(middle, middle, mean)
 

@@ -62,27 +62,27 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
             raise UserError(
                 f"{recordings} holds {len(found.files)} labelled {kind}: at least {LEAST_FRAMES} are needed to score by"
             )
-    reported = np.random.default_rng(SEED).random(len(taps.files)) < 0.5
+    known_half = np.random.default_rng(SEED).random(len(taps.files)) < 0.5
     (of_taps, tap_pins), (of_slides, slide_pins) = (
         _read(experiment, model, settings, *kind) for kind in ((taps, "taps"), (slides, "slides"))
     )
-    known = _of(of_taps[AS_RECORDED], reported)
+    known = _of(of_taps[AS_RECORDED], known_half)
     if UNSHEARED not in of_slides:
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
-    aligned = {name: aligned_with(name, known, taps.pose[reported]) for name in scored(known, taps.pose[reported])}
+    aligned = {name: aligned_with(name, known, taps.pose[known_half]) for name in scored(known, taps.pose[known_half])}
     ways = {
-        "tap": (_of(of_taps[AS_RECORDED], ~reported), taps.pose[~reported]),
+        "tap": (_of(of_taps[AS_RECORDED], ~known_half), taps.pose[~known_half]),
         "sheared": (of_slides[AS_RECORDED], slides.pose),
         "unsheared": (of_slides[UNSHEARED], slides.pose),
     }
     mae = {way: _errors(aligned, poses, labels) for way, (poses, labels) in ways.items()}
     readers = {}
     if tap_pins:
-        sure = reported & np.isfinite(tap_pins[AS_RECORDED]).all(axis=(1, 2))
+        sure = known_half & np.isfinite(tap_pins[AS_RECORDED]).all(axis=(1, 2))
         targets = of_labels(tuple(aligned), taps.pose[sure])
         reader = reader_of(places(tap_pins[AS_RECORDED][sure]), {"pose": taps.pose[sure]}, targets)
         seen = {
-            "tap": (tap_pins[AS_RECORDED][~reported], taps.pose[~reported]),
+            "tap": (tap_pins[AS_RECORDED][~known_half], taps.pose[~known_half]),
             "sheared": (slide_pins[AS_RECORDED], slides.pose),
             "unsheared": (slide_pins[UNSHEARED], slides.pose),
         }
@@ -104,8 +104,8 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
         "pose_recovery": {"unsheared": _recovery(mae)},
         "readers": readers,
         "counts": {
-            "told_taps": int(reported.sum()),
-            "test_taps": int((~reported).sum()),
+            "told_taps": int(known_half.sum()),
+            "test_taps": int((~known_half).sum()),
             "test_poses": len(slides.files),
             "unread_taps": unread[0],
             "test_unsure": unread[1],
@@ -171,13 +171,13 @@ def _read(
                     fine[i] = plausibility(images[i], network.expected) >= ENOUGH
                 except UserError:
                     continue  # counted as not read
-            reported = network.answer(images)
-            fine &= reported.sure
-            for way, poses in reported.poses.items():
+            answers = network.answer(images)
+            fine &= answers.sure
+            for way, poses in answers.poses.items():
                 for name, values in poses.items():
                     full = found.setdefault(way, {}).setdefault(name, np.full(len(contacts.files), np.nan))
                     full[start : start + len(files)] = np.where(fine, values, np.nan)[: len(files)]
-            for way, there in reported.pins.items():
+            for way, there in answers.pins.items():
                 full = pins.setdefault(way, np.full((len(contacts.files), *there.shape[1:]), np.nan))
                 full[start : start + len(files)] = np.where(fine[:, None, None], there, np.nan)[: len(files)]
             progress.advance(len(files))

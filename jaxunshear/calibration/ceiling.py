@@ -26,8 +26,8 @@ def features(contacts: Motions) -> np.ndarray:
     place = end[:, [0, 2]] if contacts.across else end[:, [2]]
     columns = np.column_stack([place, cos, sin, axis[:, :2], own, twist])
     spread = columns.std(axis=0)
-    reported = spread > 1e-6
-    return (columns[:, reported] - columns[:, reported].mean(axis=0)) / spread[reported]
+    varied = spread > 1e-6
+    return (columns[:, varied] - columns[:, varied].mean(axis=0)) / spread[varied]
 
 
 def explained_by_labels(contacts: Motions, motion: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -40,12 +40,12 @@ def explained_by_labels(contacts: Motions, motion: np.ndarray, seed: int = 0) ->
     for width in WIDTHS:
         kernel = np.exp(-square / (2 * width**2 * x.shape[1]))
         for ridge in RIDGES:
-            reported = np.zeros_like(y)
+            predicted = np.zeros_like(y)
             for k in range(min(FOLDS, len(x))):
                 here, others = fold == k, fold != k
                 inner = kernel[np.ix_(others, others)] + ridge * np.eye(others.sum())
-                reported[here] = kernel[np.ix_(here, others)] @ np.linalg.solve(inner, y[others])
-            off = np.sum((reported - y) ** 2)
+                predicted[here] = kernel[np.ix_(here, others)] @ np.linalg.solve(inner, y[others])
+            off = np.sum((predicted - y) ** 2)
             if off < error:
-                best, error = reported, off
+                best, error = predicted, off
     return best.reshape(motion.shape)

@@ -264,14 +264,14 @@ def _figure(fits: dict, truth: np.ndarray, axes: list[np.ndarray], losses: np.nd
 
     from jaxunshear.style import STYLE
 
-    glances = {"L-BFGS-B": ("#d9822b", "-"), "Gauss-Newton": ("#1f6feb", "--")}
+    styles = {"L-BFGS-B": ("#d9822b", "-"), "Gauss-Newton": ("#1f6feb", "--")}
     with rc_context(STYLE):
         figure = Figure(figsize=(8.6, 3.6), layout="constrained")
         left, right = figure.subplots(1, 2)
         right.contour(*axes, np.log10(losses), levels=14, colors="#9aa4b2", linewidths=0.7)
         for number, ((name, _), fit) in enumerate(fits.items()):
-            colour, dash = glances[name]
-            label = name if number < len(glances) else None
+            colour, dash = styles[name]
+            label = name if number < len(styles) else None
             left.plot(np.arange(1, len(fit.loss) + 1), np.minimum.accumulate(fit.loss), dash, color=colour, label=label)
             better = np.flatnonzero(fit.loss == np.minimum.accumulate(fit.loss))
             right.plot(*fit.tried[better].T, dash, marker=".", markersize=4, linewidth=1.2, color=colour, label=label)

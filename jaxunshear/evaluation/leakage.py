@@ -71,7 +71,7 @@ def leakage(
     learnt, tested = (
         _taken(experiment, reader, split, seen, most) for split, most in (("train", MOST_LEARNT), ("test", MOST_TESTED))
     )
-    reported = [_reported(experiment, batch, data_dir) for batch in (learnt, tested)]
+    wanted = [_wanted(experiment, batch, data_dir) for batch in (learnt, tested)]
     groups, poses = (numbered_poses(batch["stimulus"], batch["pose_id"]) for batch in (learnt, tested))
     codes = [encode(batch[seen]) for batch in (learnt, tested)]
     others: dict[str, list[Mapping[str, np.ndarray]]] = {}
@@ -90,7 +90,7 @@ def leakage(
     for what, code, probe in product(("pose", "slide"), CODES, PROBES):
         if leaks_alone and (what, code) not in LEAKS:
             continue
-        known, true = (each[what] for each in reported)
+        known, true = (each[what] for each in wanted)
         asked = partial(_scores, probe, true=true, groups=groups)
         own = (codes[0][code], codes[1][code])
         each, band = _with_interval(asked(known, *own), poses)
@@ -105,7 +105,7 @@ def leakage(
         "simulated": recorded_of(experiment) is None,
         "metric": f"R2 on test poses, mean over the quantities named in 'each'; brackets: 95 % over {OVER}",
         "rows": rows,
-        "independence": [_independence(what, code, codes[1][code], reported[1][what], poses) for what, code in LEAKS],
+        "independence": [_independence(what, code, codes[1][code], wanted[1][what], poses) for what, code in LEAKS],
         "exchanged": errors_of(net, variables, reader),
         "slide": [] if leaks_alone else _slide(experiment, reader, seen, encode, (learnt, tested), data_dir),
         "slides": {"learnt": len(groups), "tested": len(poses)},
@@ -125,19 +125,19 @@ def _slide(
     learnt, tested = batches
     between = _taken(experiment, reader, "validation", seen, MOST_TESTED)
     codes = [np.concatenate(list(encode(batch[seen]).values()), axis=1) for batch in (learnt, between, tested)]
-    reported = [_slides(experiment, batch, data_dir) for batch in (learnt, between, tested)]
+    wanted = [_slides(experiment, batch, data_dir) for batch in (learnt, between, tested)]
     groups, poses = (numbered_poses(batch["stimulus"], batch["pose_id"]) for batch in (learnt, tested))
     slipped = slipping(tested["stuck"], tested["slipping"]) if "stuck" in tested else None
-    return slides_read(codes, reported, groups, poses, slipped)
+    return slides_read(codes, wanted, groups, poses, slipped)
 
 
 def for_sweep(results: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Rows of a sweep's ablation."""
     drawn = (results["exchanged"] or {"drawn": {}})["drawn"]
-    reported = [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in drawn.items()]
-    reported += [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
+    rows = [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in drawn.items()]
+    rows += [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
     read = ({"name": f"{row['name']}, {row['part']}"} | {n: row[n] for n in SLIDE} for row in results["slide"])
-    return [*reported, *read]
+    return [*rows, *read]
 
 
 def table(results: Mapping[str, Any]) -> str:
@@ -212,7 +212,7 @@ def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: 
     return reader.take(split, rows, (seen, *LABELS, *more))
 
 
-def _reported(experiment: Experiment, batch: Batch, data_dir: Path) -> dict[str, Known]:
+def _wanted(experiment: Experiment, batch: Batch, data_dir: Path) -> dict[str, Known]:
     """What there is to report of each slide: all of its pose and of its slide that the data vary."""
     slide = _slides(experiment, batch, data_dir)
     if isinstance(experiment.paired, PairedData):
@@ -277,11 +277,11 @@ def _with_interval(
     return {name: r2(*pair) for name, pair in scores.items()}, interval(redrawn)
 
 
-def _independence(what: str, code: str, codes: np.ndarray, reported: Known, poses: np.ndarray) -> dict[str, Any]:
+def _independence(what: str, code: str, codes: np.ndarray, wanted: Known, poses: np.ndarray) -> dict[str, Any]:
     """Of one slide at each pose: rows are independent draws."""
     first = np.unique(poses, return_index=True)[1]
     rows = first[np.linspace(0, len(first) - 1, min(MOST_COMPARED, len(first))).round().astype(int)]
-    known = np.concatenate(list(reported.values()), axis=1)
+    known = np.concatenate(list(wanted.values()), axis=1)
     one, other = ((x - x.mean(axis=0)) / np.maximum(x.std(axis=0), LEAST) for x in (codes, known))
     statistic, p = hsic(one[rows], other[rows], SEED)
     return {"name": f"{what} and {code}", "hsic": statistic, "p": p, "poses": len(rows)}

@@ -22,15 +22,15 @@ Known = Mapping[str, np.ndarray]  # (N, 1) mm or deg by quantity
 
 def slides_read(
     codes: Sequence[np.ndarray],
-    reported: Sequence[Known],
+    wanted: Sequence[Known],
     groups: np.ndarray,
     poses: np.ndarray,
     slipped: np.ndarray | None = None,
 ) -> list[dict[str, Any]]:
-    """A row a quantity. `codes` (N, F) and `reported` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
+    """A row a quantity. `codes` (N, F) and `wanted` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
     test poses; `slipped` (M,) which test slides have, where that is known."""
-    names = list(reported[0])
-    learnt, calibrating, true = (np.concatenate(list(each.values()), axis=1) for each in reported)
+    names = list(wanted[0])
+    learnt, calibrating, true = (np.concatenate(list(each.values()), axis=1) for each in wanted)
     count = len(calibrating)
     mean, deviation = gaussian(codes[0], learnt, np.concatenate(codes[1:]), groups)
     off = np.abs(mean[:count] - calibrating) / deviation[:count]

@@ -117,12 +117,12 @@ def with_readers(
     for scores, poses in read:
         for place in (place for place in scores if place.startswith("read/")):
             _, reader, kind, quantity = place.split("/")
-            reported = np.isfinite(scores[place])
-            values = {quantity: scores[place][reported]}
-            span = intervals(values, poses[reported], seed)[quantity] if reported.any() else None
+            finite = np.isfinite(scores[place])
+            values = {quantity: scores[place][finite]}
+            span = intervals(values, poses[finite], seed)[quantity] if finite.any() else None
             means.setdefault(reader, {}).setdefault(kind, {})[quantity] = _mean(values[quantity])
             spans.setdefault(reader, {}).setdefault(kind, {})[quantity] = span
-            counted = {"read": int(reported.sum()), "left_out": int((~reported).sum())}
+            counted = {"read": int(finite.sum()), "left_out": int((~finite).sum())}
             counts.setdefault(reader, {})[kind] = counted
     return found | {"readers": means, "reader_images": counts, "spread": found["spread"] | {"readers": spans}}
 
@@ -139,17 +139,17 @@ def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tup
     """Errors, their ratios and recoveries, and the intervals of errors and recoveries."""
     names = {kind: [n.rpartition("/")[2] for n in scores if n.startswith(f"pose/{kind}/")] for kind in POSE_KINDS}
     felt = [kind for kind in POSE_KINDS if names[kind]]
-    repaired = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
+    kinds_unsheared = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
     error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in names[kind]} for kind in felt}
     redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in names[kind]} for kind in felt}
     found = {
         "pose_mae": error,
         "pose_ratio": {
-            kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in names[kind]} for kind in repaired
+            kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in names[kind]} for kind in kinds_unsheared
         },
         "pose_recovery": {
             kind: {q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q]) for q in names[kind]}
-            for kind in repaired
+            for kind in kinds_unsheared
             if "tap" in felt
         },
     }
@@ -157,7 +157,7 @@ def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tup
         "pose_mae": {kind: {q: interval(redone[kind][q]) for q in names[kind]} for kind in felt},
         "pose_recovery": {
             kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in names[kind]}
-            for kind in repaired
+            for kind in kinds_unsheared
             if "tap" in felt
         },
     }
