@@ -26,7 +26,9 @@ ROWS = {
     "half as wide": (("unshear.widths", (8, 16, 32, 64, 128)),),
     "twice as wide": (("unshear.widths", (32, 64, 128, 256, 512)),),
     "twice as wide, half the epochs": (("unshear.widths", (32, 64, 128, 256, 512)), ("train.epochs", 2)),
-    "Adam": (("train.optimiser", "adam"), ("train.learning_rate", 3e-3)),
+    "Adam, rate 0.001": (("train.optimiser", "adam"), ("train.learning_rate", 1e-3)),
+    "Adam, rate 0.003": (("train.optimiser", "adam"), ("train.learning_rate", 3e-3)),
+    "Adam, rate 0.01": (("train.optimiser", "adam"), ("train.learning_rate", 1e-2)),
     "bfloat16": (("train.precision", "bfloat16"),),
     "900 poses x 1 slide": ((("paired.poses", "paired.slides"), (900, 1)), ("train.epochs", 5.33)),
     "200 poses x 8 slides": ((("paired.poses", "paired.slides"), (200, 8)), ("train.epochs", 3)),
@@ -43,6 +45,6 @@ sweep = Sweep(
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),
-    seeds=(0, 1),
+    seeds=(0, 1, 2),
     networks=("disentangled", "posenet"),
 )
