@@ -18,13 +18,13 @@ from typing import ClassVar
 
 import tensorflow_datasets as tfds
 
-from jaxunshear.dataset import configs
 from jaxunshear.dataset.chunks import Engine, simulate_chunks, simulator
 from jaxunshear.dataset.examples import summary
 from jaxunshear.dataset.shots import draw
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.settings import configs
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import write_json
 
 MANIFEST = "shards.json"

@@ -12,9 +12,9 @@ reading begins to learn. `docs/make_curves.py` draws the rows' kernels and losse
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config import load_experiment
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.sweep import Sweep
 
 PAPER = load_experiment(Path(__file__).with_name("paper.py"))
 WEIGHTS = ("train.l1", "train.l2")

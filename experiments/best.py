@@ -11,8 +11,8 @@ is evaluated five times as many images.
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config import load_experiment
-from jaxunshear.dataset.configs import PAIRED, POSE
+from jaxunshear.settings.configs import PAIRED, POSE
+from jaxunshear.settings.load import load_experiment
 
 STANDARD = load_experiment(Path(__file__).with_name("standard.py"))
 

@@ -10,8 +10,8 @@ sensor, is. The page compares it with the demo's bars and says where it misses.
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config import load_experiment
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.load import load_experiment
 
 DEMO = load_experiment(Path(__file__).with_name("demo.py"))
 

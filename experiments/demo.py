@@ -11,10 +11,10 @@ them), show how the skin turns at an edge, and so much of the pose is read from 
 third of what is lost, not half and more.
 """
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import Experiment
-from jaxunshear.model.settings import UnshearNet
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.training import Training
 
 POSENET = Training(epochs=8, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=375)
 

@@ -13,9 +13,9 @@ Expected (docs/results/few_labels.json, an hour on two cores): with a tenth of t
 
 from dataclasses import replace
 
-from jaxunshear.experiment import PINS
 from jaxunshear.fit import BASE
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="few_labels",

@@ -14,9 +14,9 @@ Expected: docs/results/few_pairs.json; three quarters of an hour on a core. With
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config import load_variable
-from jaxunshear.experiment import PINS
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.load import load_variable
+from jaxunshear.settings.sweep import Sweep
 
 PARTED = load_variable(Path(__file__).with_name("parted.py"), sweep=Sweep).base
 FIELDS = ("train_pins.tap_weight", "train_pins.alike_weight")

@@ -11,8 +11,8 @@ Settings of equal cost in contacts: many poses with a slide each, few poses with
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config import load_experiment
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.sweep import Sweep
 
 DEMO = load_experiment(Path(__file__).with_name("demo.py"))
 IMAGES = [f"{group}.{field}" for group in ("paired", "pose") for field in ("preprocess.size", "camera.frame_px")]

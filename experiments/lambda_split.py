@@ -12,8 +12,8 @@ Measured (docs/results/lambda_split.json): it holds for lambda. Of the split it 
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config import load_experiment
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.sweep import Sweep
 
 DEMO = load_experiment(Path(__file__).with_name("demo.py"))
 

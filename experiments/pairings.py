@@ -11,7 +11,7 @@ Expected: no difference with 4,000 taps of an edge (docs/results/pairings.json, 
 from dataclasses import replace
 
 from jaxunshear.fit import BASE
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="pairings",

@@ -16,10 +16,10 @@ friction are those fitted to recordings of a TacTip (docs/calibration.md): those
 4x4 kernels stand in figures that the text lacks: ours (docs/model.md).
 """
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import Experiment
-from jaxunshear.model.settings import PoseNet, UnshearNet
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.training import Training
 
 SIZE = 256
 

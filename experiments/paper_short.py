@@ -8,10 +8,10 @@ Slides are paired with taps of their own depth; against taps that miss it by up 
 own.
 """
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import Experiment
-from jaxunshear.model.settings import PoseNet, UnshearNet
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.training import Training
 
 SIZE = 256
 

@@ -11,8 +11,8 @@ taps that miss it by up to 1 mm, as the paper pairs them. Five minutes on an H10
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config import load_experiment
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.load import load_experiment
 
 PAPER = load_experiment(Path(__file__).with_name("paper.py"))
 

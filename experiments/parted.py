@@ -14,10 +14,10 @@ Expected: docs/results/parted.json; half an hour on two cores. `jaxunshear ablat
 
 from dataclasses import replace
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import PINS, Experiment
-from jaxunshear.model.settings import PinNet, UnshearNet
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.experiment import PINS, Experiment
+from jaxunshear.settings.networks import PinNet, UnshearNet
+from jaxunshear.settings.sweep import Sweep
 
 ROWS = {
     "parted": (),

@@ -14,9 +14,9 @@ full table
 
 from dataclasses import replace
 
-from jaxunshear.experiment import PINS
 from jaxunshear.fit import BASE
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="parted_skin",

@@ -11,9 +11,9 @@ Expected: docs/results/simulated_slides.json, half an hour on two cores.
 
 from dataclasses import replace
 
-from jaxunshear.experiment import PINS
 from jaxunshear.fit import BASE
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="simulated_slides",

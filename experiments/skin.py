@@ -9,9 +9,9 @@ Over pins: of an edge and of three shapes, touched by the fitted sensor, drawn a
 Expected on two cores: 8 minutes to simulate, 5 to train; docs/results/skin.json for its score on recordings of a real edge.
 """
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import PINS, Experiment
-from jaxunshear.model.settings import PinNet, UnshearNet
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.experiment import PINS, Experiment
+from jaxunshear.settings.networks import PinNet, UnshearNet
 
 experiment = Experiment(
     name="skin",

@@ -9,10 +9,10 @@ networks of a seed, most of them compilation. Images of 128 px, camera noise and
 network has seen, and taps whose depth misses the slide's by up to 1 mm, as the paper pairs them.
 """
 
-from jaxunshear.dataset.configs import PAIRED, POSE, sensor_of
-from jaxunshear.experiment import ALL_NETWORKS, Experiment
-from jaxunshear.model.settings import UnshearNet
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
+from jaxunshear.settings.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.training import Training
 
 POSENET = Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675)
 

@@ -12,11 +12,11 @@ Expected: docs/results/tilted.json; a quarter of an hour on one core.
 from dataclasses import replace
 from pathlib import Path
 
-from jaxunshear.config import load_variable
-from jaxunshear.dataset.configs import PAIRED, POSE
-from jaxunshear.experiment import PINS
-from jaxunshear.model.settings import PinNet
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.configs import PAIRED, POSE
+from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.load import load_variable
+from jaxunshear.settings.networks import PinNet
+from jaxunshear.settings.sweep import Sweep
 
 PARTED = load_variable(Path(__file__).with_name("parted.py"), sweep=Sweep).base
 ROWS = {"an upright sensor": (("paired.ranges.tilt_deg", 0.0),), "a sensor that leans": ()}

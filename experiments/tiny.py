@@ -5,10 +5,10 @@
 Expected on two cores: a minute or two, most of it compilation.
 """
 
-from jaxunshear.dataset.configs import PAIRED, POSE
-from jaxunshear.experiment import Experiment
-from jaxunshear.model.settings import PoseNet, UnshearNet
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.configs import PAIRED, POSE
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.training import Training
 
 POSENET = Training(epochs=2, batch=6, validate_every=4)
 

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import SENSORS, Sensor, pin_tips, sensor_named
+from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, signed_distance, stimulus_named
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.sensor import SENSORS, Sensor, sensor_named
 from jaxunshear.storage import write_bytes
 
 SUFFIXES = (".png", ".svg", ".pdf")

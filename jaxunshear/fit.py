@@ -10,11 +10,11 @@ from typing import Any
 
 from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.recorded import sensor_of, survey
-from jaxunshear.dataset.settings import Recorded, RecordedTaps
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, Experiment
-from jaxunshear.model.settings import UnshearNet
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.data import Recorded, RecordedTaps
+from jaxunshear.settings.experiment import POSENETS, Experiment, Network
+from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.training import Training
 
 BASE = Experiment(
     name="recorded",
@@ -67,7 +67,7 @@ def with_recordings(experiment: Experiment, taps: str = "", slides: str = "", pa
     return replace(experiment, paired=recorded, networks=networks, sensor=sensor)
 
 
-def allowed(networks: tuple[str, ...], taps: bool, slides: bool) -> tuple[str, ...]:
+def allowed(networks: tuple[Network, ...], taps: bool, slides: bool) -> tuple[Network, ...]:
     """Those that can learn where there are `taps`, or `slides`, or both; of slides alone, poses."""
     if taps and slides:
         return networks
@@ -88,15 +88,15 @@ def as_python(experiment: Experiment) -> str:
 
 
 _MODULES = {
-    "Experiment": "jaxunshear.experiment",
-    "Recorded": "jaxunshear.dataset.settings",
-    "RecordedTaps": "jaxunshear.dataset.settings",
-    "Preprocess": "jaxunshear.image.settings",
-    "Sensor": "jaxunshear.scene.sensor",
-    "Training": "jaxunshear.training.settings",
-    "UnshearNet": "jaxunshear.model.settings",
-    "PoseNet": "jaxunshear.model.settings",
-    "PinNet": "jaxunshear.model.settings",
+    "Experiment": "jaxunshear.settings.experiment",
+    "Recorded": "jaxunshear.settings.data",
+    "RecordedTaps": "jaxunshear.settings.data",
+    "Preprocess": "jaxunshear.settings.image",
+    "Sensor": "jaxunshear.settings.sensor",
+    "Training": "jaxunshear.settings.training",
+    "UnshearNet": "jaxunshear.settings.networks",
+    "PoseNet": "jaxunshear.settings.networks",
+    "PinNet": "jaxunshear.settings.networks",
 }
 
 

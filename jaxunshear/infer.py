@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxunshear.config import from_json
-from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, over_pins
 from jaxunshear.image.png import eight_bit, png
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.progress import Progress
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.stored import from_json
+from jaxunshear.settings.targets import RECORDED, SLIDES
 from jaxunshear.storage import check_beside, csv_text, read_json, write_bytes, write_text
-from jaxunshear.targets import RECORDED, SLIDES
 
 if TYPE_CHECKING:
     from jaxunshear.applications.perceiver import Answers, Perceiver

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
+from jaxunshear.settings.targets import to_json
 from jaxunshear.storage import read_json, write_json, write_text
-from jaxunshear.targets import to_json
 
 CONSTANTS = ("rest", "spread")  # of networks over pins
 PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none is named

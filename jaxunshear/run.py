@@ -10,18 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxunshear.config import from_json, to_json
-from jaxunshear.dataset import configs
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import (
-    TEACHER,
-    TRAINABLE,
-    Experiment,
-    recorded_of,
-    training_of,
-)
 from jaxunshear.infer import model_folder
 from jaxunshear.locks import locked
+from jaxunshear.settings import configs
+from jaxunshear.settings.experiment import TEACHER, TRAINABLE, Experiment, recorded_of, training_of
+from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
 from jaxunshear.training.kept_out import exams_of
 from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, taken_over

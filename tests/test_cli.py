@@ -11,7 +11,8 @@ import pytest
 from PIL import Image
 
 from jaxunshear import cli
-from jaxunshear.config import load_experiment, to_json
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.stored import to_json
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ROOT / "experiments" / "demo.py"
@@ -51,7 +52,7 @@ BAD_FIELDS = [
     ("--paired.taps 3 --paired.slides 2", "--paired.taps"),
     ("--train.optimiser sgd", "--train.optimiser"),
     ("--train.validation_images 0", "--train.validation_images"),
-    ("--paired.stimuli disk,box", "stimulus box is unknown"),
+    ("--paired.stimuli disk,box", "box is unknown: use one of disk, clover"),
     ("--paired.stimuli=", "name at least one"),
     ("--paired.stimuli disk,disk", "each stimulus once"),
     ("--paired.config standard", "no field --paired.config: a configuration is chosen by the experiment's file"),
@@ -65,7 +66,7 @@ BAD_FIELDS = [
     ("--paired.ranges.lateral_mm 100", "the target is not touched"),
     ("--paired.ranges.yaw_deg 200", "0 to 180"),
     ("--paired.ranges.move_mm -1", "--paired.ranges.move_mm"),
-    ("--unshear.size 100", "differs from the data set's images"),
+    ("--unshear.size 96", "differs from the data set's images"),
     ("--unshear.size 64", "differs from the data set's images"),
     ("--posenet.size 64", "differs from the data set's images"),
     ("--paired.preprocess.size 512", "larger than the camera's frame"),

@@ -11,11 +11,11 @@ from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.geometry_ways import WAYS
 from jaxunshear.cli import options
-from jaxunshear.dataset.settings import PairedData, PoseData
-from jaxunshear.experiment import Experiment
-from jaxunshear.image.settings import Preprocess
-from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.scene.stimuli import STIMULI
+from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.networks import PoseNet, UnshearNet
 from tests.test_infer import init, trained
 
 
@@ -32,8 +32,8 @@ def experiment(size):
 
 def run_of(folder, size, seed=0):
     """A run with networks that have learnt nothing."""
-    from jaxunshear.config import to_json
     from jaxunshear.model import posenet, unshearnet
+    from jaxunshear.settings.stored import to_json
     from jaxunshear.storage import write_json
 
     small, run = experiment(size), folder / "small"

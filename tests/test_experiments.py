@@ -5,12 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.config import load_experiment, override, validate
-from jaxunshear.dataset.configs import CONFIGS, config_name, set_name
-from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
+from jaxunshear.settings.configs import CONFIGS, config_name, set_name
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.fields import override
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.rules import validate
+from jaxunshear.settings.sweep import check, load_sweep, with_overrides
 from jaxunshear.sweep.rows import cells_of, reference_of, rows_of
-from jaxunshear.sweep.settings import check, load_sweep, with_overrides
 
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 

@@ -13,13 +13,14 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import infer, targets
-from jaxunshear.config import to_json
-from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
-from jaxunshear.experiment import Experiment
-from jaxunshear.image.settings import Preprocess
+from jaxunshear import infer
 from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.settings import targets
+from jaxunshear.settings.data import PairedData, PoseData, Ranges
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.stored import to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once

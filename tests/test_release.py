@@ -10,15 +10,17 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import infer, targets
-from jaxunshear.config import from_json, to_json, validate
-from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
+from jaxunshear import infer
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.model import pose_head, posenet, unshearnet
-from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.release import card, release
+from jaxunshear.settings import targets
+from jaxunshear.settings.data import PairedData, PoseData, Ranges
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.rules import validate
+from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once

@@ -19,11 +19,12 @@ import pytest
 from PIL import Image
 
 from jaxunshear import run
-from jaxunshear.dataset import configs, making
+from jaxunshear.dataset import making
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import reproducible
-from jaxunshear.experiment import Experiment
 from jaxunshear.locks import locked
+from jaxunshear.settings import configs
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.storage import write_json
 from jaxunshear.sweep import tasks
 from jaxunshear.training.checkpoint import load_best

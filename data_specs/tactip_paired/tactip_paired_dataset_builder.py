@@ -5,7 +5,7 @@ import tensorflow_datasets as tfds
 
 from data_specs.stored_set import SimulatedSet, standard_configs
 from jaxunshear.dataset import examples
-from jaxunshear.dataset.configs import PAIRED_SET
+from jaxunshear.settings.configs import PAIRED_SET
 
 
 class Builder(SimulatedSet):

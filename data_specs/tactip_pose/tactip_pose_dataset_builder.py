@@ -5,7 +5,7 @@ import tensorflow_datasets as tfds
 
 from data_specs.stored_set import SimulatedSet, standard_configs
 from jaxunshear.dataset import examples
-from jaxunshear.dataset.configs import POSE_SET
+from jaxunshear.settings.configs import POSE_SET
 
 
 class Builder(SimulatedSet):

@@ -6,8 +6,9 @@ import numpy as np
 import tensorflow_datasets as tfds
 
 from data_specs.stored_set import StoredSet
-from jaxunshear.dataset import configs, recorded_examples
-from jaxunshear.dataset.splits import SPLITS
+from jaxunshear.dataset import recorded_examples
+from jaxunshear.settings import configs
+from jaxunshear.settings.splits import SPLITS
 
 
 class Builder(StoredSet):

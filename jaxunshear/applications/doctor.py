@@ -21,8 +21,8 @@ from jaxunshear.dataset.labels import MOVE_COLUMNS, POSE_COLUMNS, Problem, colum
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.grey import check_frame
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.progress import Progress
+from jaxunshear.settings.image import Preprocess
 
 SAMPLED = 40  # images whose pins are found, shared by the folders
 LEAST_SAMPLED = 8  # in each of many folders

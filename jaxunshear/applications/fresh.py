@@ -12,10 +12,10 @@ from jaxunshear.contact.indentation import indentation
 from jaxunshear.contact.simulate import follow
 from jaxunshear.dataset.chunks import render
 from jaxunshear.dataset.shots import draw_paired
-from jaxunshear.dataset.splits import BLOCK
-from jaxunshear.experiment import Experiment, simulated_of
 from jaxunshear.scene.paths import path_of
-from jaxunshear.scene.sensor import pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.settings.splits import BLOCK
 
 SEED = 1_000_003  # added to the data's
 

@@ -16,9 +16,9 @@ from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry import cell_areas, relative_growth, smoothed
 from jaxunshear.applications.inverse import indentation_of, learnt, of_compliance
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, simulated_of
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
+from jaxunshear.settings.experiment import Experiment, simulated_of
 
 AREAS, CHANGE, GROWTH, COMPLIANCE, INVERSE = WAYS = ("areas", "change", "growth", "compliance", "inverse")
 

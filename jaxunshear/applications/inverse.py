@@ -17,8 +17,8 @@ from jaxunshear.contact.batches import dome
 from jaxunshear.contact.indentation import per_force
 from jaxunshear.image.camera import project, to_image_px
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.image.settings import Camera, Preprocess
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.image import Camera, Preprocess
+from jaxunshear.settings.sensor import Sensor
 
 NOISE = 0.06  # spacings by which a pin's coordinates may be off: 0.3 px at 128 px
 SIGNAL = 10.0  # times as far as the noise, touches move pins (rms)

@@ -21,7 +21,8 @@ from jaxunshear.applications.inverse import indentation_of, learnt
 from jaxunshear.applications.occupancy import NEAR_MM, evidence, learn
 from jaxunshear.applications.reconstruct import Fused, filled_shape, interpolated, ridge_shape, skin_places
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.sensor import Sensor
 
 VORONOI, SKIN, EVIDENCE = "voronoi", "skin", "evidence"
 

@@ -14,12 +14,12 @@ from jaxunshear.applications.perception import Unshear, unsheared_by
 from jaxunshear.applications.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target
 from jaxunshear.applications.servo import CLOSED, Course, Walks
 from jaxunshear.dataset.chunks import unpack
-from jaxunshear.experiment import Experiment, simulated_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.progress import Progress
 from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_named
+from jaxunshear.settings.experiment import Experiment, simulated_of
 
 EVERY = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
 

@@ -19,22 +19,22 @@ from scipy.linalg import orthogonal_procrustes
 from jaxunshear.dataset.preparing import LIKE, Frame, frame_of_recordings, to_found, to_image
 from jaxunshear.dataset.recorded_reading import frame_from
 from jaxunshear.dataset.recordings import read_recordings
-from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.image.preprocess import View
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.tracking import followed
 from jaxunshear.image.understood import Expected, expected_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import read_json
-from jaxunshear.targets import names_of
 from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
 from jaxunshear.training.examples import FRAME
 

@@ -16,16 +16,16 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import UNSHEARING, Experiment, over_pins, simulated_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import followed, motions_of
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
-from jaxunshear.model.settings import PinPoseNet, PoseNet
 from jaxunshear.model.unshearing import predict, unshear
-from jaxunshear.targets import Targets, names_of
+from jaxunshear.settings.experiment import UNSHEARING, Experiment, over_pins, simulated_of
+from jaxunshear.settings.networks import PinPoseNet, PoseNet
+from jaxunshear.settings.targets import Targets, names_of
 from jaxunshear.training.checkpoint import check_finished, digest_of, holds_model, load_best, read_net, read_targets
 
 TRUE = "true"  # the pose that the simulator knows

@@ -16,10 +16,10 @@ from jaxunshear.image.fitting import Layout, fit_lattice
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import Found, detect
 from jaxunshear.image.preprocess import View
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.track import Track
 from jaxunshear.image.tracking import follow_all
 from jaxunshear.progress import Progress
+from jaxunshear.settings.image import Preprocess
 from jaxunshear.storage import csv_text, write_bytes, write_text
 
 LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged

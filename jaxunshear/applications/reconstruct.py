@@ -18,7 +18,8 @@ from skimage.morphology import reconstruction
 from skimage.segmentation import watershed
 
 from jaxunshear.applications.contour import Outline
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.sensor import Sensor
 
 CELL_MM = 0.5
 BLUR_MM = 0.6  # pins are farther apart than cells

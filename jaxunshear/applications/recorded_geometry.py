@@ -8,9 +8,9 @@ import numpy as np
 from jaxunshear.applications.geometry_ways import Way
 from jaxunshear.applications.perception import Unshear
 from jaxunshear.dataset.recordings import read_recordings
-from jaxunshear.experiment import Experiment
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
+from jaxunshear.settings.experiment import Experiment
 
 SHOWN = 8
 

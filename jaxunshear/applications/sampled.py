@@ -10,9 +10,9 @@ from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.grey import is_binary, middle_level, to_grey, white_of
 from jaxunshear.image.pins import Found, detect, find_pins
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.tracking import follow_all
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
 SENSORS = (TACTIP_331, TACTIP_127)
 LIKE = (0.85, 1.1)  # of a sensor's pins, found: fewer or more are another sensor's

@@ -26,14 +26,14 @@ from jaxunshear.applications.perception import Perceive
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Skins
 from jaxunshear.dataset.chunks import RENDER, pack, render
-from jaxunshear.dataset.configs import VERSION
-from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import edge_teller
-from jaxunshear.scene.sensor import Sensor
 from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.settings.configs import VERSION
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 LOST_MM = 8.0  # from the edge: farther than any network has seen

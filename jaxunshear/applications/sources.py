@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxunshear.dataset.recordings import read_image, read_recordings
-from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
 from jaxunshear.image.preprocess import View
-from jaxunshear.image.settings import Preprocess
-from jaxunshear.targets import RECORDED
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.targets import RECORDED
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
 CAMERA = "camera"

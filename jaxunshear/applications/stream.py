@@ -21,17 +21,17 @@ from jaxunshear.applications.perception import Forward, load_forward
 from jaxunshear.applications.sources import Frame
 from jaxunshear.dataset.preparing import Frame as PinFrame
 from jaxunshear.dataset.recordings import PROBES
-from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, over_pins
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.understood import Expected, plausibility
 from jaxunshear.metrics import pose_errors
 from jaxunshear.model.ready import ready
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import write_bytes
-from jaxunshear.targets import names_of
 
 FAST = 1  # zlib's level: a frame has milliseconds
 Step = Callable[[np.ndarray], tuple[np.ndarray | None, dict[str, float], float]]

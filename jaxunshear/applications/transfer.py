@@ -21,17 +21,17 @@ from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.preparing import LEAST_FRAMES, frame_of
 from jaxunshear.dataset.recorded import Contacts, common_view, everything
 from jaxunshear.dataset.recordings import read_image
-from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.evaluation.readers import PIN_PLACES, PoseReader, places, read, reader_of
-from jaxunshear.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.image.understood import ENOUGH, plausibility
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.metrics.pose import pose_errors
 from jaxunshear.progress import Progress
-from jaxunshear.targets import RECORDED, STILL, names_of, of_labels
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
+from jaxunshear.settings.targets import RECORDED, STILL, names_of, of_labels
 
 BATCH = 32
 SEED = 0  # of the taps that show how readings and labels go together

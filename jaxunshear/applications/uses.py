@@ -13,7 +13,7 @@ from jaxunshear.applications.sampled import LEAST_PINS, SENSORS, Pins
 from jaxunshear.dataset.labels import table_of
 from jaxunshear.dataset.preparing import LEAST_FRAMES
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.sensor import TACTIP_331
 
 FEW = 0.1  # of a folder's contacts: taps among slides, or slides among taps, that make it neither
 SIMULATED = (

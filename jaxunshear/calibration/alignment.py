@@ -13,7 +13,7 @@ from jaxunshear.calibration.labels import Frame, Motions, framed
 from jaxunshear.calibration.prediction import Values, displacements
 from jaxunshear.calibration.statistics import Seen
 from jaxunshear.calibration.validation import centred, r2, settled
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 STEPS = {"surface_mm": 0.2, "across_mm": 0.5, "tilt_x_deg": 1.5, "tilt_y_deg": 1.5}  # of forward differences
 FARTHEST = 4.0  # steps that a round may go

@@ -23,10 +23,10 @@ from jaxunshear.calibration.sampling import Recorded, sample
 from jaxunshear.calibration.statistics import Seen, Summary, observe, summaries
 from jaxunshear.errors import UserError
 from jaxunshear.image.pins import find_pins
-from jaxunshear.image.settings import Camera
 from jaxunshear.progress import Progress
-from jaxunshear.scene.sensor import SENSORS, Sensor
 from jaxunshear.scene.stimuli import ABS_FRICTION
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.sensor import SENSORS, Sensor
 from jaxunshear.storage import write_bytes, write_json, write_text
 
 IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter

@@ -10,8 +10,8 @@ from typing import Any
 
 from jaxunshear.calibration.prediction import Values, skin_to_gel
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import FITTED_CAMERA, Camera
-from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
+from jaxunshear.settings.image import FITTED_CAMERA, Camera
+from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
 from jaxunshear.storage import read_json
 
 

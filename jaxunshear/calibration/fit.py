@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxunshear.calibration.prediction import Values
 from jaxunshear.calibration.problem import UNSOLVED_PX, Group, Problem
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 ROUNDS = 12
 SETTLED = 2e-3  # of the cost: a round that gains less is the last

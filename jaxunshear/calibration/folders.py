@@ -18,7 +18,7 @@ from jaxunshear.calibration.statistics import Seen, observe
 from jaxunshear.calibration.validation import Compared, centred, mm_per_px, settled
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, X
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 CHUNK = 50  # contacts between two steps of the progress
 

@@ -24,7 +24,7 @@ from jaxunshear.contact.gradient import PinModel, pin_model, pins
 from jaxunshear.contact.plan import Level
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import write_bytes
 
 KNOTS = (3.0, 10.0, 30.0)  # skin:gel ratios at which the compliance is computed

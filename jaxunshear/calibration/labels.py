@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.sensor import Sensor
 from jaxunshear.scene.stimuli import Stimulus
+from jaxunshear.settings.sensor import Sensor
 
 HALF_PLANE = Stimulus("half plane", lambda p: p[..., 0], (0.0, 0.0, 0.0), 100.0)
 INLAND_MM = 25.0  # from the edge, where a half plane is flat for all the dome can reach

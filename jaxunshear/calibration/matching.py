@@ -13,7 +13,7 @@ from jaxunshear.calibration.labels import Motions, motions
 from jaxunshear.calibration.prediction import Values, displacements, place_of
 from jaxunshear.calibration.statistics import Seen, ring_motion, ring_radii
 from jaxunshear.image.lattice import shells
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 IMAGES = 48
 DEEPEST = (0.12, 0.22)  # of the contacts over the dome's radius, to begin with: the depth axis' origin is fitted later

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.calibration.labels import HALF_PLANE, Motions, to_paths
-from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.contact.simulate import follow
 from jaxunshear.image.camera import project
-from jaxunshear.image.settings import Camera
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
-from jaxunshear.scene.sensor import Sensor, pin_lattice, pin_tips
+from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.reach import deepest_mm
+from jaxunshear.settings.sensor import Sensor
 
 PROBE_DEG = 5.0  # between its rings
 PROBE_RINGS = 14  # to 70 degrees

@@ -12,7 +12,7 @@ from jaxunshear.calibration.labels import Motions
 from jaxunshear.calibration.prediction import Values, displacements, place_of
 from jaxunshear.calibration.statistics import Seen, less_mean, ring_radii, ring_shift
 from jaxunshear.image.lattice import shells
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 RATIO_STEP = 6.0  # between the domes that stiffnesses are interpolated from
 # Standard deviations of wide priors: of logarithms, but for `surface_mm`. They hold what the images leave open.

@@ -17,7 +17,7 @@ from jaxunshear.calibration.calibrated import Calibrated, value_of, with_value
 from jaxunshear.calibration.folders import with_values
 from jaxunshear.calibration.labels import Frame
 from jaxunshear.calibration.validation import r2, settled
-from jaxunshear.scene.sensor import sensor_rules
+from jaxunshear.settings.types import own_rules
 
 UNITS = {
     "friction": "1",
@@ -71,7 +71,7 @@ def refit(
         there, tried = here, motions
         for share in SHORTER:
             there = _along(here, start, names, framed, share * step)
-            if not all(holds for holds, _, _ in sensor_rules(there.known.sensor)):
+            if not all(holds for holds, _, _ in own_rules(there.known.sensor)):
                 continue
             tried = _compared(matters, there)
             if score(tried) > score(motions):
@@ -199,4 +199,4 @@ def _framed_alike(matters: list[Matter], start: Calibrated, here: Point) -> Cali
     spacing = float(np.mean(spacings))
     radius = start.sensor.pin_radius_mm * spacing / start.sensor.pin_spacing_mm
     spaced = with_value(with_value(here.known, "pin_radius_mm", radius), "pin_spacing_mm", spacing)
-    return spaced if all(holds for holds, _, _ in sensor_rules(spaced.sensor)) else here.known
+    return spaced if all(holds for holds, _, _ in own_rules(spaced.sensor)) else here.known

@@ -15,9 +15,10 @@ from jaxunshear.contact.simulate import follow
 from jaxunshear.image.camera import frame, outer_fraction
 from jaxunshear.image.pins import find_pins
 from jaxunshear.image.preprocess import binarise
-from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import Camera, Nuisance, Preprocess
+from jaxunshear.settings.sensor import Sensor
 
 FRAME_PX = 256  # at least: what a camera sees before it is made smaller
 SOME_IMAGES = 16  # determine the size of pins and housing

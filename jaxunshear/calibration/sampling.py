@@ -9,7 +9,7 @@ import numpy as np
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.preprocess import is_binary, to_grey
-from jaxunshear.image.settings import Preprocess
+from jaxunshear.settings.image import Preprocess
 
 SIZES_PX = (128, 440)  # least and most; raw frames are made 256
 

@@ -19,7 +19,7 @@ from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import Found, find_pins
 from jaxunshear.image.tracking import follow_all
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 CENTRAL = 1  # pins up to this ring are the central ones: seven of them
 SLIDE_BINS_MM = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)

@@ -17,7 +17,8 @@ import numpy as np
 from jaxunshear.calibration.prediction import Values, interpolation_at, probe
 from jaxunshear.calibration.statistics import SLIDE_BINS_MM, less_mean
 from jaxunshear.image.camera import project
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.sensor import Sensor
 
 FARTHEST_DEG = 68.0  # from the apex: pins that are seen farther out are taken for standing there
 SETTLING = 3  # rounds in which the places of untouched pins follow from the mean of the touched ones
@@ -67,7 +68,7 @@ def stand(values: Values, sensor: Sensor, size: int, rest: np.ndarray) -> np.nda
 
 
 def _tips(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
-    """Untouched tips (P, 3) mm of pins at `flat` (P, 2) mm of arc from the apex, as `scene.sensor.pin_tips` has its lattice's."""
+    """Untouched tips (P, 3) mm of pins at `flat` (P, 2) mm of arc from the apex, as `scene.pins.pin_tips` has its lattice's."""
     arc = np.linalg.norm(flat, axis=-1)
     angle = arc / sensor.dome_radius_mm
     direction = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)

@@ -17,15 +17,15 @@ import jax
 import numpy as np
 
 from jaxunshear.checks.clock import seconds
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.evaluation.networks import run_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import native, posenet, unshearnet
-from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
-from jaxunshear.targets import of_ranges
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.training import Training
 from jaxunshear.training.loop import run_once
-from jaxunshear.training.settings import Training
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import unshear_task
 

@@ -18,16 +18,16 @@ import numpy as np
 from jaxunshear.applications.perception import forward_of
 from jaxunshear.applications.stream import perceive_of
 from jaxunshear.checks.clock import SIZE, matrix_product, seconds
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import native, posenet, unshearnet
 from jaxunshear.model.ready import ready
-from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.progress import Progress
-from jaxunshear.targets import names_of, of_ranges
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.targets import names_of, of_ranges
+from jaxunshear.settings.training import Training
 from jaxunshear.training.loop import run_once
-from jaxunshear.training.settings import Training
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import unshear_task
 

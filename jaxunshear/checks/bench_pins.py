@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.applications.fresh import fresh_contacts
-from jaxunshear.dataset.configs import PAIRED, sensor_of
-from jaxunshear.experiment import Experiment
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import detect
-from jaxunshear.image.settings import Nuisance
 from jaxunshear.image.tracking import follow_pins, usual_motions
 from jaxunshear.progress import Progress
+from jaxunshear.settings.configs import PAIRED, sensor_of
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Nuisance
 
 CONFIGS = ("tiny", "demo", "calibrated")  # of which sensor and camera are taken
 SIZES = (128, 256)

@@ -23,11 +23,11 @@ from jaxunshear.checks.truth import true_pins
 from jaxunshear.contact import batches
 from jaxunshear.contact import simulate as simulator
 from jaxunshear.contact.plan import LEVELS, Level, unabridged
-from jaxunshear.contact.rings import RING_MM, ring_spacing
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.progress import Progress
-from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.reach import RING_MM, ring_spacing
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
 
 OWN = "admm"
 WRONG_PX = 1.0  # rms: a solver that ends further off than this has failed

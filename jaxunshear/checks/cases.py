@@ -17,10 +17,10 @@ from jaxunshear.contact.simulate import follow, simulate
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor
 from jaxunshear.scene.shapes import disk, stroke
 from jaxunshear.scene.stimuli import SHAPES as PLANAR
 from jaxunshear.scene.stimuli import Stimulus
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
 HALF_SIZE = replace(
     TACTIP_331,

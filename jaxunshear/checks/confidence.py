@@ -18,10 +18,10 @@ from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.pins import find_pins
 from jaxunshear.image.preprocess import prepare_frame
-from jaxunshear.image.settings import Camera, Preprocess
 from jaxunshear.image.understood import ALLOWED, ENOUGH, Expected, Seen, differences, expected_of, score, seen_of
 from jaxunshear.progress import Progress
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor
+from jaxunshear.settings.image import Camera, Preprocess
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
 SIZE = 128
 COUNT = 100  # images of a group

@@ -10,8 +10,8 @@ from jaxunshear.contact.obstacle import sample
 from jaxunshear.contact.plan import Level, increments
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.sensor import Sensor
 from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.settings.sensor import Sensor
 
 
 def follow_duplicated(sensor: Sensor, points: np.ndarray, friction: float, level: Level, twice: int = 7) -> Contacts:

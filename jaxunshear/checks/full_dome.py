@@ -14,8 +14,9 @@ from jaxunshear.contact.plan import LEVELS, Level
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.stimuli import Stimulus
+from jaxunshear.settings.sensor import Sensor
 
 GROUP = "the dome"
 FINE = "fine tolerance"

@@ -5,15 +5,15 @@ from contextlib import contextmanager
 from dataclasses import replace
 from unittest.mock import patch
 
-from jaxunshear.contact import rings
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings import reach
+from jaxunshear.settings.sensor import Sensor
 
 
 @contextmanager
 def spaced(sensor: Sensor, spacing_mm: float) -> Iterator[Sensor]:
     """The sensor to use while it lasts: under a name of its own, so that no cache mistakes it for the other."""
-    if spacing_mm == rings.ring_spacing(sensor):
+    if spacing_mm == reach.ring_spacing(sensor):
         yield sensor
         return
-    with patch.object(rings, "RING_MM", spacing_mm), patch.object(rings, "MOST", 1000):
+    with patch.object(reach, "RING_MM", spacing_mm), patch.object(reach, "MOST", 1000):
         yield replace(sensor, name=f"{sensor.name}-{spacing_mm:g}mm")

@@ -20,8 +20,9 @@ from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import path_of
+from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.settings.sensor import Sensor
 
 DEPTHS_MM = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 INSIDE_MM = 25.0  # of the edge of the disk, so far that no contact reaches it

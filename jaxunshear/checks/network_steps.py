@@ -16,14 +16,14 @@ import numpy as np
 
 from jaxunshear.checks.network_images import Batch
 from jaxunshear.checks.stability_networks import Found
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
-from jaxunshear.targets import of_ranges
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.loop import run_once
-from jaxunshear.training.settings import Training
 from jaxunshear.training.step import State, fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Task, posenet_task, unshear_task
 

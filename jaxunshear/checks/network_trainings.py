@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -26,10 +27,10 @@ from jaxunshear.checks.network_steps import (
     walk,
 )
 from jaxunshear.checks.stability_networks import FINITE, REFUSED, SAYS_WHERE, STOPPED, Found, NetworkCase
-from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
+from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import train as train_network
-from jaxunshear.training.settings import Training
 
 NET = UnshearNet(size=64, widths=(6, 8, 8), pose_channels=8, shear_channels=8)
 SHALLOW = UnshearNet(size=32, widths=(4, 6), pose_channels=8, shear_channels=8)  # quick to compile
@@ -118,7 +119,8 @@ def _decays(net: Net) -> Iterator[NetworkCase]:
 def _starts() -> Iterator[NetworkCase]:
     """The first steps of experiments/paper.py, in smaller batches, by what its weights on kernels can mean."""
     nets: tuple[Net, ...] = (PAPER_NET, PAPER_POSENET)
-    for net, kernels in itertools.product(nets, ("sum", "mean")):
+    ways: tuple[Literal["sum", "mean"], ...] = ("sum", "mean")
+    for net, kernels in itertools.product(nets, ways):
         name, training = f"the paper's start, l1 and l2 per {kernels}", replace(PAPER, batch=2, kernels=kernels)
         yield steps_case(name, net, training, steps=SAVED_EVERY)
 

@@ -20,7 +20,7 @@ from jaxunshear.checks.network_trainings import NET, POSENET, TRAINING, batch_of
 from jaxunshear.checks.stability_networks import Found, NetworkCase
 from jaxunshear.metrics import images as metrics
 from jaxunshear.model import posenet
-from jaxunshear.model.settings import PoseNet
+from jaxunshear.settings.networks import PoseNet
 from jaxunshear.training import checkpoint, losses
 
 LEARNT, UNSEEN = 60, 500  # steps, and the step whose batch is none of theirs

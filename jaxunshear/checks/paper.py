@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, make_scenes
 from jaxunshear.scene.stimuli import SHAPES as NAMES
+from jaxunshear.settings.data import Ranges
 
 KINDS = ("slide", "tap")
 

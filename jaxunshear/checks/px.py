@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.image.camera import project
-from jaxunshear.image.settings import Camera
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.sensor import Sensor
 
 
 class PinError(NamedTuple):

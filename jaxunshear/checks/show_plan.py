@@ -22,8 +22,8 @@ from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, YAW, Paths, path_of
-from jaxunshear.scene.sensor import Sensor, sensor_named
 from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.settings.sensor import Sensor, sensor_named
 
 REPEATS, BUDGET_S = 3, 2.0  # warm runs: fewer where they take long
 TOGETHER = "all of them"

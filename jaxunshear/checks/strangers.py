@@ -13,12 +13,13 @@ from scipy.spatial import cKDTree
 from skimage.draw import ellipse, rectangle
 
 from jaxunshear.dataset.chunks import render
-from jaxunshear.dataset.configs import PAIRED
 from jaxunshear.image.pins import glance
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.image.understood import MASK, inverse
-from jaxunshear.scene.sensor import TACTIP_331, Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.configs import PAIRED
+from jaxunshear.settings.image import Camera, Nuisance, Preprocess
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
 
 REACH = 2.0  # spacings, the longest way of a pin
 OTHER_PINS = {  # sensors of other pins in the same dome and framing

@@ -17,8 +17,8 @@ from torch import Tensor, nn
 
 from jaxunshear.model.layers import MOMENTUM
 from jaxunshear.model.norm import EPSILON
-from jaxunshear.model.settings import PoseNet, UnshearNet
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.training import Training
 
 
 def _norm(width: int) -> nn.Module:

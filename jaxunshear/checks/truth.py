@@ -17,7 +17,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.metrics.machine import versions
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import BROKEN_NPZ, cache_folder, write_bytes
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxunshear.checks import elements, full_dome, laws, normal, periodic, shear
 from jaxunshear.checks.half_space import half_space
 from jaxunshear.checks.tables import Row, vanishes
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.sensor import TACTIP_331
 
 INCOMPRESSIBLE = 0.499
 

@@ -100,7 +100,7 @@ class _Parser(argparse.ArgumentParser):
     def format_help(self) -> str:
         if not self.takes_fields:
             return super().format_help()
-        from jaxunshear.config import field_types  # only for this: help must be quick
+        from jaxunshear.settings.fields import field_types  # only for this: help must be quick
 
         groups: dict[str, list[str]] = {}
         for name, _ in field_types():
@@ -122,7 +122,7 @@ def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words = argv
     if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
-        from jaxunshear.config import parse_overrides, split_overrides
+        from jaxunshear.settings.fields import parse_overrides, split_overrides
 
         words, fields = split_overrides(
             argv, (stages if argv[0] in stages.COMMANDS else sweep).OWN_OPTIONS, sweep.FLAGS

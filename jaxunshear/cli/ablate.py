@@ -20,8 +20,8 @@ def add_parsers(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.config import from_json
     from jaxunshear.evaluation import ablation, exchange, leakage
+    from jaxunshear.settings.stored import from_json
     from jaxunshear.storage import read_json, write_json
 
     settings = arguments.run / "experiment.json"

@@ -7,7 +7,7 @@ from typing import Any
 from jaxunshear.cli import options
 from jaxunshear.cli.options import Model, add_model, new_parser
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import simulated_of
+from jaxunshear.settings.experiment import simulated_of
 from jaxunshear.storage import check_beside
 
 
@@ -33,8 +33,8 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any
     from jaxunshear.applications.perception import unshearers, unshearing_of
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.image.framing import undeformed
-    from jaxunshear.image.settings import Preprocess
     from jaxunshear.report import geometry_figure
+    from jaxunshear.settings.image import Preprocess
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.settings.experiment import Experiment
 
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
 DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones

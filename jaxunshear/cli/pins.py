@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxunshear.cli.options import Model, new_parser
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import simulated_of
+from jaxunshear.settings.experiment import simulated_of
 from jaxunshear.storage import check_beside
 
 
@@ -34,8 +34,8 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> dict[s
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.image.fitting import Layout, layout_of, read_layout
     from jaxunshear.image.lattice import Lattice
-    from jaxunshear.image.settings import Preprocess
-    from jaxunshear.scene.sensor import sensor_named
+    from jaxunshear.settings.image import Preprocess
+    from jaxunshear.settings.sensor import sensor_named
     from jaxunshear.storage import write_bytes
 
     if not arguments.path.exists():

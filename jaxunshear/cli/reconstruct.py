@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from jaxunshear.cli import options
 from jaxunshear.cli.options import Model, add_model, add_stimulus, new_parser, stimuli_of
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import simulated_of
+from jaxunshear.settings.experiment import simulated_of
 
 if TYPE_CHECKING:
     from jaxunshear.applications.servo import Walks

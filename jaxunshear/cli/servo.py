@@ -6,7 +6,7 @@ from typing import Any
 
 from jaxunshear.cli.options import Model, add_model, add_stimulus, new_parser, stimuli_of
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import simulated_of
+from jaxunshear.settings.experiment import simulated_of
 
 
 def add_parser(commands: Any) -> None:
@@ -26,8 +26,8 @@ def add_parser(commands: Any) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any]:
     from jaxunshear.applications import perception, servo
     from jaxunshear.applications.walk_scores import walk_rows
-    from jaxunshear.contact.rings import deepest_mm
     from jaxunshear.report.walk_figure import walk_figure
+    from jaxunshear.settings.reach import deepest_mm
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
 

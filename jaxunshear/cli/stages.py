@@ -9,7 +9,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 
 if TYPE_CHECKING:
-    from jaxunshear.experiment import Experiment
+    from jaxunshear.settings.experiment import Experiment
 
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
@@ -73,8 +73,8 @@ def _add_sensor(command: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns the exit code."""
-    from jaxunshear.experiment import trained
     from jaxunshear.infer import model_folder
+    from jaxunshear.settings.experiment import trained
 
     if arguments.command == "fit":
         experiment = _fitted(arguments, arguments.fields)
@@ -109,11 +109,13 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _experiment(file: Path, fields: list[str], recordings: str = "", preset: Path | None = None) -> "Experiment":
-    from jaxunshear.config import load_experiment, override, validate
+    from jaxunshear.settings.fields import override
+    from jaxunshear.settings.load import load_experiment
+    from jaxunshear.settings.rules import validate
 
     experiment = load_experiment(file)
     if preset:
-        from jaxunshear.preset import with_preset
+        from jaxunshear.settings.preset import with_preset
 
         experiment = with_preset(experiment, preset)
     experiment = override(experiment, fields)
@@ -127,8 +129,9 @@ def _experiment(file: Path, fields: list[str], recordings: str = "", preset: Pat
 
 def _fitted(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
     """The experiment that `fit` writes beside its results."""
-    from jaxunshear.config import override, validate
     from jaxunshear.fit import BASE, with_recordings, write_experiment
+    from jaxunshear.settings.fields import override
+    from jaxunshear.settings.rules import validate
 
     if not (arguments.taps or arguments.slides):
         raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
@@ -163,7 +166,7 @@ def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str
     from jaxunshear.applications.transfer import score_transfer
     from jaxunshear.evaluation.measurements import measurements
     from jaxunshear.evaluation.unseen import score_recordings, table
-    from jaxunshear.experiment import recorded_of
+    from jaxunshear.settings.experiment import recorded_of
     from jaxunshear.storage import write_json
 
     if recorded_of(experiment):

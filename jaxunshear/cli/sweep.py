@@ -58,11 +58,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UserError(f"--ray-cores {arguments.ray_cores}: use at least 1")
     import dataclasses
 
-    from jaxunshear.sweep.settings import check, load_sweep, parse_seeds, with_overrides
+    from jaxunshear.settings.sweep import check, load_sweep, parse_seeds, with_overrides
 
     sweep = load_sweep(arguments.file)
     if arguments.sensor_from is not None:
-        from jaxunshear.preset import with_preset
+        from jaxunshear.settings.preset import with_preset
 
         sweep = dataclasses.replace(sweep, base=with_preset(sweep.base, arguments.sensor_from))
     sweep = with_overrides(sweep, arguments.fields)

@@ -26,11 +26,11 @@ from jaxunshear.contact.plan import (
     make_plan,
     padded,
 )
-from jaxunshear.contact.rings import ring_arcs, ring_spacing
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
-from jaxunshear.scene.sensor import Sensor
 from jaxunshear.scene.stimuli import Stimulus, stimulus_named
+from jaxunshear.settings.reach import ring_arcs, ring_spacing
+from jaxunshear.settings.sensor import Sensor
 
 PENETRATION_MM = 0.03  # a node that was left out and ends deeper than this in the stimulus was needed
 NEIGHBOURS = 1.6  # ring spacings: a contact grows from node to neighbouring node

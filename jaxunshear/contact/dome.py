@@ -20,10 +20,11 @@ import numpy as np
 
 from jaxunshear.contact.elasticity import Compliance, Response, isotropic, put_together, respond
 from jaxunshear.contact.mesh import dome_mesh
-from jaxunshear.contact.rings import RING_MM, ring_arcs, ring_spacing
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.scene.sensor import Sensor, check_sensor, pin_levers, pin_tips
+from jaxunshear.scene.pins import pin_levers, pin_tips
+from jaxunshear.settings.reach import RING_MM, ring_arcs, ring_spacing
+from jaxunshear.settings.sensor import Sensor, check_sensor
 from jaxunshear.storage import cache_folder
 
 VERSION = 5  # of what a cache file means: to be raised with every change of the model

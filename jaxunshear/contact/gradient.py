@@ -33,7 +33,7 @@ from jaxunshear.contact.scope import check_batch, check_paths, check_start, leve
 from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 SWITCH_MM = 1e-6  # nearer to a switch than this, rounding decides on which side a node is found
 TOUCHED = 0.75  # of the nodes within reach: about as many as ever touch at once

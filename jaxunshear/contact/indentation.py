@@ -5,7 +5,8 @@ from scipy.spatial import Delaunay, cKDTree
 
 from jaxunshear.contact.batches import dome
 from jaxunshear.contact.skins import Skins
-from jaxunshear.scene.sensor import Sensor, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import Sensor
 
 
 def indentation(sensor: Sensor, skins: Skins) -> np.ndarray:

@@ -19,7 +19,8 @@ from scipy.sparse.linalg import splu
 from jaxunshear.contact.hyperelastic import Body, Density, deformation, forces, lame, make_body, neo_hookean, tangent
 from jaxunshear.contact.mesh import Mesh, dome_mesh
 from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import Sensor, pin_lattice, pin_tips
+from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.settings.sensor import Sensor
 
 STEP_MM = 0.25  # largest increment of depth
 SMALLEST_STEP_MM = STEP_MM / 32

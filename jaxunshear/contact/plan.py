@@ -16,8 +16,8 @@ import numpy as np
 
 from jaxunshear.contact.friction import level_frame
 from jaxunshear.contact.obstacle import Obstacles, distance_at, drop
-from jaxunshear.contact.rings import REACHED
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
+from jaxunshear.settings.reach import REACHED
 
 # What `auto` leaves out, in the words of the command that shows a plan.
 OMISSIONS = ("untouched", "friction", "nodes", "steps", "grouping")

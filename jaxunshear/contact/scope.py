@@ -3,12 +3,12 @@
 import numpy as np
 
 from jaxunshear.contact.plan import LEAST_LEG_MM, LEVELS, Level
-from jaxunshear.contact.rings import deepest_touch_mm
 from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.sensor import Sensor, check_sensor
+from jaxunshear.settings.reach import deepest_touch_mm
+from jaxunshear.settings.sensor import Sensor, check_sensor
 
 
 def level_named(level: str | Level) -> Level:

@@ -14,7 +14,7 @@ from jaxunshear.contact.scope import check_batch, check_paths, check_scenes, che
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 BATCH = 64
 

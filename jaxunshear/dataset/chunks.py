@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.configs import config_name, set_name
-from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import Shots
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.configs import config_name, set_name
+from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 RENDER = 16  # images rendered at once: one shape to compile, little memory

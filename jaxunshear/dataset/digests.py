@@ -4,7 +4,7 @@ import hashlib
 from pathlib import Path
 
 from jaxunshear.dataset.recorded import read_folder
-from jaxunshear.image.settings import Preprocess
+from jaxunshear.settings.image import Preprocess
 
 
 def digest_of(folders: tuple[str, ...], pairs: str = "") -> str:

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.dataset.chunks import load_chunk, unpack, usable_rows
-from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import Shots
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.image.png import png
+from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.splits import SPLITS
 
 PNG_LEVEL = 4
 

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.dataset.reading import Batch, SetReader
-from jaxunshear.dataset.settings import PairedData
 from jaxunshear.dataset.shots import slide_leaders
+from jaxunshear.settings.data import PairedData
 
 OTHER, SWAPPED = "other_pins", "swapped_pins"
 FEEDS = "sheared_pins"  # the field that both are taken from

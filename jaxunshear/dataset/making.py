@@ -5,13 +5,13 @@ import io
 import shutil
 from pathlib import Path
 
-from jaxunshear.dataset import configs
 from jaxunshear.dataset.chunks import Engine
-from jaxunshear.dataset.settings import PoseData, Recorded
 from jaxunshear.dataset.shots import check
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, further_tests, takes_taps
-from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.settings import configs
+from jaxunshear.settings.data import PoseData, Recorded
+from jaxunshear.settings.experiment import Experiment, further_tests, takes_taps
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import os_error, read_json
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import Delaunay, cKDTree
 
-from jaxunshear.targets import RECORDED, Targets
+from jaxunshear.settings.targets import RECORDED, Targets
 
 REACH = 0.75  # of the pins' spacing: how far beyond the outermost pins an image moves with them
 SAME_POSE = 1e-3  # mm and deg: labels of one `pose_id` that differ by more are not of one pose

@@ -19,12 +19,12 @@ import numpy as np
 from jaxunshear.dataset.chunks import load_chunk, pack, unpack
 from jaxunshear.dataset.recorded import LARGEST_PX, Contacts, common_view, probes_of
 from jaxunshear.dataset.recordings import Recordings, read_image
-from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.progress import Progress
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import write_bytes
 
 CHUNK = 250  # frames in a file

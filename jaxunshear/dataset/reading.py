@@ -21,11 +21,11 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.dataset.chunks import pack, unpack
-from jaxunshear.dataset.configs import Settings, set_folder, set_name
 from jaxunshear.dataset.making import read_metadata
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.scene.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.configs import Settings, set_folder, set_name
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import blame_the_machine, read_json
 
 MEMORY_BYTES = 1 << 30

@@ -17,11 +17,11 @@ import numpy as np
 
 from jaxunshear.dataset.labels import read_pair_table
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
-from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Preprocess
-from jaxunshear.scene.sensor import SENSORS, Sensor
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sensor import SENSORS, Sensor
+from jaxunshear.settings.splits import SPLITS
 
 MOVED = 1e-6  # mm or deg: labels of a move below this are of a tap
 SPLIT_NAMES = {"train": "train", "val": "validation", "valid": "validation", "validation": "validation", "test": "test"}

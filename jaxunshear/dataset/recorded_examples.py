@@ -13,11 +13,11 @@ import numpy as np
 from jaxunshear.dataset.chunks import load_chunk, unpack, usable_rows
 from jaxunshear.dataset.preparing import Frame, frame_of, prepare
 from jaxunshear.dataset.recorded import Contacts, survey
-from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.png import png
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.splits import SPLITS
 
 PNG_LEVEL = 4
 NAMED = 20  # frames left out that metadata name, at most

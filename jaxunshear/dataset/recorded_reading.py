@@ -14,18 +14,18 @@ import numpy as np
 
 from jaxunshear.dataset import pairing
 from jaxunshear.dataset.chunks import load_chunk, unpack
-from jaxunshear.dataset.configs import RECORDED_SET
 from jaxunshear.dataset.preparing import Frame
 from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
 from jaxunshear.dataset.recorded import Contacts
 from jaxunshear.dataset.recorded_examples import counts_of
-from jaxunshear.dataset.settings import RENDERED, Recorded
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice
 from jaxunshear.image.preprocess import View
-from jaxunshear.scene.sensor import Sensor
-from jaxunshear.targets import Targets, of_labels, slides_of
+from jaxunshear.settings.configs import RECORDED_SET
+from jaxunshear.settings.data import RENDERED, Recorded
+from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.targets import Targets, of_labels, slides_of
 
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 # images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)

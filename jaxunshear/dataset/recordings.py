@@ -26,7 +26,7 @@ from PIL import Image, ImageOps
 
 from jaxunshear.dataset.labels import TABLES, UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Preprocess
+from jaxunshear.settings.image import Preprocess
 
 if TYPE_CHECKING:
     from jaxunshear.image.preprocess import View

@@ -9,12 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.dataset.configs import config_name, set_name
-from jaxunshear.dataset.settings import PairedData, PoseData
-from jaxunshear.dataset.splits import BLOCK, SPLITS, splits_of
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, draw_tilts, edge_labels, make_scenes, turned
 from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.settings.configs import config_name, set_name
+from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.splits import BLOCK, SPLITS, splits_of
 
 LEAST_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
 

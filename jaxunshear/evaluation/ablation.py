@@ -22,12 +22,12 @@ from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics
 from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
-from jaxunshear.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.model.layers import in_precision
-from jaxunshear.model.settings import UnshearNet
 from jaxunshear.progress import Progress
+from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.storage import write_bytes, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples

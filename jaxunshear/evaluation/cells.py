@@ -9,7 +9,7 @@ from jax import Array
 
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.model import unshearnet
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.settings.networks import UnshearNet
 
 # Codes of DC, or of DS' pose and shear slots: z_p, z_s; 0: blank, ~: its numbers shuffled, *: that of the image half a batch on.
 SPOILT: dict[str, tuple[str, ...]] = {

@@ -16,8 +16,6 @@ import numpy as np
 
 from jaxunshear.dataset.making import read_metadata
 from jaxunshear.dataset.reading import open_set
-from jaxunshear.dataset.settings import PairedData
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.baselines import training_taps
@@ -32,12 +30,14 @@ from jaxunshear.evaluation.score import chance, shown_kind
 from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_size, tables, typical, with_readers
 from jaxunshear.evaluation.within import coverage, half_widths
-from jaxunshear.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
+from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.targets import of_ranges, true_values
 from jaxunshear.storage import read_json_if_sound, write_bytes, write_json
-from jaxunshear.targets import of_ranges, true_values
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
 

@@ -13,9 +13,9 @@ import numpy as np
 from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader
 from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
-from jaxunshear.experiment import Experiment
 from jaxunshear.model import pinnets
-from jaxunshear.model.settings import PinUnshear
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import PinUnshear
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.examples import open_examples
 

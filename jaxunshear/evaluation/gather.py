@@ -9,7 +9,7 @@ import numpy as np
 from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
 from jaxunshear.image.png import eight_bit
 from jaxunshear.progress import Progress
-from jaxunshear.targets import Targets, true_values
+from jaxunshear.settings.targets import Targets, true_values
 
 BATCH = 32  # contacts that are scored at once
 LABELS = ("stimulus", "pose_id", "pose", "edge", "move", "residual_mm", "iterations", "stuck", "slipping", "free")

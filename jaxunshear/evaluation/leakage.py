@@ -18,21 +18,21 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.dataset.reading import Batch, Reader
-from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.exchange import errors_of
 from jaxunshear.evaluation.probes import LEAST, PROBES
 from jaxunshear.evaluation.readers import pixels, places
 from jaxunshear.evaluation.slide import slides_read, slipping
 from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
-from jaxunshear.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.model import pinnets, unshearnet
-from jaxunshear.model.settings import PinUnshear, UnshearNet
 from jaxunshear.scene.scene import turned
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.settings.networks import PinUnshear, UnshearNet
+from jaxunshear.settings.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
 from jaxunshear.storage import write_json
-from jaxunshear.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin

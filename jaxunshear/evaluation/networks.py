@@ -14,12 +14,12 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, Outputs, image_scores, shown_kind
-from jaxunshear.experiment import UNSHEARING
 from jaxunshear.image.dots import dots
 from jaxunshear.model import pinnets, pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.unshearing import unshear
-from jaxunshear.targets import Targets
+from jaxunshear.settings.experiment import UNSHEARING
+from jaxunshear.settings.targets import Targets
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from jaxunshear.training.examples import Pins
 

@@ -20,11 +20,11 @@ import numpy as np
 from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.ridge import FEWEST, Ridge, answers, fitted
 from jaxunshear.evaluation.score import Outputs, pose_scores
-from jaxunshear.experiment import UNSHEARING, Experiment, over_pins, recorded_of
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.model.posenet import pose_from_outputs, pose_targets
-from jaxunshear.targets import Targets, fields_of
+from jaxunshear.settings.experiment import UNSHEARING, Experiment, over_pins, recorded_of
+from jaxunshear.settings.targets import Targets, fields_of
 from jaxunshear.training.examples import open_examples
 
 PIXELS, PIN_PLACES = "pixels", "pins"

@@ -23,9 +23,9 @@ from jaxunshear.evaluation.readers import Reads
 from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
 from jaxunshear.evaluation.spread import redrawn_means
 from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
-from jaxunshear.experiment import POSENETS, Experiment, over_pins, recorded_of
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
-from jaxunshear.targets import Targets, names_of, to_json, true_values
+from jaxunshear.settings.experiment import POSENETS, Experiment, over_pins, recorded_of
+from jaxunshear.settings.targets import Targets, names_of, to_json, true_values
 from jaxunshear.training.examples import pairs_of, pins_of
 
 KEPT = 72  # slides whose pins are found, and from which the montage is chosen

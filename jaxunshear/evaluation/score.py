@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 from jax import Array
 
-from jaxunshear.experiment import UNSHEARING
 from jaxunshear.metrics import ms_ssim, mse, pose_errors, scales_that_fit, ssim
-from jaxunshear.targets import Targets
+from jaxunshear.settings.experiment import UNSHEARING
+from jaxunshear.settings.targets import Targets
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them

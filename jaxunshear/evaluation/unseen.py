@@ -20,8 +20,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.evaluation.within import coverage
-from jaxunshear.experiment import Experiment, recorded_of
 from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.settings.experiment import Experiment, recorded_of
 from jaxunshear.storage import read_json, read_json_if_sound
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME

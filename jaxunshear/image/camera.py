@@ -14,8 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.image.settings import Camera, Nuisance, Preprocess
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import Camera, Nuisance, Preprocess
+from jaxunshear.settings.sensor import Sensor
 
 # Measured on colour frames of a real 331-pin sensor, as fractions of full scale or of the outermost pins' radius.
 PIN_GREY = 0.58

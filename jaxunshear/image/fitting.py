@@ -10,7 +10,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice, shells, shells_of
 from jaxunshear.image.pins import Found
 from jaxunshear.image.tracking import follow_all
-from jaxunshear.scene.sensor import Sensor, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import Sensor
 
 BENDS = (-0.1, 0.0, 0.1, 0.2)  # of a lens or a dome: how far the middle is drawn together
 TURN_DEG = 1.5

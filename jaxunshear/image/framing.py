@@ -5,8 +5,9 @@ import numpy as np
 
 from jaxunshear.image.camera import project, to_image_px
 from jaxunshear.image.lattice import Lattice, make_lattice, shells
-from jaxunshear.image.settings import Camera, Preprocess
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import Camera, Preprocess
+from jaxunshear.settings.sensor import Sensor
 
 
 def undeformed(sensor: Sensor, camera: Camera, preprocess: Preprocess) -> Lattice:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 NEIGHBOURS = 18  # pins that give the place of another one
 DEGREES = (2, 3, 4)  # of the polynomials that a motion is refined by, one after the other

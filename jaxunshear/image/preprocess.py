@@ -24,7 +24,7 @@ from threadpoolctl import ThreadpoolController
 from jaxunshear.errors import UserError
 from jaxunshear.image.grey import check_seen, is_binary, middle_level, to_grey, white_of, white_pixels
 from jaxunshear.image.pins import in_company
-from jaxunshear.image.settings import Preprocess
+from jaxunshear.settings.image import Preprocess
 
 OUTER_PINS_OF_DISC = 0.82  # radius of the outermost pins over that of the dark disc, measured: 172 and 210 px
 

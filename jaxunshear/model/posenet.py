@@ -4,9 +4,9 @@
 >>> outputs = predict(net, variables, images)                     # (B, S, S, 1) in [0, 1] -> (B, K) in [0, 1]
 >>> pose_from_outputs(outputs, targets)["edge_mm"]                # (B,)
 
-What is predicted is a matter of `targets` (jaxunshear/targets.py), each scaled to [0, 1] for the sigmoid output. The paper predicts x
-and yaw; for simulated shapes distance to the edge and the edge's direction are added, as these stay unambiguous where the edge is
-smooth.
+What is predicted is a matter of `targets` (jaxunshear/settings/targets.py), each scaled to [0, 1] for the sigmoid output.
+The paper predicts x and yaw; for simulated shapes distance to the edge and the edge's direction are added, as these stay
+unambiguous where the edge is smooth.
 """
 
 from collections.abc import Mapping
@@ -18,9 +18,10 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxunshear.model import conv, settings
+from jaxunshear.model import conv
 from jaxunshear.model.layers import INIT, Down, First, Same
-from jaxunshear.targets import Targets
+from jaxunshear.settings import networks
+from jaxunshear.settings.targets import Targets
 
 Variables = dict[str, Any]
 
@@ -28,7 +29,7 @@ Variables = dict[str, Any]
 class Network(nn.Module):
     """Five convolutions, the first two of stride 2, max pooling after the 2nd and 4th, two dense layers."""
 
-    net: settings.PoseNet
+    net: networks.PoseNet
     outputs: int
 
     @nn.compact
@@ -49,7 +50,7 @@ def _halve(x: Array) -> Array:
     return conv.to_blocks(x, 2).reshape(b, h // 2, w // 2, 4, c).max(3)
 
 
-def init(net: settings.PoseNet, outputs: int, key: Array) -> Variables:
+def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
     """Fresh variables of a network with as many `outputs` as the targets have together.
 
     Raises ValueError where `size` and `widths` do not fit the network."""
@@ -57,7 +58,7 @@ def init(net: settings.PoseNet, outputs: int, key: Array) -> Variables:
     return dict(Network(net, outputs).init(key, jnp.zeros((1, net.size, net.size, 1)), True))
 
 
-def check(net: settings.PoseNet) -> None:
+def check(net: networks.PoseNet) -> None:
     """Raises ValueError that names the field where a network of these settings cannot be built."""
     if len(net.widths) != 5:
         raise ValueError(f"widths: PoseNet has five convolutions, got {len(net.widths)} widths")
@@ -65,19 +66,19 @@ def check(net: settings.PoseNet) -> None:
         raise ValueError(f"size: {net.size} px is no multiple of 16")
 
 
-def predict(net: settings.PoseNet, variables: Variables, images: Array) -> Array:
+def predict(net: networks.PoseNet, variables: Variables, images: Array) -> Array:
     """Images (B, S, S, 1) in [0, 1] -> outputs (B, K) in [0, 1]; each image on its own."""
     outputs: Array = _of(net, variables).apply(variables, images, False)  # type: ignore[assignment]
     return outputs
 
 
-def predict_training(net: settings.PoseNet, variables: Variables, images: Array) -> tuple[Array, Variables]:
+def predict_training(net: networks.PoseNet, variables: Variables, images: Array) -> tuple[Array, Variables]:
     """The same with the batch's statistics, and the updated running ones."""
     outputs, updates = _of(net, variables).apply(variables, images, True, mutable=["batch_stats"])
     return outputs, updates["batch_stats"]
 
 
-def _of(net: settings.PoseNet, variables: Variables) -> Network:
+def _of(net: networks.PoseNet, variables: Variables) -> Network:
     return Network(net, len(variables["params"]["Dense_1"]["bias"]))
 
 

@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxunshear.model import conv, settings, unshearnet
+from jaxunshear.model import conv, unshearnet
 from jaxunshear.model.layers import Down, First, Last, Up
+from jaxunshear.settings import networks
 
 Variables = dict[str, Any]
 
@@ -23,7 +24,7 @@ Variables = dict[str, Any]
 class Network(nn.Module):
     """Images (B, S, S, 1) -> logits (B, S, S, 1)."""
 
-    net: settings.UNet
+    net: networks.UNet
 
     @nn.compact
     def __call__(self, images: Array, train: bool) -> Array:
@@ -44,25 +45,25 @@ def _joined_blocks(a: Array, b: Array) -> Array:
     return jnp.concatenate(parts, -1).reshape(*a.shape[:3], -1)
 
 
-def init(net: settings.UNet, key: Array) -> Variables:
+def init(net: networks.UNet, key: Array) -> Variables:
     """Fresh variables. Raises ValueError where `size` and `widths` do not fit each other."""
     check(net)
     side = 2 ** len(net.widths)
     return dict(Network(net).init(key, jnp.zeros((1, side, side, 1)), True))
 
 
-def check(net: settings.UNet) -> None:
+def check(net: networks.UNet) -> None:
     """Raises ValueError that names the field where a network of these settings cannot be built."""
-    unshearnet.check(settings.UnshearNet(net.size, net.widths))
+    unshearnet.check(networks.UnshearNet(net.size, net.widths))
 
 
-def unshear(net: settings.UNet, variables: Variables, images: Array) -> Array:
+def unshear(net: networks.UNet, variables: Variables, images: Array) -> Array:
     """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones."""
     logits: Array = Network(net).apply(variables, images, False)  # type: ignore[assignment]
     return jax.nn.sigmoid(logits)
 
 
-def reconstruct(net: settings.UNet, variables: Variables, images: Array) -> tuple[Array, None, None, Variables]:
+def reconstruct(net: networks.UNet, variables: Variables, images: Array) -> tuple[Array, None, None, Variables]:
     """The training pass: logits of the canonical image, nothing in the places of the sheared one and of a code, new running
     statistics."""
     canonical, updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])

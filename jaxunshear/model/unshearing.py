@@ -5,7 +5,7 @@ from typing import Any
 from jax import Array
 
 from jaxunshear.model import pinnets, posenet, unet, unshearnet
-from jaxunshear.model.settings import PinPoseNet, PinUnshear, PoseNet, UNet, UnshearNet
+from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UNet, UnshearNet
 
 
 def unshear(net: UnshearNet | UNet | PinUnshear, variables: Any, seen: Array) -> Array:

@@ -21,7 +21,7 @@ from jax import Array
 from jaxunshear.model import conv
 from jaxunshear.model.layers import Down, First, Last, Same, Up
 from jaxunshear.model.parts import check_sheared, holds
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.settings.networks import UnshearNet
 
 Variables = dict[str, Any]  # {"params": ..., "batch_stats": ...}, each by module: E, pose, shear, DC, DS
 

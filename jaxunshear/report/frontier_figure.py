@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from jaxunshear.experiment import TEACHER
+from jaxunshear.settings.experiment import TEACHER
 from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better

@@ -3,9 +3,9 @@
 from html import escape
 from typing import Any
 
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
+from jaxunshear.settings.splits import SPLITS
 
 WAYS = {
     "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap "

@@ -3,7 +3,7 @@
 from html import escape
 from typing import Any
 
-from jaxunshear.targets import RECORDED
+from jaxunshear.settings.targets import RECORDED
 
 KINDS = {
     "tap": "tap (no slide)",

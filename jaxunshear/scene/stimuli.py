@@ -70,7 +70,7 @@ def outward_normal(stimulus: Stimulus, xy: jax.Array) -> jax.Array:
 
 _CORNER = clover_corner(28.0, 28.0, 4.0)
 
-STIMULI = {
+STIMULI = {  # their names: `StimulusName` of settings/data.py
     stimulus.name: stimulus
     for stimulus in (
         Stimulus("disk", disk(50.0), (50.0, 0.0, 0.0), 50.0),

@@ -10,11 +10,11 @@ from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
-from jaxunshear.config import from_json, to_json
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import TRAINABLE, Experiment, trained
+from jaxunshear.settings.experiment import TRAINABLE, Experiment, needed, trained
+from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_json, write_json
-from jaxunshear.sweep.rows import Row, needed, training_part
+from jaxunshear.sweep.rows import Row, training_part
 from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
 from jaxunshear.training.origin import check_origin
 

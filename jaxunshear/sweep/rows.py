@@ -14,24 +14,26 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
-from jaxunshear.config import replaced, show, to_json, validate
-from jaxunshear.dataset.configs import VERSION, floats
-from jaxunshear.dataset.settings import PoseData, Recorded
-from jaxunshear.earlier import without_later
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import (
+from jaxunshear.settings.configs import VERSION, floats
+from jaxunshear.settings.data import Pairing, PoseData, Recorded
+from jaxunshear.settings.earlier import without_later
+from jaxunshear.settings.experiment import (
     ALL_NETWORKS,
     POSENETS,
     RENDERER,
     TEACHER,
     Experiment,
+    needed,
     over_pins,
     recorded_of,
-    trained,
     without_pair_losses,
 )
-from jaxunshear.model.settings import without_codes, without_pin_codes, without_turns
-from jaxunshear.sweep.settings import Axis, Change, Fields, Sweep, base_of, names_of
+from jaxunshear.settings.fields import replaced, show
+from jaxunshear.settings.networks import without_codes, without_pin_codes, without_turns
+from jaxunshear.settings.rules import validate
+from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, base_of, names_of
 
 LONGEST_NAME = 90  # of a folder, before its digest
 # what is trained and tested beside a training is not for it
@@ -128,7 +130,7 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, labelled=1.0))
     if isinstance(part.paired, Recorded) and network in (*POSENETS, RENDERER):  # and none of these from pairs
         dragged = network == "posenet_sheared" and part.paired.pairing == "simulated"  # it learns from simulated slides
-        way = "simulated" if dragged else "rendered"
+        way: Pairing = "simulated" if dragged else "rendered"
         alone = dataclasses.replace(part.paired, pairing=way, pairs="", unlabelled="left_out")
         part = dataclasses.replace(part, paired=alone)
     if network in (RENDERER, TEACHER, "posenet"):
@@ -137,11 +139,6 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))
     own = _digest({"experiment": without_later(to_json(part)), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
-
-
-def needed(experiment: Experiment, network: str) -> tuple[str, ...]:
-    """The networks that must be trained in a folder, in this order, to have `network` there."""
-    return trained(dataclasses.replace(experiment, networks=(network,)))
 
 
 def reference_of(sweep: Sweep, cells: list[Cell]) -> str | None:

@@ -9,17 +9,17 @@ from typing import Any
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import trained
 from jaxunshear.locks import locked
 from jaxunshear.progress import Progress
 from jaxunshear.report.frontier_figure import frontier_figure
 from jaxunshear.report.sweep_figure import sweep_figure
 from jaxunshear.run import check_start
+from jaxunshear.settings.experiment import trained
+from jaxunshear.settings.sweep import Sweep
 from jaxunshear.storage import BROKEN_NPZ, os_error, write_bytes, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.engines import Engine, serial
 from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
-from jaxunshear.sweep.settings import Sweep
 from jaxunshear.sweep.summary import Measured, summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, read_outcome
 

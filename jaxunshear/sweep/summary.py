@@ -5,13 +5,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from jaxunshear.config import show, to_json
 from jaxunshear.evaluation import spread
-from jaxunshear.experiment import recorded_of
 from jaxunshear.report.frontier_figure import efficient
+from jaxunshear.settings.experiment import recorded_of
+from jaxunshear.settings.fields import show
+from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.sweep import Sweep, base_of, names_of
 from jaxunshear.sweep.bootstrap import interval, resampled, spread_of
 from jaxunshear.sweep.rows import Cell, axis_values, name_of
-from jaxunshear.sweep.settings import Sweep, base_of, names_of
 
 TABLES = ("pin_error", "half_width", "coverage")  # of a run's results: figures that are no means over contacts
 # of the paired data: names, how contacts appear, what is made of recorded ones

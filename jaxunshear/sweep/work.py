@@ -15,12 +15,12 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.config import from_json
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, over_pins
 from jaxunshear.locks import locked
 from jaxunshear.memory import keep_freed_memory, restart_with_large_pages
 from jaxunshear.run import run_stages
+from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.stored import from_json
 from jaxunshear.storage import disk_is_full, read_json, write_json
 from jaxunshear.sweep.tasks import DISK_FULL, LOCK, TASK, failure, outcome_file, read_outcome, repeated
 

@@ -11,11 +11,21 @@ import jax
 import numpy as np
 
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
-from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, over_pins, recorded_of, trained, training_of
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.settings import (
+from jaxunshear.model.unshearnet import as_large_entangled
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.experiment import (
+    POSENETS,
+    RENDERER,
+    TEACHER,
+    Experiment,
+    over_pins,
+    recorded_of,
+    trained,
+    training_of,
+)
+from jaxunshear.settings.networks import (
     PinPoseNet,
     PinRenderer,
     PinUnshear,
@@ -25,14 +35,13 @@ from jaxunshear.model.settings import (
     without_pin_codes,
     without_turns,
 )
-from jaxunshear.model.unshearnet import as_large_entangled
-from jaxunshear.targets import fields_of
+from jaxunshear.settings.targets import fields_of
+from jaxunshear.settings.training import exchanged, labelled
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.drawing import drawing_of
 from jaxunshear.training.examples import Examples, spread_of
 from jaxunshear.training.origin import check_origin
-from jaxunshear.training.settings import exchanged, labelled
 from jaxunshear.training.tasks import Task
 from jaxunshear.training.turning import Turns, sense_of, turns_of
 

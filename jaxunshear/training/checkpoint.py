@@ -26,10 +26,10 @@ import numpy as np
 import orbax.checkpoint as ocp
 
 from jaxunshear import storage
-from jaxunshear.earlier import LATER, is_later
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
-from jaxunshear.targets import Targets, from_json
+from jaxunshear.settings.earlier import LATER, is_later
+from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
+from jaxunshear.settings.targets import Targets, from_json
 
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST = "weights.npz", "digest"

@@ -20,12 +20,12 @@ from jaxunshear.calibration.calibrated import SHIPPED
 from jaxunshear.calibration.labels import depth_axis
 from jaxunshear.calibration.simulated_slides import Taps, View, shear, view_of
 from jaxunshear.dataset.chunks import load_chunk
-from jaxunshear.dataset.configs import config_name
 from jaxunshear.dataset.reading import Batch
 from jaxunshear.dataset.recorded_reading import Drag, RecordedSet
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.configs import config_name
+from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import write_bytes
 from jaxunshear.training.drawing import FOLLOW, SHIFTED, TURNED_DEG
 

@@ -12,17 +12,17 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from jaxunshear.dataset import configs
 from jaxunshear.dataset.factorial import FactorialReader
 from jaxunshear.dataset.making import read_metadata
 from jaxunshear.dataset.reading import Reader, SetReader, open_set
 from jaxunshear.dataset.recorded_reading import Drag, Read, RecordedSet, Render, open_recorded
-from jaxunshear.dataset.settings import RENDERED, PairedData, PoseData
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import RENDERER, TEACHER, Experiment, learnt_from, over_pins, recorded_of
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.scene.sensor import Sensor
-from jaxunshear.targets import RECORDED, Targets, of_ranges
+from jaxunshear.settings import configs
+from jaxunshear.settings.data import RENDERED, PairedData, PoseData
+from jaxunshear.settings.experiment import RENDERER, TEACHER, Experiment, learnt_from, over_pins, recorded_of
+from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.targets import RECORDED, Targets, of_ranges
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
 OF_TAPS = ("posenet", TEACHER, RENDERER)

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.dataset.reading import Batch, Reader, SetReader, siblings_of
-from jaxunshear.dataset.settings import PoseData
-from jaxunshear.experiment import Experiment
+from jaxunshear.settings.data import PoseData
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.training.examples import Examples, open_simulated
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"

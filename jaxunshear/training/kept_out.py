@@ -6,10 +6,10 @@ An origin is the description of a set as it stands in model.json: {"set": ..., "
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from jaxunshear.dataset.configs import RECORDED_SET, set_name, version_of
 from jaxunshear.dataset.digests import folders_in, pairs_in
-from jaxunshear.dataset.settings import PairedData, Recorded
-from jaxunshear.experiment import Experiment, further_tests
+from jaxunshear.settings.configs import RECORDED_SET, set_name, version_of
+from jaxunshear.settings.data import PairedData, Recorded
+from jaxunshear.settings.experiment import Experiment, further_tests
 
 BY_POSE = 3  # major version of the simulated data since which a pose's split is its own
 Origin = Mapping[str, Any]

@@ -26,11 +26,11 @@ from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.metrics.machine import machine
 from jaxunshear.progress import Progress
-from jaxunshear.targets import to_json
+from jaxunshear.settings.targets import to_json
+from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
-from jaxunshear.training.settings import Training
 from jaxunshear.training.start import Start, started
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Batch, Task, Tree

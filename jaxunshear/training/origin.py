@@ -5,21 +5,13 @@ reader of poses, and of whatever these took over.
 """
 
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.dataset.configs import (
-    PAIRED_SET,
-    POSE_SET,
-    RECORDED_SET,
-    RECORDED_VERSION,
-    describe,
-    differences,
-)
-from jaxunshear.dataset.settings import PoseData, Recorded
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import POSENETS, RENDERER, TEACHER, Experiment, learnt_from, trained, training_of
+from jaxunshear.settings.configs import PAIRED_SET, POSE_SET, RECORDED_SET, RECORDED_VERSION, describe, differences
+from jaxunshear.settings.data import PoseData, Recorded
+from jaxunshear.settings.experiment import POSENETS, RENDERER, TEACHER, Experiment, learnt_from, needed, training_of
 from jaxunshear.storage import read_json, read_json_if_sound
 from jaxunshear.training.kept_out import Exam, exams_of, known
 
@@ -42,7 +34,7 @@ def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
 def taken_over(experiment: Experiment, network: str, run_dir: Path, begin: Path | None) -> list[dict[str, Any]]:
     """The origins, beside its own, that `network` is to learn from taps without slides, and through networks of `run_dir` and the weights
     in `begin`."""
-    helpers = [run_dir / name for name in trained(replace(experiment, networks=(network,))) if name != network]
+    helpers = [run_dir / name for name in needed(experiment, network) if name != network]
     folders = [*helpers, begin] if begin else helpers
     kept = [_split_rule(origin_of(experiment, network))]
     if isinstance(experiment.pose, PoseData) and training_of(experiment, network).tap_weight:

@@ -15,11 +15,11 @@ from jax.typing import ArrayLike
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.targets import Targets
+from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
+from jaxunshear.settings.targets import Targets
+from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
-from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import Task, pose_error_terms, weighed
 from jaxunshear.training.turning import ANGLES, Turns, turned, turned_outputs
 

@@ -9,9 +9,9 @@ import optax
 from jax import Array
 
 from jaxunshear.errors import UserError
+from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
 from jaxunshear.training.muon import muon
-from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import Batch, Task, Tree
 
 

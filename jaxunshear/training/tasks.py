@@ -10,11 +10,12 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.model import pose_head, posenet, settings, unet, unshearnet
+from jaxunshear.model import pose_head, posenet, unet, unshearnet
 from jaxunshear.model.layers import in_precision
-from jaxunshear.targets import Targets, true_values
+from jaxunshear.settings import networks
+from jaxunshear.settings.targets import Targets, true_values
+from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
-from jaxunshear.training.settings import Training
 
 Batch = dict[str, Any]
 Tree = Any
@@ -35,7 +36,7 @@ class Task:
 
 
 def unshear_task(
-    net: settings.UnshearNet | settings.UNet,
+    net: networks.UnshearNet | networks.UNet,
     training: Training,
     teacher: Callable[[Array], Array] | None = None,
     targets: Targets = (),
@@ -61,13 +62,13 @@ def unshear_task(
             raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
         watch = partial(_watched, teacher, targets, training.pose_target)
 
-    kind = "unet" if isinstance(net, settings.UNet) else "unshear"
+    kind = "unet" if isinstance(net, networks.UNet) else "unshear"
     module: Any = unet if kind == "unet" else unshearnet
     _checked(module.check, net)
     reconstruct = partial(module.reconstruct, net)
     init, labelled = partial(module.init, net), None
     if training.label_weight:
-        if isinstance(net, settings.UNet):
+        if isinstance(net, networks.UNet):
             raise UserError(
                 "label_weight: a U-Net has no code to read the pose off: leave unet out, or use label_weight 0"
             )
@@ -95,7 +96,7 @@ def unshear_task(
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
         images = in_precision(sheared, training.precision)  # as it will be put to use
         named = {}
-        if isinstance(net, settings.UNet):
+        if isinstance(net, networks.UNet):
             image = unet.unshear(net, variables, images)
         else:
             z_p, z_s = unshearnet.encode(net, variables, images)
@@ -119,7 +120,7 @@ def unshear_task(
     return Task(kind, net, targets, init, terms, weights, validate, "supervised")
 
 
-def posenet_task(net: settings.PoseNet, training: Training, targets: Targets) -> Task:
+def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
     """Of PoseNet; batches {"image"} uint8 (B, S, S, 1) and the fields of the `targets`, float32. Raises UserError without targets."""
     if not targets:
         raise UserError("targets: there is no pose to learn: name some, or record labels")
@@ -149,7 +150,7 @@ def _watched(
     return losses.pose(teacher(image), wanted, posenet.output_weights(targets))
 
 
-def _init_with_head(net: settings.UnshearNet, outputs: int, key: Array) -> Tree:
+def _init_with_head(net: networks.UnshearNet, outputs: int, key: Array) -> Tree:
     """Variables of the network, the very ones it has without a head, and the head's parameters beside them."""
     variables = unshearnet.init(net, key)
     head = pose_head.init(unshearnet.code_shape(net), outputs, jax.random.fold_in(key, 1))

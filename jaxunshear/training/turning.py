@@ -19,7 +19,7 @@ from scipy.interpolate import RBFInterpolator
 
 from jaxunshear.dataset import pairing
 from jaxunshear.errors import UserError
-from jaxunshear.targets import Targets
+from jaxunshear.settings.targets import Targets
 
 TWIST = "Rz_deg"  # the angle about the sensor's axis
 ANGLES = 24  # a circle, in steps of 15 deg

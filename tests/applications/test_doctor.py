@@ -13,7 +13,8 @@ from jaxunshear.applications.doctor import examine
 from jaxunshear.cli import _parser, main
 from jaxunshear.errors import UserError
 from jaxunshear.report.doctor_text import text_of
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
 SIZE = 256
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")

@@ -13,7 +13,7 @@ from PIL import Image
 from jaxunshear.cli import main
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Preprocess
+from jaxunshear.settings.image import Preprocess
 
 COLUMNS = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]
 NAMES = [f"image_{i}.png" for i in range(1, 5)]

@@ -6,7 +6,8 @@ import pytest
 from jaxunshear.applications.geometry import cell_areas, read_at, relative_growth, smoothed, surface
 from jaxunshear.applications.geometry_scores import correlation
 from jaxunshear.image.lattice import make_lattice, shells
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 
 @pytest.fixture(params=[TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.layout)

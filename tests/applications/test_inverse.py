@@ -10,8 +10,8 @@ from jaxunshear.contact.indentation import per_force
 from jaxunshear.image.camera import project, to_image_px
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.growing import filled
-from jaxunshear.image.settings import Camera, Preprocess
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.image import Camera, Preprocess
+from jaxunshear.settings.sensor import TACTIP_331
 
 SEEN = Camera(), Preprocess(size=128)
 

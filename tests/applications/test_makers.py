@@ -8,8 +8,8 @@ from jaxunshear.applications.makers import EVIDENCE, SKIN, VORONOI, makers_of, p
 from jaxunshear.applications.reconstruct import skin_places
 from jaxunshear.errors import UserError
 from jaxunshear.image.framing import undeformed
-from jaxunshear.image.settings import Camera, Preprocess
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.image import Camera, Preprocess
+from jaxunshear.settings.sensor import TACTIP_331
 
 LATTICE = undeformed(TACTIP_331, Camera(), Preprocess(size=128))
 

@@ -6,7 +6,7 @@ import pytest
 from jaxunshear.applications.occupancy import CERTAIN, evidence, learn
 from jaxunshear.applications.reconstruct import skin_places
 from jaxunshear.image.lattice import make_lattice
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.sensor import TACTIP_331
 
 PLACE = skin_places(TACTIP_331)
 LATTICE = make_lattice(6 * PLACE)

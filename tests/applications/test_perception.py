@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from jaxunshear.applications.perception import TRUE, load_forward, perceptions, unsheared_by, ways_of
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import UNSHEARING, Experiment
 from jaxunshear.model import pose_head, posenet, unshearnet
-from jaxunshear.model.settings import PoseNet, UnshearNet
 from jaxunshear.release import PARTS
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.experiment import UNSHEARING, Experiment
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.targets import of_ranges, to_json
 from jaxunshear.storage import write_json
-from jaxunshear.targets import of_ranges, to_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 

@@ -10,8 +10,9 @@ from PIL import Image
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import frame, project
 from jaxunshear.image.fitting import read_layout
-from jaxunshear.image.settings import Camera, Nuisance
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, pin_lattice, pin_tips
+from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.settings.image import Camera, Nuisance
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 CAMERA = Camera(frame_px=256)
 

@@ -14,19 +14,19 @@ from jaxunshear.applications.contour import outline
 from jaxunshear.applications.perception import perceptions, unshearers, unshearing_of, ways_of
 from jaxunshear.applications.walk_scores import walk_rows
 from jaxunshear.cli import options
-from jaxunshear.config import to_json
 from jaxunshear.dataset.chunks import render
-from jaxunshear.experiment import Experiment
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.tracking import followed, motions_of
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.settings import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.scene.sensor import pin_tips
+from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.stimuli import STIMULI
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
+from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import to_json as targets_json
 from jaxunshear.storage import write_json
-from jaxunshear.targets import of_ranges
-from jaxunshear.targets import to_json as targets_json
 from jaxunshear.training import checkpoint
 
 EXPERIMENT = Experiment("small", "none", unshear=UnshearNet(input="pins"))

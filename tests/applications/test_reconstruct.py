@@ -14,8 +14,8 @@ from jaxunshear.applications.reconstruct import (
     skin_places,
     to_target,
 )
-from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.scene.stimuli import STIMULI, signed_distance
+from jaxunshear.settings.sensor import TACTIP_331
 
 PLACE = np.array([place for place in skin_places(TACTIP_331) if np.linalg.norm(place) < 6])
 

@@ -9,11 +9,11 @@ from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.servo import CLOSED, LATE, LOST, Course, first_points, follow_contour, stored_walks
 from jaxunshear.applications.walk_scores import seen_edge, walk_rows
-from jaxunshear.dataset.settings import PairedData
 from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331
 from jaxunshear.scene.shapes import disk
 from jaxunshear.scene.stimuli import STIMULI, Stimulus
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 SETTINGS = PairedData()
 COURSE = Course("disk", starts=2, depth_mm=2.0)

@@ -12,10 +12,10 @@ from PIL import Image
 from jaxunshear.applications import sources
 from jaxunshear.applications.sources import Frame, frames_of
 from jaxunshear.applications.stream import Robot, confidence, steady_view, stream
-from jaxunshear.config import load_experiment
 from jaxunshear.dataset.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Preprocess
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.load import load_experiment
 
 EXPERIMENT = load_experiment("experiments/tiny.py")
 

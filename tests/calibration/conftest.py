@@ -12,8 +12,8 @@ from PIL import Image
 from jaxunshear.calibration.labels import HALF_PLANE, motions, to_paths
 from jaxunshear.calibration.rendering import render
 from jaxunshear.contact.simulate import follow
-from jaxunshear.image.settings import Camera
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.sensor import Sensor
 
 # A small dome has few nodes and elements, and few pins are soon found.
 SMALL = Sensor(

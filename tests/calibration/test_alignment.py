@@ -11,7 +11,8 @@ from jaxunshear.calibration.statistics import Seen
 from jaxunshear.calibration.validation import places
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.scene.paths import DEPTH, TILT_X, X
-from jaxunshear.scene.sensor import TACTIP_331_FITTED, pin_lattice, pin_tips
+from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.settings.sensor import TACTIP_331_FITTED
 
 SENSOR = TACTIP_331_FITTED
 VALUES = Values(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, skin_to_gel(SENSOR))

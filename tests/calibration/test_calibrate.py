@@ -14,8 +14,9 @@ from jaxunshear.calibration.sampling import Recorded
 from jaxunshear.calibration.statistics import observe
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import outer_fraction
-from jaxunshear.image.settings import Camera
-from jaxunshear.scene.sensor import Sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.sensor import Sensor
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jaxunshear.calibration.labels import INLAND_MM, motions, to_paths
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.sensor import TACTIP_331
 
 RADIUS = TACTIP_331.dome_radius_mm
 # x y z mm, Rx Ry Rz deg: the work frame's z points into the object

@@ -12,7 +12,8 @@ from jaxunshear.calibration.prediction import PROBE_RINGS, Values, skin_to_gel
 from jaxunshear.calibration.problem import UNSOLVED_PX, Group, Problem
 from jaxunshear.calibration.rendering import render
 from jaxunshear.calibration.statistics import observe
-from jaxunshear.scene.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED, check_sensor
 from tests.calibration.conftest import GUESS, SMALL
 
 FRICTION, LOST, COUNT = 0.3, 2, 4

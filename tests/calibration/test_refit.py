@@ -17,7 +17,7 @@ from jaxunshear.calibration.prediction import probe
 from jaxunshear.calibration.refit import UNITS, _changed, refit
 from jaxunshear.calibration.validate import validate
 from jaxunshear.calibration.validation import places
-from jaxunshear.scene.sensor import pin_lattice, pin_tips
+from jaxunshear.scene.pins import pin_lattice, pin_tips
 from tests.calibration.test_alignment import TRUE, _contacts, _like_a_skin, _recorded
 
 WRONG = 1.4  # times the truth

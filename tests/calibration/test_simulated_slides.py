@@ -10,7 +10,7 @@ from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
 from jaxunshear.calibration.validation import places
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import make_lattice, shells
-from jaxunshear.scene.sensor import pin_lattice
+from jaxunshear.scene.pins import pin_lattice
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM
 
 KNOWN = Calibrated("small", SMALL, GUESS, 0.35)

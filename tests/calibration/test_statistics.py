@@ -19,8 +19,9 @@ from jaxunshear.calibration.statistics import (
 )
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import outer_fraction
-from jaxunshear.image.settings import Camera
-from jaxunshear.scene.sensor import TACTIP_331, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.sensor import TACTIP_331
 
 
 @pytest.fixture(scope="module")

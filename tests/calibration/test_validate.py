@@ -11,7 +11,7 @@ from jaxunshear.calibration.calibrated import SHIPPED, Calibrated, read_calibrat
 from jaxunshear.calibration.held_out import among, held_out
 from jaxunshear.calibration.validate import _used, validate
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Camera
+from jaxunshear.settings.image import Camera
 from tests.calibration.conftest import write_recording
 
 

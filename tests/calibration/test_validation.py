@@ -9,7 +9,8 @@ from jaxunshear.calibration.prediction import Values, interpolation, place_of, p
 from jaxunshear.calibration.validate_figure import validate_figure
 from jaxunshear.calibration.validation import Compared, centred, mm_per_px, places, r2, rows_of, settled, stand
 from jaxunshear.image.lattice import shells
-from jaxunshear.scene.sensor import TACTIP_331_FITTED, pin_lattice, pin_tips
+from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.settings.sensor import TACTIP_331_FITTED
 
 SENSOR = TACTIP_331_FITTED
 VALUES = Values(50.0, 66.0, SENSOR.pin_spacing_mm, 0.4, skin_to_gel(SENSOR))

@@ -11,9 +11,9 @@ import pytest
 from jaxunshear.checks import bench_networks
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unshearnet
-from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.training import Training
 from jaxunshear.training.losses import regularisation
-from jaxunshear.training.settings import Training
 from jaxunshear.training.tasks import unshear_task
 
 POSENET = PoseNet(size=32, widths=(4, 5, 6, 7, 8), hidden=9)

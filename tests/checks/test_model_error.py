@@ -7,8 +7,9 @@ import pytest
 from jaxunshear.checks.model_error import logarithmic, model_error, pin_errors
 from jaxunshear.checks.px import px_apart
 from jaxunshear.contact.hyperelastic import neo_hookean
-from jaxunshear.image.settings import Camera
-from jaxunshear.scene.sensor import TACTIP_331, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.sensor import TACTIP_331
 
 REST = pin_tips(TACTIP_331)
 

@@ -10,8 +10,8 @@ from jaxunshear.checks.paper import paper_scenes
 from jaxunshear.checks.show_plan import show_grouping, show_plan
 from jaxunshear.contact.plan import OMISSIONS
 from jaxunshear.errors import UserError
-from jaxunshear.scene import sensor as sensors
 from jaxunshear.scene.scene import Scenes
+from jaxunshear.settings import sensor as sensors
 
 SMALL = replace(HALF_SIZE, name="small")
 

@@ -11,9 +11,9 @@ from jaxunshear.checks import network_steps, network_trainings, network_values, 
 from jaxunshear.checks import stability_networks as judge
 from jaxunshear.checks.network_images import KINDS, as_floats, pairs, poses, spoilt, with_nan
 from jaxunshear.checks.network_trainings import SHALLOW, steps_case
-from jaxunshear.config import load_experiment
 from jaxunshear.errors import UserError
 from jaxunshear.metrics import images as metrics
+from jaxunshear.settings.load import load_experiment
 from jaxunshear.training import checkpoint, losses
 
 FINE = judge.Found({"values": np.ones(3)})

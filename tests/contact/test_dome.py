@@ -14,9 +14,10 @@ from jaxunshear.contact import dome as module
 from jaxunshear.contact import elasticity
 from jaxunshear.contact.dome import compute_dome, dome, sensitivity
 from jaxunshear.contact.harmonics import sixfold
-from jaxunshear.contact.rings import contact_angle, deepest_mm, reach_mm, ring_arcs
 from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import SENSORS, TACTIP_127, TACTIP_331, Sensor, check_sensor, pin_levers, pin_tips
+from jaxunshear.scene.pins import pin_levers, pin_tips
+from jaxunshear.settings.reach import contact_angle, deepest_mm, reach_mm, ring_arcs
+from jaxunshear.settings.sensor import SENSORS, TACTIP_127, TACTIP_331, Sensor, check_sensor
 
 SMALL = Sensor(
     name="small", dome_radius_mm=6.0, skin_mm=0.5, rings=3, pin_spacing_mm=1.0, pin_radius_mm=0.3, pin_length_mm=0.5
@@ -227,7 +228,7 @@ def test_other_settings_have_other_files(stored, monkeypatch):
 
 
 def test_two_processes_at_once_do_each_other_no_harm(cache, small, tmp_path):
-    code = f"from jaxunshear.scene.sensor import Sensor; from jaxunshear.contact.dome import dome; print(dome({SMALL!r}).w.sum())"
+    code = f"from jaxunshear.settings.sensor import Sensor; from jaxunshear.contact.dome import dome; print(dome({SMALL!r}).w.sum())"
     environment = {**os.environ, "JAXUNSHEAR_CACHE": str(cache)}
     running = [
         subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=environment)

@@ -18,7 +18,7 @@ from jaxunshear.contact.plan import LEVELS, increments
 from jaxunshear.contact.simulate import follow
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 SMALL = Sensor(name="small", rings=2, pin_spacing_mm=2.0, dome_radius_mm=8.0)  # a dome in a second
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))

@@ -6,8 +6,9 @@ import pytest
 from jaxunshear.contact.indentation import indentation
 from jaxunshear.contact.simulate import follow
 from jaxunshear.scene.paths import path_of
+from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.sensor import TACTIP_331, pin_tips, sensor_named
+from jaxunshear.settings.sensor import TACTIP_331, sensor_named
 
 DEPTH = 3.0
 

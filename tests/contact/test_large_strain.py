@@ -25,7 +25,8 @@ from jaxunshear.contact.large_strain import (
 )
 from jaxunshear.contact.mesh import Mesh
 from jaxunshear.errors import UserError
-from jaxunshear.scene.sensor import TACTIP_331, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.sensor import TACTIP_331
 
 MESH_MM = 2.0
 

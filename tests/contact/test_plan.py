@@ -13,8 +13,8 @@ from jaxunshear.contact.plan import LEVELS, increments, make_plan, padded, unabr
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import draw_moves, draw_poses, make_scenes
-from jaxunshear.scene.sensor import TACTIP_331
 from jaxunshear.scene.stimuli import STIMULI, TRAINING, Stimulus, signed_distance, stimulus_named
+from jaxunshear.settings.sensor import TACTIP_331
 
 RADIUS = TACTIP_331.dome_radius_mm
 

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from jaxunshear.contact.plan import LEVELS, unabridged
-from jaxunshear.contact.rings import deepest_mm
 from jaxunshear.contact.simulate import follow, simulate
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths, path_of
+from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, make_scenes
-from jaxunshear.scene.sensor import TACTIP_331, pin_tips
 from jaxunshear.scene.stimuli import TRAINING
+from jaxunshear.settings.reach import deepest_mm
+from jaxunshear.settings.sensor import TACTIP_331
 
 REST = pin_tips(TACTIP_331)
 

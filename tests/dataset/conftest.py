@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.dataset.chunks import Engine
-from jaxunshear.dataset.settings import PairedData, PoseData
-from jaxunshear.image.settings import Preprocess
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sensor import Sensor
 
 SENSOR = Sensor(name="small", rings=2)
 SIZE = 32

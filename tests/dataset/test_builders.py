@@ -18,12 +18,12 @@ import data_specs.tactip_paired
 import data_specs.tactip_pose
 from data_specs.stored_set import SetConfig, sha256
 from jaxunshear.dataset.chunks import load_chunk
-from jaxunshear.dataset.configs import CONFIGS, VERSION, set_folder, unfinished_folder
 from jaxunshear.dataset.making import make_set, make_sets
 from jaxunshear.dataset.shots import draw
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.settings.configs import CONFIGS, VERSION, set_folder, unfinished_folder
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.splits import SPLITS
 
 BUILDERS = {"tactip_paired": data_specs.tactip_paired.Builder, "tactip_pose": data_specs.tactip_pose.Builder}
 

@@ -7,16 +7,16 @@ from PIL import Image
 
 from jaxunshear.dataset import chunks
 from jaxunshear.dataset.chunks import load_chunk, pack, simulate_chunks, unpack
-from jaxunshear.dataset.configs import PAIRED
 from jaxunshear.dataset.examples import paired_examples, pose_examples, summary
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import open_set
-from jaxunshear.dataset.settings import PoseData
 from jaxunshear.dataset.shots import draw
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Nuisance
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.configs import PAIRED
+from jaxunshear.settings.data import PoseData
+from jaxunshear.settings.image import Nuisance
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.splits import SPLITS
 
 
 def make(settings, sensor, folder, engine):
@@ -160,7 +160,7 @@ def test_pose_examples_cover_all_taps_once(pose, sensor, engine, tmp_path):
 
 def test_rendered_images_depend_on_the_number_alone_and_show_their_pins():
     settings = PoseData(config="tiny", nuisance=Nuisance(drift_px=4.0, specks=0, housing_ring=False))
-    from jaxunshear.scene.sensor import pin_tips
+    from jaxunshear.scene.pins import pin_tips
 
     tips = np.repeat(pin_tips(TACTIP_331)[None], 18, axis=0).astype(np.float32)
     number, age = np.arange(18), np.linspace(0, 1, 18)

@@ -5,15 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxunshear.dataset import configs
 from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader, shared_of
 from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.settings import PairedData
 from jaxunshear.dataset.shots import draw_paired, slide_leaders
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import turned
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings import configs
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.splits import SPLITS
 
 FOUR = PairedData(config="tiny", stimuli=("disk", "clover"), poses=45, slides=3, poses_a_slide=4)
 

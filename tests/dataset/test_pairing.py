@@ -7,8 +7,9 @@ import pytest
 from jaxunshear.dataset import pairing
 from jaxunshear.image.dots import dots
 from jaxunshear.image.pins import find_pins
-from jaxunshear.scene.sensor import TACTIP_127, pin_lattice
-from jaxunshear.targets import of_labels
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import TACTIP_127
+from jaxunshear.settings.targets import of_labels
 
 SIZE = 128
 FLAT = pin_lattice(TACTIP_127)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from jaxunshear.dataset import reading
-from jaxunshear.dataset.configs import VERSION, set_folder
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import Reader, open_set, shifted
 from jaxunshear.dataset.shots import draw
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
+from jaxunshear.settings.configs import VERSION, set_folder
+from jaxunshear.settings.splits import SPLITS
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from jaxunshear.dataset.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image import preprocess
 from jaxunshear.image.grey import to_grey
-from jaxunshear.image.settings import Preprocess
+from jaxunshear.settings.image import Preprocess
 
 PREPROCESS = Preprocess(size=64)
 OLDER = [f"{kind}_{i}" for kind in ("pose", "move") for i in range(1, 7)]

@@ -3,13 +3,13 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.configs import PAIRED, POSE, config_name, describe, fingerprint, sensor_of
-from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.dataset.shots import LEAST_DEPTH_MM, draw_paired, draw_pose
-from jaxunshear.dataset.splits import SPLITS, split_of
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import FITTED_CAMERA
-from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_127, TACTIP_331_FITTED
+from jaxunshear.settings.configs import PAIRED, POSE, config_name, describe, fingerprint, sensor_of
+from jaxunshear.settings.data import PairedData, PoseData, Ranges
+from jaxunshear.settings.image import FITTED_CAMERA
+from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_127, TACTIP_331_FITTED
+from jaxunshear.settings.splits import SPLITS, split_of
 
 
 def test_every_pose_has_its_taps_and_slides_in_one_split(paired):

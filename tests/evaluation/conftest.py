@@ -6,11 +6,11 @@ from functools import partial
 import jax
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model import posenet, unet, unshearnet
-from jaxunshear.model.settings import PoseNet, UNet, UnshearNet
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.settings.targets import of_ranges, to_json
 from jaxunshear.storage import write_json
-from jaxunshear.targets import of_ranges, to_json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 

@@ -10,9 +10,9 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.ablation import ablate, cell_scores, partners, picture, rows_of, table
 from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
-from jaxunshear.experiment import Experiment
 from jaxunshear.model import unshearnet
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.training.checkpoint import save, write_settings, write_weights
 from jaxunshear.training.loop import run_once
 

@@ -6,13 +6,13 @@ import json
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.evaluation.evaluate import every_score, montage, results_of
 from jaxunshear.evaluation.gather import BATCH, FIELDS, gather
 from jaxunshear.evaluation.measurements import measurements, reproducible
 from jaxunshear.evaluation.score import CELLS, Outputs, chance, image_scores
-from jaxunshear.experiment import Experiment
-from jaxunshear.targets import of_ranges, true_values
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.targets import of_ranges, true_values
 
 SIZE, PITCH = 128, 8
 TARGETS = of_ranges((), Ranges())

@@ -7,18 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import PairedData
 from jaxunshear.evaluation.evaluate import results_of
 from jaxunshear.evaluation.found import FOUND, SEEN_TAP, batches_of, found_pairs
 from jaxunshear.evaluation.networks import pin_run_of
-from jaxunshear.experiment import Experiment
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.settings import PinPoseNet, PinUnshear
 from jaxunshear.report import scores
-from jaxunshear.scene.sensor import TACTIP_331
-from jaxunshear.targets import of_ranges
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import PinPoseNet, PinUnshear
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.targets import of_ranges
 from jaxunshear.training.examples import Pins
 from tests.report.conftest import made_up_gathered
 

@@ -9,17 +9,17 @@ import pytest
 
 from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.making import make_set
-from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import exchange, leakage
-from jaxunshear.experiment import Experiment
-from jaxunshear.image.settings import Preprocess
-from jaxunshear.model.settings import PinNet, UnshearNet
 from jaxunshear.report.leakage_figure import leakage_figure
 from jaxunshear.run import run_stages
 from jaxunshear.scene.scene import turned
-from jaxunshear.scene.sensor import Sensor
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.networks import PinNet, UnshearNet
+from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.training import Training
 
 SENSOR = Sensor(name="small", rings=2)
 SIZE = 32

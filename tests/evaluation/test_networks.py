@@ -7,15 +7,15 @@ import jax
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import networks
 from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, PARTNER, POSE_KINDS
-from jaxunshear.experiment import NETWORKS, RIVALS
 from jaxunshear.model import pose_head, posenet, unshearnet
-from jaxunshear.model.settings import UnshearNet
-from jaxunshear.targets import names_of, of_ranges
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.experiment import NETWORKS, RIVALS
+from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.targets import names_of, of_ranges
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.evaluation import readers
 from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, learnt, of_batches, pixels, places, read, read_pins
 from jaxunshear.evaluation.ridge import FEWEST, answers, fitted
 from jaxunshear.evaluation.score import Outputs
 from jaxunshear.evaluation.summary import with_readers
 from jaxunshear.image.lattice import make_lattice
-from jaxunshear.targets import of_ranges
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.targets import of_ranges
 
 SIZE = 128
 TARGETS = of_ranges(("x_mm", "edge_mm", "edge_deg:circle"), Ranges())

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.image.camera import drift, frame, outer_fraction, project, to_image_px
-from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Camera, Nuisance, Preprocess
-from jaxunshear.scene.sensor import SENSORS, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import FITTED_CAMERA, FLUSH_CAMERA, Camera, Nuisance, Preprocess
+from jaxunshear.settings.sensor import SENSORS, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH
 
 CLEAN = Nuisance(housing_ring=False, specks=0, blur_px=0.3, noise=0.0, brightness=0.0)
 CAMERA = Camera()

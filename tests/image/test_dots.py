@@ -6,7 +6,8 @@ import pytest
 
 from jaxunshear.image.dots import dots
 from jaxunshear.image.pins import find_pins
-from jaxunshear.scene.sensor import TACTIP_127, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import TACTIP_127
 
 SIZE = 128
 FLAT = pin_lattice(TACTIP_127)

@@ -5,7 +5,8 @@ import pytest
 
 from jaxunshear.image.lattice import make_lattice, shells
 from jaxunshear.image.tracking import tracks_of
-from jaxunshear.scene.sensor import TACTIP_331, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import TACTIP_331
 
 SIZE, RADIUS = 256, 2.9
 PLACE = pin_lattice(TACTIP_331) / 20.0 * 92 + 127.5

@@ -23,9 +23,10 @@ from jaxunshear.image.preprocess import (
     to_grey,
     white_of,
 )
-from jaxunshear.image.settings import Camera, Nuisance, Preprocess
 from jaxunshear.metrics.pins import pin_error
-from jaxunshear.scene.sensor import TACTIP_331, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import Camera, Nuisance, Preprocess
+from jaxunshear.settings.sensor import TACTIP_331
 
 CAMERA = Camera()
 SIZES = pytest.mark.parametrize("size", [128, 256])

@@ -9,7 +9,8 @@ from jaxunshear.image.lattice import make_lattice, shells, shells_of
 from jaxunshear.image.pins import Found
 from jaxunshear.image.track import judged
 from jaxunshear.image.tracking import follow_pins
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
 RIM_PX = 46.0  # as at 128 px
 

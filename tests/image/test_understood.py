@@ -13,7 +13,6 @@ from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.pins import find_pins, glance
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.settings import FITTED_CAMERA, Camera, Nuisance, Preprocess
 from jaxunshear.image.understood import (
     Expected,
     expected_of,
@@ -22,7 +21,9 @@ from jaxunshear.image.understood import (
     seen_of,
     verdict,
 )
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED, pin_tips
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import FITTED_CAMERA, Camera, Nuisance, Preprocess
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED
 
 SENSORS = {
     "331": (TACTIP_331, Camera()),

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.metrics import pose_errors
-from jaxunshear.targets import of_ranges, true_values
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.targets import of_ranges, true_values
 
 
 def quantities(x, yaw, edge, angle):

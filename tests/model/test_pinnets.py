@@ -7,7 +7,7 @@ import pytest
 
 from jaxunshear.errors import Note, UserError
 from jaxunshear.model import pinnets
-from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
+from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
 
 SMALL = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
 REST = np.random.default_rng(0).uniform(10, 100, (19, 2)).astype(np.float32)

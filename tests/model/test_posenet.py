@@ -5,10 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.model import posenet
-from jaxunshear.model.settings import PoseNet
-from jaxunshear.targets import of_ranges
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet
+from jaxunshear.settings.targets import of_ranges
 from jaxunshear.training.loop import run_once
 
 NET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)

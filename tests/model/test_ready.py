@@ -8,7 +8,7 @@ import pytest
 
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.ready import ready
-from jaxunshear.model.settings import PoseNet, UnshearNet
+from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.training.loop import run_once
 
 UNSHEAR = UnshearNet(size=32, widths=(4, 8, 8), pose_channels=6, shear_channels=5)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.model import unet, unshearnet
-from jaxunshear.model.settings import UNet, UnshearNet
+from jaxunshear.settings.networks import UNet, UnshearNet
 from jaxunshear.training.loop import run_once
 
 NET = UNet(size=32, widths=(4, 6, 8))

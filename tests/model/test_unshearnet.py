@@ -8,7 +8,7 @@ import pytest
 from jaxunshear.errors import Note, UserError
 from jaxunshear.model import unshearnet
 from jaxunshear.model.layers import in_precision
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.training import losses
 from jaxunshear.training.loop import run_once
 

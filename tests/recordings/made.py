@@ -12,7 +12,8 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.image.dots import dots
-from jaxunshear.scene.sensor import TACTIP_127, Sensor, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import TACTIP_127, Sensor
 
 SIZE = 96
 DOTS = jax.jit(dots, static_argnums=(1, 2))

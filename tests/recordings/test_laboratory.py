@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.config import load_experiment
 from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.recordings import read_recordings
-from jaxunshear.image.settings import Preprocess
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.load import load_experiment
 
 sys.path.insert(0, str(Path(__file__).parent))
 from conftest import ROOT, SHORT
@@ -271,7 +271,7 @@ REFUSED = [
     (("--targets", "y_mm:circle"), "only an angle goes round a circle"),
     (("--paired.pairing", "guess"), "is unknown: use one of rendered, nearest, pose_id, file, simulated"),
     (("--paired.labelled", "0"), "a share above 0"),
-    (("--paired.unlabelled", "guessed"), "is unknown: use left_out or read"),
+    (("--paired.unlabelled", "guessed"), "is unknown: use one of left_out, read"),
     (("--paired.unlabelled", "read", "--paired.pairing", "pose_id"), "give no partner for pairing pose_id"),
     (("--pins.turned", "0.5"), "is for networks over pins"),
     (

@@ -13,12 +13,12 @@ from jaxunshear.dataset import preparing
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.recorded import sensor_of, survey
 from jaxunshear.dataset.recorded_reading import open_recorded
-from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import Preprocess
-from jaxunshear.scene.sensor import TACTIP_127
-from jaxunshear.targets import of_labels
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sensor import TACTIP_127
+from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.targets import of_labels
 
 SEEN = Preprocess(size=made.SIZE)
 

@@ -8,9 +8,9 @@ import pytest
 
 from jaxunshear.dataset.digests import digest_of, folders_in, pairs_in
 from jaxunshear.dataset.recorded import survey
-from jaxunshear.dataset.settings import Recorded
-from jaxunshear.dataset.splits import SPLITS
 from jaxunshear.errors import UserError
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.splits import SPLITS
 
 
 def both(folder, **changes):

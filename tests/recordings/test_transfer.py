@@ -8,20 +8,21 @@ import made
 import numpy as np
 import pytest
 
-from jaxunshear import targets
 from jaxunshear.applications import transfer
 from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, _between
 from jaxunshear.applications.transfer import aligned_with, score_transfer, scored
-from jaxunshear.config import to_json
-from jaxunshear.dataset.settings import PairedData, PoseData, Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.unseen import table
-from jaxunshear.experiment import Experiment
-from jaxunshear.image.settings import Preprocess
 from jaxunshear.image.understood import expected_of
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.settings import PinPoseNet, PinUnshear, UnshearNet
-from jaxunshear.scene.sensor import TACTIP_127, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings import targets
+from jaxunshear.settings.data import PairedData, PoseData, Ranges
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
+from jaxunshear.settings.sensor import TACTIP_127
+from jaxunshear.settings.stored import to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 
@@ -192,7 +193,7 @@ def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
 
 
 def test_folders_of_another_sensor_are_refused_by_name(command, weights, tmp_path):
-    from jaxunshear.scene.sensor import TACTIP_331
+    from jaxunshear.settings.sensor import TACTIP_331
 
     other = made.write(tmp_path / "other", *made.contacts(24, False, 0), sensor=TACTIP_331, size=128)
     answer = command("pose", other, "--model", weights)

@@ -10,7 +10,7 @@ import pytest
 from jaxunshear.evaluation.evaluate import montage, results_of
 from jaxunshear.evaluation.gather import Gathered
 from jaxunshear.evaluation.score import CELLS
-from jaxunshear.experiment import Experiment
+from jaxunshear.settings.experiment import Experiment
 
 VOID = {"meta", "img", "br"}
 SIZE, COUNT = 128, 36

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Recorded
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.evaluate import montage
@@ -16,7 +15,8 @@ from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.fit import BASE
 from jaxunshear.report.report import write_report
 from jaxunshear.run import _print_summary
-from jaxunshear.targets import of_labels
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.targets import of_labels
 
 COUNT, KEPT = 24, 12
 ERRORS = {"partner": 0.9, "sheared": 4.0, "sheared_learnt": 1.5, "disentangled": 1.75}

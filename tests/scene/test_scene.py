@@ -5,8 +5,9 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, path_of
+from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.scene import draw_moves, draw_poses, edge_labels, make_scenes
-from jaxunshear.scene.sensor import TACTIP_127, TACTIP_331, Sensor, pin_tips, sensor_named
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor, sensor_named
 
 
 def test_draws_stay_in_range_and_repeat():

@@ -16,14 +16,14 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.config import to_json
-from jaxunshear.dataset.configs import describe
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import TRAINABLE, Experiment, learnt_from
+from jaxunshear.settings.configs import describe
+from jaxunshear.settings.experiment import TRAINABLE, Experiment, learnt_from
+from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.sweep import Sweep
 from jaxunshear.storage import os_error, read_json, write_json
 from jaxunshear.sweep import work
 from jaxunshear.sweep.rows import training_part
-from jaxunshear.sweep.settings import Sweep
 
 WORKER = (sys.executable, str(Path(__file__).resolve()))
 STEPS = 10

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from jaxunshear import run
-from jaxunshear.config import field_types, replaced, validate
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE, Experiment, trained
 from jaxunshear.fit import BASE as RECORDED
-from jaxunshear.model.settings import UnshearNet
-from jaxunshear.scene.sensor import TACTIP_331
-from jaxunshear.sweep.rows import cells_of, needed, reference_of, row_digest, rows_of, training_part
-from jaxunshear.sweep.settings import Sweep, check
+from jaxunshear.settings.experiment import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE, Experiment, needed, trained
+from jaxunshear.settings.fields import field_types, replaced
+from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.rules import validate
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.sweep import Sweep, check
+from jaxunshear.sweep.rows import cells_of, reference_of, row_digest, rows_of, training_part
 from jaxunshear.training.origin import origin_of
 
 BASE = Experiment(name="plain", claim="none")

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxunshear.config import from_json
 from jaxunshear.dataset.making import sets_of
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
+from jaxunshear.settings.stored import from_json
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.rows import cells_of, rows_of

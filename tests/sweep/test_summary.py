@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.experiment import Experiment
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.sweep import Sweep
 from jaxunshear.sweep.bootstrap import interval
 from jaxunshear.sweep.rows import cells_of, reference_of
-from jaxunshear.sweep.settings import Sweep
 from jaxunshear.sweep.summary import Measured, ablation, differences, metrics, reproducible, summarise
 from jaxunshear.sweep.table import table
 

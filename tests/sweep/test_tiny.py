@@ -14,8 +14,8 @@ from jaxunshear.sweep.summary import reproducible
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = f"""
-from jaxunshear.config import load_experiment
-from jaxunshear.sweep.settings import Sweep
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="small",

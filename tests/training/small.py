@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.settings import Ranges
-from jaxunshear.model.settings import PoseNet, UnshearNet
-from jaxunshear.targets import of_ranges
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.training import Training
 
 SIZE = 16
 NET = UnshearNet(size=SIZE, widths=(4, 6), pose_channels=4, shear_channels=3)

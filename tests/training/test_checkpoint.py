@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
-from jaxunshear.model.settings import PoseNet, UnshearNet
-from jaxunshear.targets import of_ranges, to_json
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.targets import of_ranges, to_json
 from jaxunshear.training import checkpoint
 
 STATE = {

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet
-from jaxunshear.dataset.settings import Recorded
-from jaxunshear.image.settings import Preprocess
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.training import dragged
 
 PINS, SIZE = 7, 32

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.scene.sensor import TACTIP_127, pin_lattice
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.sensor import TACTIP_127
 from jaxunshear.training import drawing
 from jaxunshear.training.drawing import FOLLOW, drawing_of
 

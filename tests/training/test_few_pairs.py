@@ -7,12 +7,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from jaxunshear.config import override
-from jaxunshear.dataset.configs import describe
 from jaxunshear.dataset.making import sets_of
 from jaxunshear.dataset.reading import Reader, SetReader
-from jaxunshear.experiment import PINS, Experiment, training_of
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.settings.configs import describe
+from jaxunshear.settings.experiment import PINS, Experiment, training_of
+from jaxunshear.settings.fields import override
+from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.training.examples import Examples, Pins
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS, chosen, few_pairs, with_alike, with_taps
 from jaxunshear.training.origin import taken_over

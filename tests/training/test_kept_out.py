@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.config import to_json
-from jaxunshear.dataset.configs import VERSION, describe
-from jaxunshear.dataset.settings import PairedData, PoseData, Recorded, RecordedTaps
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
 from jaxunshear.run import run_stages
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.configs import VERSION, describe
+from jaxunshear.settings.data import PairedData, PoseData, Recorded, RecordedTaps
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.stored import to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training.kept_out import Exam, exams_of, known
 from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, origins_of, taken_over

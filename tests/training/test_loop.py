@@ -17,9 +17,9 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.model import unshearnet
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint, loop, losses
-from jaxunshear.training.settings import Training
 from jaxunshear.training.step import learning_rate
 from jaxunshear.training.tasks import posenet_task, unshear_task
 

@@ -11,10 +11,10 @@ import optax
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.model.settings import UnshearNet
+from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.training import Training
 from jaxunshear.training import loop
 from jaxunshear.training.muon import muon, orthogonal
-from jaxunshear.training.settings import Training
 from jaxunshear.training.step import optimiser_of
 from jaxunshear.training.tasks import unshear_task
 

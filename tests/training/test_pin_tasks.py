@@ -8,11 +8,11 @@ import pytest
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
 from jaxunshear.model.pinnets import distance, predict, unshear
-from jaxunshear.model.settings import PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.targets import of_labels
+from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
+from jaxunshear.settings.targets import of_labels
+from jaxunshear.settings.training import Training
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.pin_tasks import pin_posenet_task, pin_unshear_task, renderer_task
-from jaxunshear.training.settings import Training
 
 SMALL = {"hidden": 8, "layers": 1, "pose_code": 3, "shear_code": 2, "noise_px": 0.0}
 RNG = np.random.default_rng(0)

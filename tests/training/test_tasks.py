@@ -12,10 +12,10 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unet, unshearnet
-from jaxunshear.model.settings import UNet
 from jaxunshear.model.unshearing import unshear
+from jaxunshear.settings.networks import UNet
+from jaxunshear.settings.training import labelled
 from jaxunshear.training import losses
-from jaxunshear.training.settings import labelled
 from jaxunshear.training.tasks import _watched, unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))

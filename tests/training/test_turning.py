@@ -8,7 +8,7 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.model.posenet import pose_targets
-from jaxunshear.targets import of_labels
+from jaxunshear.settings.targets import of_labels
 from jaxunshear.training.turning import ANGLES, sense_of, turned, turned_outputs, turns_of
 
 MIDDLE = np.array([60.0, 64.0])

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.sensor import Sensor
 
 RING_MM = 1.0  # apart, along the surface
 COVERED_DEG = 60.0

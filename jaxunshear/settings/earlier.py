@@ -22,6 +22,19 @@ LATER: dict[str, Any] = {
 }
 
 
+MOVED = {  # modules that experiment files imported
+    "jaxunshear.experiment": "jaxunshear.settings.experiment",
+    "jaxunshear.config": "jaxunshear.settings.load",
+    "jaxunshear.scene.sensor": "jaxunshear.settings.sensor",
+    "jaxunshear.image.settings": "jaxunshear.settings.image",
+    "jaxunshear.dataset.settings": "jaxunshear.settings.data",
+    "jaxunshear.dataset.configs": "jaxunshear.settings.configs",
+    "jaxunshear.model.settings": "jaxunshear.settings.networks",
+    "jaxunshear.training.settings": "jaxunshear.settings.training",
+    "jaxunshear.sweep.settings": "jaxunshear.settings.sweep",
+}
+
+
 def is_later(name: str, value: Any) -> bool:
     """Whether a stored file may lack the setting of this dotted name, which has `value` today."""
     last = name.rpartition(".")[2]

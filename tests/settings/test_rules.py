@@ -2,9 +2,10 @@
 
 import pytest
 
-from jaxunshear.config import override, validate
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.fields import override
+from jaxunshear.settings.rules import validate
 
 PLAIN = Experiment(name="plain", claim="none")
 

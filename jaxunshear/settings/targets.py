@@ -1,4 +1,4 @@
-"""What is predicted of a contact: one definition for PoseNet, the head on the pose code, tables, CSV and recoveries. Imports no JAX.
+"""What is predicted of a contact: one definition for PoseNet, the head on the pose code, tables, CSV and recoveries.
 
 >>> targets = of_ranges((), Ranges())                      # a simulated set's: x, yaw, edge distance, edge angle
 >>> targets = of_labels(("y_mm", "Rz_deg:circle"), poses, moves)  # of recorded training contacts, (N, 6) each
@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
+from jaxunshear.settings.data import Ranges
 
 RANGE, CIRCLE = "range", "circle"
 SIMULATED = {  # name: the field of a simulated set and its column

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import PairedData, PoseData
 from jaxunshear.dataset.shots import draw
-from jaxunshear.dataset.splits import BLOCK, SPLITS, split_of, splits_of, train_poses
+from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.splits import BLOCK, SPLITS, split_of, splits_of, train_poses
 
 GOLDEN = [2, 0, 0, 0, 1, 0, 1, 0, 2, 0, 0, 2, 1, 0, 0, 1, 0, 0, 0, 2]
 DRAWN = (7, 60)

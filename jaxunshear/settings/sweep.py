@@ -1,4 +1,4 @@
-"""What a sweep file holds: a base experiment, what is varied in it, and over which seeds. Imports no JAX.
+"""What a sweep file holds: a base experiment, what is varied in it, and over which seeds.
 
 >>> sweep = load_sweep("experiments/lambda_split.py")
 >>> check(with_overrides(sweep, ["--train.epochs", "1"]), "experiments/lambda_split.py")
@@ -10,9 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.config import check_types, load_variable, override, parse_overrides, replaced, validate
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
+from jaxunshear.settings.experiment import Experiment, Network
+from jaxunshear.settings.fields import override, parse_overrides, replaced
+from jaxunshear.settings.load import load_variable
+from jaxunshear.settings.rules import validate
+from jaxunshear.settings.types import check_types
 
 Fields = str | tuple[str, ...]  # dotted names; several vary together
 Axis = tuple[Fields, tuple[Any, ...]]
@@ -36,7 +39,7 @@ class Sweep:
     rows: tuple[tuple[Change, ...], ...] = ()  # beside the grid
     labels: tuple[str, ...] = ()  # of the rows; without them each is called by its changes
     seeds: tuple[int, ...] = (0,)
-    networks: tuple[str, ...] | None = None  # trained in each row; None: those of the base
+    networks: tuple[Network, ...] | None = None  # trained in each row; None: those of the base
     ablation: bool = False  # whether the decoders are fed spoilt codes, too
     reference: str | None = None  # label of the cell to compare with; None: that of the base's own values
 

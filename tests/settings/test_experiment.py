@@ -3,24 +3,19 @@
 import dataclasses
 import json
 import math
+from typing import get_args
 
 import pytest
 
-from jaxunshear.config import (
-    check_types,
-    field_types,
-    from_json,
-    load_experiment,
-    override,
-    replaced,
-    to_json,
-    validate,
-)
-from jaxunshear.dataset.settings import Recorded, RecordedTaps
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
-from jaxunshear.limits import STIMULUS_NAMES, limits
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.data import Recorded, RecordedTaps, StimulusName
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.fields import field_types, override, replaced
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.rules import rules, validate
+from jaxunshear.settings.stored import from_json, to_json
+from jaxunshear.settings.training import Training
+from jaxunshear.settings.types import check_types
 
 PLAIN = Experiment(name="plain", claim="none")
 MISSING = object()
@@ -61,7 +56,7 @@ def test_the_last_of_two_wins_and_negative_numbers_are_values():
 
 
 def test_every_field_can_be_overridden_by_what_it_is_shown_as():
-    from jaxunshear.config import show
+    from jaxunshear.settings.fields import show
 
     recorded = dataclasses.replace(PLAIN, paired=Recorded(), pose=RecordedTaps())
     shown = set()
@@ -136,27 +131,27 @@ def test_wrong_types_and_nan_in_a_file_are_refused_by_name():
 def test_the_names_of_the_stimuli_are_those_of_the_scene():
     from jaxunshear.scene.stimuli import STIMULI
 
-    assert tuple(STIMULI) == STIMULUS_NAMES
+    assert tuple(STIMULI) == get_args(StimulusName)
 
 
 def test_depths_beyond_the_contact_model_are_refused():
-    from jaxunshear.contact.rings import deepest_mm
+    from jaxunshear.settings.reach import deepest_mm
 
     for excess, refused in ((-0.01, False), (0.01, True)):
         ranges = dataclasses.replace(PLAIN.pose.ranges, depth_max_mm=deepest_mm(PLAIN.sensor) + excess)
         deep = dataclasses.replace(PLAIN, pose=dataclasses.replace(PLAIN.pose, config="deep", ranges=ranges))
-        wrong = [name for holds, name, _ in limits(deep) if not holds]
+        wrong = [name for holds, name, _ in rules(deep) if not holds]
         assert ("pose.ranges.depth_max_mm" in wrong) == refused
 
 
-def test_train_share_of_the_limits_is_that_of_the_split():
-    from jaxunshear.dataset.settings import PoseData
+def test_train_share_of_the_rules_is_that_of_the_split():
     from jaxunshear.dataset.shots import draw_pose
-    from jaxunshear.limits import _train_poses
+    from jaxunshear.settings.data import PoseData
+    from jaxunshear.settings.rules_simulated import training_poses
 
     for poses in (5, 6, 7, 8, 9, 10, 13, 1000):
         settings = PoseData(poses=poses)
-        assert (draw_pose(settings).split == 0).sum() == _train_poses(settings)
+        assert (draw_pose(settings).split == 0).sum() == training_poses(settings)
 
 
 @pytest.mark.parametrize(
@@ -166,10 +161,17 @@ def test_train_share_of_the_limits_is_that_of_the_split():
         ("\n1 / 0", "fails in line 2: ZeroDivisionError"),
         ("import sys; sys.exit(3)", "SystemExit"),
         (
-            "from jaxunshear.experiment import Experiment\nexperiment = Experiment(nam='x')",
+            "from jaxunshear.settings.experiment import Experiment\nexperiment = Experiment(nam='x')",
             "unexpected keyword argument 'nam'",
         ),
-        ("from jaxunshear.experiment import Experiment\nexperiment = Experiment(name='x')", "missing 1 required"),
+        (
+            "from jaxunshear.settings.experiment import Experiment\nexperiment = Experiment(name='x')",
+            "missing 1 required",
+        ),
+        (
+            "from jaxunshear.experiment import Experiment",
+            "write jaxunshear.settings.experiment where it imports from jaxunshear.experiment",
+        ),
         ("setup = 1", "defines no variable `experiment`"),
         ("sweep = 1", "defines a sweep: run it with `jaxunshear sweep"),
         ("experiment = {'name': 'x'}", "of type dict, not Experiment"),

@@ -1,4 +1,4 @@
-"""Which split a simulated pose is in: a matter of its seed, its stimulus and its number alone. Imports no JAX.
+"""Which split a simulated pose is in: a matter of its seed, its stimulus and its number alone.
 
 So all sets of one seed agree, whatever their sizes, slides and other stimuli: what one trains on no other tests.
 """

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
-from jaxunshear.scene.sensor import TACTIP_331
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.sweep import Sweep, base_of, check, load_sweep, parse_seeds, with_overrides
 from jaxunshear.sweep.rows import cells_of, reference_of
-from jaxunshear.sweep.settings import Sweep, base_of, check, load_sweep, parse_seeds, with_overrides
 
 EXPERIMENTS = Path(__file__).resolve().parents[2] / "experiments"
 PLAIN = Sweep(name="plain", claim="none", base=Experiment(name="plain", claim="none"))
@@ -38,7 +38,7 @@ BAD = [
     ({"seeds": (0, -1)}, "integers from 0"),
     ({"seeds": (0, True)}, "integers from 0"),
     ({"seeds": (2, 2)}, "lists a seed twice"),
-    ({"networks": ("resnet",)}, "network resnet is unknown"),
+    ({"networks": ("resnet",)}, "resnet is unknown: use one of entangled, disentangled"),
     ({"networks": ()}, "name at least one"),
     ({"ablation": 1}, "sweep.ablation is neither True nor False"),
     ({"reference": 1}, "sweep.reference is no label"),
@@ -55,7 +55,7 @@ def test_a_bad_sweep_is_refused_in_one_line(changes, line):
 def test_the_form_of_a_sweep_is_checked_before_anything_reads_it(tmp_path):
     file = tmp_path / "bad.py"
     file.write_text(
-        "from jaxunshear.experiment import Experiment\nfrom jaxunshear.sweep.settings import Sweep\n"
+        "from jaxunshear.settings.experiment import Experiment\nfrom jaxunshear.settings.sweep import Sweep\n"
         "sweep = Sweep(name='x', claim='y', base=Experiment(name='x', claim='y'), grid=('train.batch', (1, 2)))\n"
     )
     with pytest.raises(UserError, match=r"bad\.py: sweep\.grid is no tuple of axes"):
@@ -111,7 +111,7 @@ def test_an_ordinary_experiment_is_a_sweep_of_seeds_alone():
         parse_seeds("0;1")
 
 
-IMPORTS = "from jaxunshear.experiment import Experiment\nfrom jaxunshear.sweep.settings import Sweep\n"
+IMPORTS = "from jaxunshear.settings.experiment import Experiment\nfrom jaxunshear.settings.sweep import Sweep\n"
 
 
 def test_a_file_without_sweep_or_experiment_is_refused(tmp_path):

@@ -1,6 +1,15 @@
-"""How networks are trained. Imports no JAX."""
+"""How networks are trained."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
+
+from jaxunshear.settings.types import Rule
+
+WEIGHTS = (  # of losses and of penalties
+    *("patch_weight", "reconstruction_weight", "swap_weight", "agreement_weight"),
+    *("tap_weight", "alike_weight", "pose_weight", "label_weight", "l1", "l2"),
+)
 
 
 @dataclass(frozen=True)
@@ -9,17 +18,18 @@ class Training:
 
     epochs: float = 6.0
     batch: int = 16
-    optimiser: str = (
-        "adam"  # the paper's; or "muon", which takes the same learning rates and gets further with each image
-    )
+    # "adam": the paper's; "muon" takes the same learning rates and gets further with each image
+    optimiser: Literal["adam", "muon"] = "adam"
     learning_rate: float = 1e-3
-    schedule: str = "cosine"  # "cosine": to zero over the run; "steps": factors of `drops`
+    schedule: Literal["cosine", "steps"] = "cosine"  # "cosine": to zero over the run; "steps": factors of `drops`
     drops: tuple[tuple[float, float], ...] = ()  # (epoch, factor on the first learning rate)
     beta1: float = 0.5  # of Adam, which with "muon" trains the first and last layers, biases and normalisation
     beta2: float = 0.999
     l1: float = 0.0  # of |w| and w^2 of convolution and dense kernels, as `kernels` says, added up over all of them
     l2: float = 0.0
-    kernels: str = "sum"  # over a kernel's weights, as Keras does; or their "mean", which no kernel's size changes
+    kernels: Literal["sum", "mean"] = (
+        "sum"  # over a kernel's weights, as Keras does; or their "mean", which no kernel's size changes
+    )
     patch_weight: float = 0.1  # lambda: L2 to L1-patch loss is 10:1
     crops: int = 100
     crop_px: int = 20
@@ -36,14 +46,40 @@ class Training:
     tap_weight: float = 0.0
     alike_weight: float = 0.0
     pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
-    pose_target: str = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
+    pose_target: Literal["tap", "label"] = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
     label_weight: float = 0.0  # of the pose that a head reads off z_p, against the true one; 0 builds no head
-    precision: str = "float32"  # of the convolutions; or "bfloat16"
+    precision: Literal["float32", "bfloat16"] = "float32"  # of the convolutions
     averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
     shift: float = 0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
     start: str = ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones
     validate_every: int = 100  # steps; also when a checkpoint is written
     validation_images: int = 256  # at most, the first of the validation split
+
+    def rules(self) -> Iterator[Rule]:
+        yield self.epochs > 0, "epochs", "must be above zero"
+        for field in ("batch", "validate_every", "validation_images"):
+            yield getattr(self, field) >= 1, field, "must be at least 1"
+        yield 0 < self.learning_rate <= 1, "learning_rate", "use a number above 0, at most 1"
+        yield (
+            not self.drops or self.schedule == "steps",
+            "drops",
+            "have no effect with this schedule: use schedule 'steps'",
+        )
+        yield (
+            all(epoch > 0 and 0 < factor <= 1 for epoch, factor in self.drops),
+            "drops",
+            "are pairs epoch:factor, the epoch above 0, the factor above 0 and at most 1",
+        )
+        epochs = [epoch for epoch, _ in self.drops]
+        yield epochs == sorted(set(epochs)), "drops", "must be in the order of their epochs"
+        for field in ("beta1", "beta2", "averaging"):
+            yield 0 <= getattr(self, field) < 1, field, "use 0 up to, but not, 1"
+        for field in WEIGHTS:
+            yield getattr(self, field) >= 0, field, "must not be below zero"
+        yield 0 < self.paired_share <= 1, "paired_share", "use a share above 0, at most 1"
+        yield 0 <= self.shift <= 0.25, "shift", "use a fraction of the image, 0 to 0.25"
+        yield self.crops >= 1, "crops", "must be at least 1; patch_weight 0 switches the patch loss off"
+        yield self.crop_px >= 1, "crop_px", "must be at least 1"
 
 
 def exchanged(training: Training) -> bool:

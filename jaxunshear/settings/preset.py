@@ -1,4 +1,4 @@
-"""A sensor as `jaxunshear calibrate` fitted it -> a simulated experiment with that sensor. Imports no JAX.
+"""A sensor as `jaxunshear calibrate` fitted it -> a simulated experiment with that sensor.
 
 >>> experiment = with_preset(load_experiment("experiments/calibrated.py"), Path("calibration/calibration.json"))
 """
@@ -6,11 +6,11 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from jaxunshear.config import build
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment, simulated_of
-from jaxunshear.image.settings import Camera
-from jaxunshear.scene.sensor import Sensor
+from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.stored import build
 from jaxunshear.storage import read_json
 
 

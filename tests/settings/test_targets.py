@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.settings import Ranges
 from jaxunshear.errors import UserError
 from jaxunshear.metrics import pose_errors
 from jaxunshear.model import posenet
-from jaxunshear.targets import (
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.targets import (
     CIRCLE,
     RANGE,
     RECORDED,

@@ -7,11 +7,12 @@ from pathlib import Path
 import pytest
 
 from jaxunshear import cli
-from jaxunshear.config import load_experiment, validate
 from jaxunshear.errors import UserError
-from jaxunshear.preset import read_preset, with_preset
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.preset import read_preset, with_preset
+from jaxunshear.settings.rules import validate
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SHIPPED = ROOT / "docs" / "results" / "calibrate_edge_2d.json"
 DEMO, RECORDED, SWEEP = (ROOT / "experiments" / f"{name}.py" for name in ("demo", "recorded", "lambda_split"))
 

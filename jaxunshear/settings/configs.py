@@ -1,4 +1,4 @@
-"""The stored configurations of both data sets, and how a set made with other settings is distinguished. Imports no JAX."""
+"""The stored configurations of both data sets, and how a set made with other settings is distinguished."""
 
 import dataclasses
 import hashlib
@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from jaxunshear.dataset.settings import PairedData, PoseData, Ranges, Recorded
-from jaxunshear.earlier import without_later
 from jaxunshear.errors import UserError
-from jaxunshear.image.settings import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
-from jaxunshear.scene.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
+from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
+from jaxunshear.settings.earlier import without_later
+from jaxunshear.settings.image import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
+from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 
 VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"

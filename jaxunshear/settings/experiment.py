@@ -1,17 +1,24 @@
-"""What an experiment file holds: one frozen dataclass for the entire path of the data. Imports no JAX."""
+"""What an experiment file holds: one frozen dataclass for the entire path of the data."""
 
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from typing import Literal, cast
 
-from jaxunshear.dataset.settings import RENDERED, PairedData, PoseData, Recorded, RecordedTaps
 from jaxunshear.errors import UserError
-from jaxunshear.model.settings import PinNet, PoseNet, UnshearNet
-from jaxunshear.scene.sensor import TACTIP_331, Sensor
-from jaxunshear.training.settings import Training
+from jaxunshear.settings.data import RENDERED, PairedData, PoseData, Recorded, RecordedTaps, StimulusName, seed_rule
+from jaxunshear.settings.networks import PinNet, PoseNet, UnshearNet
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.training import Training
+from jaxunshear.settings.types import Rule
 
-NETWORKS = ("entangled", "disentangled", "posenet")  # the paper's
-RIVALS = ("entangled_large", "unet", "posenet_sheared")  # entangled with as many parameters; a U-Net; PoseNet on slides
+Network = Literal["entangled", "disentangled", "posenet", "entangled_large", "unet", "posenet_sheared"]
+
+NETWORKS: tuple[Network, ...] = ("entangled", "disentangled", "posenet")  # the paper's
+# entangled with as many parameters; a U-Net; PoseNet on slides
+RIVALS: tuple[Network, ...] = ("entangled_large", "unet", "posenet_sheared")
 TEACHER = "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
-ALL_NETWORKS = (*NETWORKS, *RIVALS)
+ALL_NETWORKS: tuple[Network, ...] = (*NETWORKS, *RIVALS)
 UNSHEARING = ("entangled", "entangled_large", "unet", "disentangled")  # the last that a run has is the one it is about
 PIN_NETWORKS = (
     "entangled",
@@ -61,8 +68,8 @@ class Experiment:
     name: str
     claim: str
     seed: int = 0
-    networks: tuple[str, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
-    unseen: tuple[str, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
+    networks: tuple[Network, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
+    unseen: tuple[StimulusName, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
     other_jitters_mm: tuple[float, ...] = ()  # tests of their own, with taps that miss the slide's depth by up to this
     other_twists_deg: tuple[float, ...] = ()  # with slides that twist by up to this
     other_tilts_deg: tuple[float, ...] = ()  # with sensors that lean by up to this
@@ -79,6 +86,14 @@ class Experiment:
     train_posenet: Training = field(default_factory=Training)  # both PoseNets that are evaluated
     train_teacher: Training = field(default_factory=Training)  # the PoseNet of `train.pose_weight`
     train_pins: Training = PINS  # networks over pins, in the place of the first two
+
+    def rules(self) -> Iterator[Rule]:
+        named = re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,99}", self.name)
+        yield named is not None, "name", "use letters, digits, '-', '_' and '.'; it names the folder of the results"
+        yield seed_rule(self.seed)
+        yield len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
+        yield len(set(self.networks)) == len(self.networks), "networks", "name each network once"
+        yield len(set(self.unseen)) == len(self.unseen), "unseen", "name each stimulus once"
 
 
 def recorded_of(experiment: Experiment) -> Recorded | None:
@@ -112,6 +127,11 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
     }  # learns from rendered taps, too
     rendered = (RENDERER,) if recorded and (drawn or (recorded.pairing in RENDERED and unshears)) else ()
     return tuple(dict.fromkeys((*rendered, *taught, *reader, *experiment.networks)))
+
+
+def needed(experiment: Experiment, network: str) -> tuple[str, ...]:
+    """The networks that must be trained in a folder, in this order, to have `network` there."""
+    return trained(replace(experiment, networks=(cast(Network, network),)))
 
 
 def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:

@@ -1,6 +1,11 @@
-"""The camera, what disturbs its frames, and how a frame becomes a binary image. Imports no JAX."""
+"""The camera, what disturbs its frames, and how a frame becomes a binary image."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+
+from jaxunshear.settings.types import Rule
+
+SMALLEST_PX, LARGEST_PX = 16, 4096
 
 
 @dataclass(frozen=True)
@@ -19,6 +24,11 @@ class Camera:
     housing: float = (
         1.22  # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
     )
+
+    def rules(self) -> Iterator[Rule]:
+        yield SMALLEST_PX <= self.frame_px <= LARGEST_PX, "frame_px", f"use {SMALLEST_PX} to {LARGEST_PX}"
+        yield self.mm_across > 0, "mm_across", "must be above zero"
+        yield self.housing >= 1, "housing", "use 1 or more: the housing lies outside the outermost pins"
 
 
 FLUSH_CAMERA = Camera(mm_across=35.3)  # frames the wider ring of `sensor.TACTIP_331_FLUSH` alike
@@ -39,6 +49,11 @@ class Nuisance:
     drift_px: float = 0.0  # largest slow shift of the entire view over a set, frame pixels
     drift_brightness: float = 0.0  # relative loss of brightness over a set: wear
 
+    def rules(self) -> Iterator[Rule]:
+        yield 0 <= self.specks <= 1000, "specks", "use 0 to 1000"
+        for field in ("noise", "brightness", "drift_brightness"):
+            yield 0 <= getattr(self, field) < 1, field, "use 0 up to, but not, 1 (fractions of full scale)"
+
 
 @dataclass(frozen=True)
 class Preprocess:
@@ -51,3 +66,10 @@ class Preprocess:
     outer_pins: float = (
         0.375  # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
     )
+
+    def rules(self) -> Iterator[Rule]:
+        yield SMALLEST_PX <= self.size <= LARGEST_PX, "size", f"use {SMALLEST_PX} to {LARGEST_PX} px"
+        yield 0 < self.block <= 1, "block", "use a fraction of the image above 0, at most 1"
+        yield -1 < self.offset < 1, "offset", "use a fraction of full scale between -1 and 1"
+        yield 0 < self.outer_pins <= 0.5, "outer_pins", "use a fraction of the image above 0, at most 0.5"
+        yield 0 < self.mask_radius <= 1, "mask_radius", "use a fraction of the image above 0, at most 1"

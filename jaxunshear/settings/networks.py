@@ -1,6 +1,10 @@
-"""Shapes of the networks. Imports no JAX."""
+"""Shapes of the networks."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
+
+from jaxunshear.settings.types import Rule
 
 
 @dataclass(frozen=True)
@@ -18,7 +22,18 @@ class UnshearNet:
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
     disentangled: bool = True
-    input: str = "images"  # or "pins": networks over pins (`PinNet`) in the place of all of these
+    input: Literal["images", "pins"] = "images"  # "pins": networks over pins (`PinNet`) in the place of all of these
+
+    def rules(self) -> Iterator[Rule]:
+        yield len(self.widths) > 1 and min(self.widths) >= 1, "widths", "list at least two positive numbers"
+        halvings = 2 ** len(self.widths)
+        yield (
+            self.size % halvings == 0,
+            "size",
+            f"is not divisible by {halvings}: each of the {len(self.widths)} widths halves the image",
+        )
+        yield self.pose_channels >= 1, "pose_channels", "must be at least 1"
+        yield self.shear_channels >= 0, "shear_channels", "must not be below zero; 0 builds no shear code"
 
 
 def without_codes(net: UnshearNet) -> UnshearNet:
@@ -42,6 +57,12 @@ class PoseNet:
     widths: tuple[int, ...] = (16, 32, 64, 96, 128)
     hidden: int = 128
 
+    def rules(self) -> Iterator[Rule]:
+        yield len(self.widths) == 5, "widths", "list five: PoseNet has five convolutions"
+        yield min(self.widths) >= 1, "widths", "list positive numbers"
+        yield self.size % 16 == 0, "size", "is no multiple of 16, which PoseNet's strides and pooling need"
+        yield self.hidden >= 1, "hidden", "must be at least 1"
+
 
 @dataclass(frozen=True)
 class PinNet:
@@ -57,6 +78,14 @@ class PinNet:
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
     apart: bool = False  # z_s comes from a trunk of its own, and DS, which reads z_p too, does not teach it
     shear_noise: float = 0.0  # added to z_s of training examples, which then lies in (-1, 1); 0: a free code
+
+    def rules(self) -> Iterator[Rule]:
+        yield 0 <= self.shear_noise < 1, "shear_noise", "use a number from 0 to below 1: z_s lies in (-1, 1)"
+        for field in ("hidden", "layers", "pose_code"):
+            yield getattr(self, field) >= 1, field, "must be at least 1"
+        yield self.shear_code >= 0, "shear_code", "must not be below zero; 0 builds no shear code"
+        yield self.noise_px >= 0, "noise_px", "must not be below zero"
+        yield 0 <= self.turned <= 1, "turned", "use a share from 0 to 1"
 
 
 PIN_CODES = ("pose_code", "shear_code", "apart", "shear_noise")  # what PinUnshear alone reads

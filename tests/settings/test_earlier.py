@@ -4,14 +4,15 @@ import dataclasses
 
 import pytest
 
-from jaxunshear.config import from_json, replaced, to_json
-from jaxunshear.dataset.configs import describe
-from jaxunshear.dataset.settings import Recorded, RecordedTaps
-from jaxunshear.earlier import LATER, is_later, without_later
 from jaxunshear.errors import UserError
-from jaxunshear.experiment import Experiment
-from jaxunshear.model.settings import PinUnshear
 from jaxunshear.run import _keep_settings
+from jaxunshear.settings.configs import describe
+from jaxunshear.settings.data import Recorded, RecordedTaps
+from jaxunshear.settings.earlier import LATER, is_later, without_later
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.fields import replaced
+from jaxunshear.settings.networks import PinUnshear
+from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training.checkpoint import read_net, write_settings
 

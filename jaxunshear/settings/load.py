@@ -1,0 +1,53 @@
+"""Experiments and sweeps as Python files."""
+
+import runpy
+import traceback
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.errors import UserError
+from jaxunshear.settings.earlier import MOVED
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.types import check_types
+
+
+def load_experiment(path: str | Path) -> Experiment:
+    """The variable `experiment` of the Python file `path`, of the right types but not yet validated."""
+    found = load_variable(path, experiment=Experiment)
+    check_types(found)
+    return found
+
+
+def load_variable(path: str | Path, **kinds: type) -> Any:
+    """The first variable named in `kinds` that the Python file `path` defines, of that type. Raises `UserError`."""
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(
+            f"experiment file {path} {'is a folder' if path.is_dir() else 'does not exist'}: name a Python file"
+        )
+    try:
+        variables = runpy.run_path(str(path), run_name="jaxunshear_experiment")
+    except (Exception, SystemExit) as error:
+        raise UserError(f"experiment file {path} {_failure(path, error)}") from error
+    for name, kind in kinds.items():
+        found = variables.get(name)
+        if found is not None and not isinstance(found, kind):
+            raise UserError(f"experiment file {path}: `{name}` is of type {type(found).__name__}, not {kind.__name__}")
+        if found is not None:
+            return found
+    if "sweep" in variables:
+        raise UserError(f"experiment file {path} defines a sweep: run it with `jaxunshear sweep {path}`")
+    name, kind = next(iter(kinds.items()))
+    raise UserError(f"experiment file {path} defines no variable `{name}`: add {name} = {kind.__name__}(...)")
+
+
+def _failure(path: Path, error: BaseException) -> str:
+    if "null bytes" in str(error) or "codec can't decode" in str(error):
+        return "is not text: name a Python file"
+    if isinstance(error, SyntaxError):
+        return f"has a syntax error in line {error.lineno}: {error.msg}"
+    if isinstance(error, ModuleNotFoundError) and error.name in MOVED:
+        return f"was written for an earlier version: write {MOVED[error.name]} where it imports from {error.name}"
+    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+    where = f" in line {lines[-1]}" if lines else ""
+    return f"fails{where}: {type(error).__name__}: {' '.join(str(error).split())}"

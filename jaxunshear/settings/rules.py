@@ -1,0 +1,33 @@
+"""What an experiment can and cannot ask for: its settings' own rules, then those between them.
+
+Nothing is computed, so a refusal takes no time.
+"""
+
+import functools
+from collections.abc import Iterator
+
+from jaxunshear.errors import UserError
+from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.fields import show
+from jaxunshear.settings.rules_recorded import recorded_rules
+from jaxunshear.settings.rules_simulated import simulated_rules
+from jaxunshear.settings.types import Rule, check_types, own_rules
+
+
+def validate(experiment: Experiment) -> None:
+    """Refuses values no run could work with, by dotted name and with a remedy: sizes, ranges, counts, unknown names."""
+    check_types(experiment)
+    for holds, name, complaint in rules(experiment):
+        if not holds:
+            value = functools.reduce(getattr, name.split("."), experiment)
+            raise UserError(f"--{name} {show(value)}: {complaint}")
+
+
+def rules(experiment: Experiment) -> Iterator[Rule]:
+    """All rules for `experiment`; the first that does not hold is the one to report."""
+    yield from own_rules(experiment)
+    if isinstance(experiment.paired, PairedData) and isinstance(experiment.pose, PoseData):
+        yield from simulated_rules(experiment, experiment.paired, experiment.pose)
+    else:
+        yield from recorded_rules(experiment)

@@ -1,0 +1,170 @@
+"""Rules between the settings of networks and of their trainings, whatever they learn from."""
+
+from collections.abc import Iterator, Mapping
+
+from jaxunshear.errors import UserError
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.experiment import (
+    PAIR_LOSSES,
+    PIN_NETWORKS,
+    RENDERER,
+    TEACHER,
+    Experiment,
+    over_pins,
+    recorded_of,
+    trained,
+)
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.targets import parsed
+from jaxunshear.settings.training import Training
+from jaxunshear.settings.types import Rule
+
+TURNED = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
+
+
+def network_rules(experiment: Experiment, paired: Preprocess, pose: Preprocess) -> Iterator[Rule]:
+    """`paired` and `pose`: how the images of the two sets are prepared."""
+    unshear, posenet, pins = experiment.unshear, experiment.posenet, experiment.pins
+    yield (
+        unshear.size == paired.size,
+        "unshear.size",
+        f"differs from the data set's images: make it and paired.preprocess.size ({paired.size}) equal",
+    )
+    yield (
+        posenet.size == pose.size,
+        "posenet.size",
+        f"differs from the data set's images: make it and pose.preprocess.size ({pose.size}) equal",
+    )
+    yield (
+        posenet.size == unshear.size,
+        "posenet.size",
+        f"differs from unshear.size ({unshear.size}): PoseNet also reads the unsheared images",
+    )
+    yield (
+        unshear.disentangled,
+        "unshear.disentangled",
+        "both networks are trained from these settings: to train one of them use `--networks entangled`",
+    )
+    yield not pins.turned or over_pins(experiment), "pins.turned", "is for networks over pins: leave it at 0"
+    yield (
+        not pins.turned or recorded_of(experiment) is None or "posenet_sheared" in trained(experiment),
+        "pins.turned",
+        "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
+    )
+    named = {text.partition(":")[0] for text in experiment.targets}
+    yield (
+        not pins.turned or recorded_of(experiment) is not None or (bool(named) and named <= TURNED),
+        "pins.turned",
+        f"turns touches about the sensor's axis, which leaves them these targets alone: {', '.join(sorted(TURNED))}",
+    )
+    over = ", ".join(name for name in experiment.networks if name not in PIN_NETWORKS)
+    yield (
+        not over_pins(experiment) or not over,
+        "networks",
+        f"{over} reads images alone: with unshear.input pins use {', '.join(PIN_NETWORKS)}",
+    )
+
+
+def training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Rule]:
+    """Of `pairs` and `taps` to learn from."""
+    yield _batch(experiment.train, "train", pairs)
+    yield (
+        experiment.train.crop_px <= experiment.unshear.size,
+        "train.crop_px",
+        f"must be 1 to the image's {experiment.unshear.size} px",
+    )
+    yield (
+        not experiment.train.label_weight or "unet" not in experiment.networks,
+        "train.label_weight",
+        "asks for a code to read the pose off, and the network unet has none: leave one of the two out",
+    )
+    yield (
+        not experiment.train_teacher.start,
+        "train_teacher.start",
+        "leave it empty: what marks a network must not teach it",
+    )
+    yield from _exchange(experiment)
+    yield from _few_pairs(experiment)
+    for name in _posenets(experiment):
+        yield _batch(getattr(experiment, name), name, taps)
+        yield from _without_pair_losses(getattr(experiment, name), name)
+    if over_pins(experiment) or RENDERER in trained(experiment):
+        yield _batch(experiment.train_pins, "train_pins", min(pairs, taps))
+        for field in ("patch_weight", "label_weight"):
+            value = getattr(experiment.train_pins, field)
+            yield not value, f"train_pins.{field}", "is for networks over images: leave it at 0"
+
+
+def _batch(training: Training, group: str, examples: int) -> Rule:
+    remedy = f"is larger than the training set of {examples}: use a smaller batch or more poses"
+    return training.batch <= examples, f"{group}.batch", remedy
+
+
+def _exchange(experiment: Experiment) -> Iterator[Rule]:
+    """What learning codes that do not leak takes."""
+    paired, training = experiment.paired, experiment.train_pins
+    shared = isinstance(paired, PairedData) and paired.poses_a_slide > 1 and paired.slides > 1
+    for field in ("swap_weight", "agreement_weight"):
+        yield not getattr(experiment.train, field), f"train.{field}", "is for networks over pins: leave it at 0"
+        yield (
+            not getattr(training, field) or (experiment.pins.shear_code > 0 and not experiment.pins.turned),
+            f"train_pins.{field}",
+            "takes a shear code, and pins as they are: raise pins.shear_code, leave pins.turned at 0",
+        )
+    yield (
+        not training.swap_weight or shared,
+        "train_pins.swap_weight",
+        "takes simulated slides that poses share, two at least: raise paired.poses_a_slide and paired.slides",
+    )
+
+
+def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
+    """What learning from a share of the pairs takes, and from taps without a slide."""
+    simulated, over_images, training = recorded_of(experiment) is None, experiment.train, experiment.train_pins
+    for name, share in (("train", over_images.paired_share), ("train_pins", training.paired_share)):
+        yield share == 1 or simulated, f"{name}.paired_share", "is of simulated pairs: use paired.labelled"
+    yield (
+        training.paired_share == 1 or not (training.swap_weight or training.agreement_weight),
+        "train_pins.paired_share",
+        "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
+    )
+    for field in ("tap_weight", "alike_weight"):
+        weight = getattr(training, field)
+        yield not getattr(over_images, field), f"train.{field}", "is for networks over pins: leave it at 0"
+        yield (
+            not weight or (simulated and not experiment.pins.turned),
+            f"train_pins.{field}",
+            "takes simulated pins as they are: leave it at 0, or pins.turned",
+        )
+    yield (
+        not training.alike_weight or (isinstance(experiment.paired, PairedData) and experiment.paired.slides > 1),
+        "train_pins.alike_weight",
+        "takes two slides to a pose: raise paired.slides",
+    )
+
+
+def _posenets(experiment: Experiment) -> list[str]:
+    taught = TEACHER in trained(experiment) and not over_pins(experiment)
+    return ["train_posenet", "train_teacher"] if taught else ["train_posenet"]
+
+
+def _without_pair_losses(training: Training, name: str) -> Iterator[Rule]:
+    for field in PAIR_LOSSES:
+        value, unused = getattr(training, field), getattr(Training(), field)
+        yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {_plain(unused)}"
+
+
+def _plain(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def target_rules(targets: tuple[str, ...], known: Mapping[str, object]) -> Iterator[Rule]:
+    names = []
+    for text in targets:
+        try:
+            wrong = ""
+            names.append(parsed(text, known)[0])
+        except UserError as error:
+            wrong = str(error)
+        yield not wrong, "targets", wrong
+    yield len(set(names)) == len(names), "targets", "name each once"

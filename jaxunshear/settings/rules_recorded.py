@@ -1,0 +1,42 @@
+"""Rules between the settings of an experiment about recordings."""
+
+from collections.abc import Iterator
+
+from jaxunshear.settings.data import Recorded, RecordedTaps
+from jaxunshear.settings.experiment import Experiment, trained
+from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
+from jaxunshear.settings.rules_simulated import FURTHER
+from jaxunshear.settings.sensor import TACTIP_331_FITTED
+from jaxunshear.settings.targets import RECORDED, SLIDES, slides_of
+from jaxunshear.settings.types import Rule
+
+ANY = 2**62  # so many examples: how many there are is seen when the recordings are read
+
+
+def recorded_rules(experiment: Experiment) -> Iterator[Rule]:
+    """Of an experiment about recordings; what only they can show is refused when they are read."""
+    recorded = experiment.paired
+    if not isinstance(recorded, Recorded) or not isinstance(experiment.pose, RecordedTaps):
+        yield (
+            False,
+            "name",
+            "paired and pose are both simulated (PairedData, PoseData) or both recorded (Recorded, RecordedTaps)",
+        )
+        return
+    yield (
+        recorded.pairing != "simulated" or experiment.sensor.pins == TACTIP_331_FITTED.pins,
+        "paired.pairing",
+        f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; yours has {experiment.sensor.pins}",
+    )
+    yield from target_rules(experiment.targets, RECORDED | SLIDES)
+    slides = slides_of(experiment.targets)
+    yield (
+        not slides or set(trained(experiment)) == {"posenet_sheared"},
+        "targets",
+        f"a tap has no {', '.join(slides)}: name --networks posenet_sheared alone",
+    )
+    yield not slides or not experiment.pins.turned, "pins.turned", f"does not turn {', '.join(slides)}: leave it at 0"
+    yield from network_rules(experiment, recorded.preprocess, recorded.preprocess)
+    for field in ("unseen", *FURTHER):
+        yield not getattr(experiment, field), field, "is a test of simulated touches: leave it empty"
+    yield from training_rules(experiment, ANY, ANY)

@@ -1,0 +1,168 @@
+"""Rules between the settings of an experiment about simulated touches."""
+
+from collections.abc import Iterator
+from dataclasses import fields
+
+from jaxunshear.errors import UserError
+from jaxunshear.settings.configs import CONFIGS, set_name
+from jaxunshear.settings.data import PairedData, PoseData, Ranges
+from jaxunshear.settings.experiment import TEACHER, Experiment, further_tests, takes_taps, trained
+from jaxunshear.settings.reach import contact_angle, deepest_touch_mm
+from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
+from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.splits import train_poses
+from jaxunshear.settings.targets import SIMULATED, names_of, of_ranges
+from jaxunshear.settings.types import Rule, own_rules
+
+SURFACE = "surface"  # the same wherever and however it is turned
+OF_SURFACE = {"depth_mm", "tilt_x_deg", "tilt_y_deg"}  # targets that it shows
+FURTHER = {
+    "other_jitters_mm": "depth_",
+    "other_twists_deg": "twist_",
+    "other_tilts_deg": "tilt_",
+}  # and how their tests' names begin
+
+
+def simulated_rules(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    for group, data in (("paired", paired), ("pose", pose)):
+        known = CONFIGS[set_name(data)]
+        yield (
+            data.config in known,
+            f"{group}.config",
+            f"is no stored configuration: use one of {', '.join(known)}; changed fields get a name of their own",
+        )
+        yield from _reached(data, f"{group}.", experiment.sensor)
+    yield from _targets(experiment, paired, pose)
+    yield from network_rules(experiment, paired.preprocess, pose.preprocess)
+    if takes_taps(experiment):
+        yield from _seen_alike(paired, pose)
+        yield from _kept_out(experiment, paired, pose)
+        yield from _covered(paired.ranges, pose.ranges)
+        yield from _same_targets(experiment, paired, pose)
+    yield from _tests(experiment, paired, pose)
+    pairs, taps = training_poses(paired) * paired.slides, training_poses(pose)
+    yield from training_rules(experiment, pairs, taps)
+    yield (
+        experiment.train.pose_target != "label"
+        or of_ranges(experiment.targets, paired.ranges) == of_ranges(experiment.targets, pose.ranges),
+        "train.pose_target",
+        "asks for one scale of poses: make paired.ranges and pose.ranges equal, or use tap",
+    )
+
+
+def _reached(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterator[Rule]:
+    """What the sensor can reach, and its camera see."""
+    ranges, dome = data.ranges, sensor.dome_radius_mm
+    yield (
+        ranges.lateral_mm <= dome,
+        f"{group}ranges.lateral_mm",
+        f"use 0 to {dome:g} (the dome's radius): beyond it the target is not touched",
+    )
+    yield ranges.move_mm <= dome, f"{group}ranges.move_mm", f"use 0 to {dome:g} (the dome's radius)"
+    edge = contact_angle(sensor)
+    yield (
+        ranges.tilt_deg < edge,
+        f"{group}ranges.tilt_deg",
+        f"use 0 to below {edge:.0f}, where the dome's contact ends",
+    )
+    deepest = deepest_touch_mm(sensor, ranges.tilt_deg)
+    leaning = f" at a tilt of {ranges.tilt_deg:g} deg: use less of either" if ranges.tilt_deg else ""
+    yield (
+        ranges.depth_max_mm <= deepest,
+        f"{group}ranges.depth_max_mm",
+        f"this depth cannot be reached: a dome of radius {dome:g} mm goes to {deepest:.1f} mm{leaning}",
+    )
+    jitter = data.tap_depth_jitter_mm if isinstance(data, PairedData) else 0.0
+    yield (
+        ranges.depth_max_mm + jitter <= deepest,
+        f"{group}tap_depth_jitter_mm",
+        f"with ranges.depth_max_mm ({ranges.depth_max_mm:g}) it cannot be reached: together at most {deepest:.1f} mm",
+    )
+    yield (
+        data.camera.distance_mm > dome,
+        f"{group}camera.distance_mm",
+        f"must exceed the dome's radius ({dome:g}): the camera views the pins from above",
+    )
+
+
+def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    known = {*paired.stimuli, *pose.stimuli}
+    seen = ", ".join(name for name in experiment.unseen if name in known)
+    yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
+    for field in FURTHER:
+        names = [f"{value:g}" for value in getattr(experiment, field)]  # they name their tests
+        yield len(set(names)) == len(names), field, "name each once"
+        for data in (data for name, data in further_tests(experiment).items() if name.startswith(FURTHER[field])):
+            for holds, _, remedy in (*own_rules(data), *_reached(data, "", experiment.sensor)):
+                yield holds, field, remedy
+            try:
+                wrong = "" if of_ranges(experiment.targets, data.ranges) else "leaves nothing to predict"
+            except UserError as error:
+                wrong = str(error)
+            yield not wrong, field, wrong
+    most = pose.ranges.tilt_deg
+    remedy = f"goes beyond pose.ranges.tilt_deg ({most:g}), where PoseNet knows no pose: widen that one, too"
+    read = bool({"posenet", TEACHER} & set(trained(experiment)))
+    yield not read or max(experiment.other_tilts_deg, default=0) <= most, "other_tilts_deg", remedy
+
+
+def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    yield from target_rules(experiment.targets, SIMULATED)
+    flat = SURFACE in {*paired.stimuli, *pose.stimuli, *experiment.unseen}
+    named = {text.partition(":")[0] for text in experiment.targets}
+    remedy = f"a surface shows depth and tilt alone: name of {', '.join(sorted(OF_SURFACE))}"
+    yield not flat or (bool(named) and named <= OF_SURFACE), "targets", remedy
+    for ranges in (paired.ranges, pose.ranges):
+        try:
+            known, wrong = of_ranges(experiment.targets, ranges), ""
+        except UserError as error:
+            known, wrong = (), str(error)
+        yield not wrong, "targets", wrong
+        yield len(known) > 0, "targets", "there is none: the ranges of the poses leave nothing to predict"
+
+
+def _same_targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    """PoseNet, which learns from taps, is judged by the poses of pairs; a teacher's outputs are compared one by one."""
+    pairs, taps = (of_ranges(experiment.targets, part.ranges) for part in (paired, pose))
+    remedy = f"pairs vary {', '.join(names_of(pairs))} and taps {', '.join(names_of(taps))}: name those that both vary"
+    yield names_of(pairs) == names_of(taps), "targets", remedy
+    for pair, tap in zip(pairs, taps, strict=False):
+        remedy = f"{pair.name} goes round a circle in taps alone, and a teacher reads both: write {pair.name}:circle"
+        yield TEACHER not in trained(experiment) or pair.circle == tap.circle, "targets", remedy
+
+
+def _kept_out(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    """Sets of one seed hold the same poses: a test's would be among PoseNet's taps."""
+    for settings in (paired, *further_tests(experiment).values()):
+        yield (
+            settings.seed != pose.seed or not set(settings.stimuli) & set(pose.stimuli),
+            "pose.seed",
+            "gives PoseNet the taps of poses that it is tested at: use another",
+        )
+
+
+def _covered(pairs: Ranges, taps: Ranges) -> Iterator[Rule]:
+    for field in ("lateral_mm", "yaw_deg", "depth_max_mm", "tilt_deg"):
+        most = getattr(taps, field)
+        remedy = f"goes beyond pose.ranges.{field} ({most:g}), where PoseNet knows no pose: widen that one, too"
+        yield getattr(pairs, field) <= most, f"paired.ranges.{field}", remedy
+    least = taps.depth_min_mm
+    remedy = f"is below pose.ranges.depth_min_mm ({least:g}), where PoseNet knows no pose: lower that one, too"
+    yield pairs.depth_min_mm >= least, "paired.ranges.depth_min_mm", remedy
+
+
+def _seen_alike(paired: PairedData, pose: PoseData) -> Iterator[Rule]:
+    for group in ("camera", "preprocess"):
+        of_pairs, of_taps = getattr(paired, group), getattr(pose, group)
+        for field in fields(of_pairs):
+            value, name = getattr(of_pairs, field.name), f"{group}.{field.name}"
+            yield (
+                getattr(of_taps, field.name) == value,
+                f"pose.{name}",
+                f"differs from paired.{name} ({value:g}): make them equal; PoseNet also reads the images of pairs",
+            )
+
+
+def training_poses(data: PairedData | PoseData) -> int:
+    """Of all stimuli."""
+    return sum(train_poses(data.seed, name, data.poses) for name in data.stimuli)

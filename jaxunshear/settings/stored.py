@@ -1,0 +1,53 @@
+"""Settings as JSON, and back."""
+
+import dataclasses
+from typing import Any
+
+from jaxunshear.errors import UserError
+from jaxunshear.settings.earlier import LATER
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.types import describe, fits, groups, hints
+
+
+def to_json(experiment: Experiment) -> dict[str, Any]:
+    """`experiment` as nested dictionaries and lists."""
+    return dataclasses.asdict(experiment)
+
+
+def from_json(data: Any, source: str = "experiment.json") -> Experiment:
+    """The inverse of `to_json`; unknown and missing fields and wrong types are refused by name, but those that an earlier version did not
+    write (`earlier.py`)."""
+    return build(data, Experiment, source, "")
+
+
+def build(data: Any, kind: Any, source: str, name: str) -> Any:
+    """A value of type `kind` out of JSON; `name` is where in `source` it stands. Raises `UserError`."""
+    if kinds := groups(kind):
+        given = set(data) if isinstance(data, dict) else set()
+        own = next((each for each in kinds if _fills(given, set(hints(each)))), kinds[0])
+        fields = hints(own)
+        if not isinstance(data, dict) or not _fills(given, set(fields)):
+            odd = (
+                sorted((given ^ set(fields)) - (set(fields) & set(LATER))) if isinstance(data, dict) else ["all of it"]
+            )
+            raise UserError(
+                f"{source} does not fit this version: see {name or 'its top level'}, {', '.join(odd)}; run it again"
+            )
+        parts = {
+            field: build(data[field] if field in data else LATER[field], hint, source, f"{name}.{field}".lstrip("."))
+            for field, hint in fields.items()
+        }
+        return own(**parts)
+    value = _tupled(data)
+    if not fits(value, kind):
+        raise UserError(f"{source}: {name} takes {describe(kind)}, not {data!r}")
+    return value
+
+
+def _fills(given: set[str], fields: set[str]) -> bool:
+    """Whether a file that gives these has all that is not LATER, and nothing else."""
+    return given <= fields and fields - given <= set(LATER)
+
+
+def _tupled(data: Any) -> Any:
+    return tuple(_tupled(item) for item in data) if isinstance(data, list) else data
