@@ -10,8 +10,9 @@ network has seen, and taps whose depth misses the slide's by up to 1 mm, as the 
 """
 
 from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
-from jaxunshear.settings.experiment import ALL_NETWORKS, Experiment
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.registry import ALL_NETWORKS
 from jaxunshear.settings.training import Training
 
 POSENET = Training(epochs=12, batch=16, optimiser="muon", learning_rate=1.5e-3, shift=0.01, validate_every=675)

@@ -22,9 +22,10 @@ from jaxunshear.infer import load_settings, model_folder
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import encode
 from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.training.checkpoint import holds_model, load_best, read_net
 
-NETWORK = "disentangled"
+NETWORK = DISENTANGLED
 
 
 class Codes(NamedTuple):

@@ -12,14 +12,15 @@ from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.recorded import sensor_of, survey
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.experiment import POSENETS, Experiment, Network
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
 from jaxunshear.settings.training import Training
 
 BASE = Experiment(
     name="recorded",
     claim="A network that learnt from a sensor's own taps and slides takes the slide out of its images.",
-    networks=("disentangled", "posenet", "posenet_sheared"),
+    networks=(DISENTANGLED, POSENET, POSENET_SHEARED),
     paired=Recorded(),
     pose=RecordedTaps(),
     unshear=UnshearNet(widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256),
@@ -72,8 +73,8 @@ def allowed(networks: tuple[Network, ...], taps: bool, slides: bool) -> tuple[Ne
     if taps and slides:
         return networks
     if taps:
-        return tuple(name for name in networks if name == "posenet")
-    return ("posenet_sheared",) if set(networks) & set(POSENETS) else ()
+        return tuple(name for name in networks if name == POSENET)
+    return (POSENET_SHEARED,) if set(networks) & set(POSENETS) else ()
 
 
 def as_python(experiment: Experiment) -> str:

@@ -9,18 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
+from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
 from jaxunshear.settings.targets import to_json
 from jaxunshear.storage import read_json, write_json, write_text
 
-CONSTANTS = ("rest", "spread")  # of networks over pins
-PARTS: dict[str, tuple[str, ...]] = {  # of each network; all of it where none is named
-    "disentangled": ("E", "pose", "DC", "head", *CONSTANTS),
-    "posenet": (),
-    "entangled": ("E", "DC", *CONSTANTS),
-    "posenet_sheared": (),
-}
+PARTS = {name: kind.released for name, kind in REGISTRY.items() if kind.released is not None}
 ORIGINS = ("origin", "taken_over", "start")  # what they learnt from goes with the weights
-NEEDED = ("disentangled", "posenet")
+NEEDED = (DISENTANGLED, POSENET)
 CARD = "README.md"
 READ = {  # columns of a simulated model's card
     "edge_mm": "edge distance, mm",
@@ -197,7 +192,7 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
         "| --- | --- |" + " --- |" * len(columns),
     ]
     headed = [kind for kind in (LEARNT_CODE, LEARNT_BOTH) if kind in results["pose_mae"]]
-    for kind in ("tap", "sheared", "disentangled", *headed):
+    for kind in ("tap", "sheared", DISENTANGLED, *headed):
         errors = results["pose_mae"].get(kind, {})
         likeness = results["ms_ssim"].get(kind, {}).get("overall")
         cells = [likeness, *(errors.get(q) for q in columns)]
@@ -209,6 +204,6 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
             f"`{LEARNT_BOTH}`: the mean of its answer and of PoseNet's off the unsheared image (`both`).",
         ]
     for test, found in results["tests"].items():
-        likeness = found["ms_ssim"]["disentangled"]["overall"]
+        likeness = found["ms_ssim"][DISENTANGLED]["overall"]
         lines += ["", f"Test `{test}` ({', '.join(found['stimuli'])}): {metric['ms_ssim']} {likeness:.3f}."]
     return "\n".join([*lines, *_made_on(results)])

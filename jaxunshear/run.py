@@ -14,7 +14,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.infer import model_folder
 from jaxunshear.locks import locked
 from jaxunshear.settings import configs
-from jaxunshear.settings.experiment import TEACHER, TRAINABLE, Experiment, recorded_of, training_of
+from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
+from jaxunshear.settings.registry import TEACHER, TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_json, read_json_if_sound, write_json
 from jaxunshear.training.kept_out import exams_of

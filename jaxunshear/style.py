@@ -3,14 +3,16 @@
 from textwrap import wrap
 from typing import Any
 
+from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, ENTANGLED_LARGE, POSENET, POSENET_SHEARED, UNET
+
 INK, FAINT = "#1c2330", "#8a93a3"
 COLOURS = {
-    "disentangled": "#1f6feb",
-    "entangled": "#d9822b",
-    "entangled_large": "#b3554d",
-    "unet": "#8250df",
-    "posenet": "#2a9d6f",
-    "posenet_sheared": "#7c8b3d",
+    DISENTANGLED: "#1f6feb",
+    ENTANGLED: "#d9822b",
+    ENTANGLED_LARGE: "#b3554d",
+    UNET: "#8250df",
+    POSENET: "#2a9d6f",
+    POSENET_SHEARED: "#7c8b3d",
 }
 STYLE: Any = {  # the names are a closed list of matplotlib's
     "svg.hashsalt": "jaxunshear",

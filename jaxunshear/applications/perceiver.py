@@ -33,6 +33,7 @@ from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import read_json
 from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
@@ -40,7 +41,7 @@ from jaxunshear.training.examples import FRAME
 
 AS_RECORDED, UNSHEARED, LEARNT = "as_recorded", "unsheared", "learnt"  # learnt: by a PoseNet that learnt from slides
 EDGE = "edge_deg"  # the target that turns with the image
-NETWORKS = ("disentangled", "posenet", "posenet_sheared")
+NETWORKS = (DISENTANGLED, POSENET, POSENET_SHEARED)
 
 
 Move = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
@@ -73,7 +74,7 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
     keep_freed_memory()
     wanted = [name for name in NETWORKS if holds_model(model / name)]
     if not isinstance(experiment.paired, Recorded):
-        wanted = [name for name in wanted if name != "posenet_sheared"]
+        wanted = [name for name in wanted if name != POSENET_SHEARED]
     if not wanted:
         raise UserError(
             f"{model} holds no trained network that unshears or reads poses: train one, or name another --model"
@@ -83,7 +84,7 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
     nets = {name: read_net(model / name) for name in wanted}
     variables = {name: load_best(model / name) for name in wanted}
     targets = {name: read_targets(model / name) for name in wanted}
-    reads = [name for name in ("posenet", "posenet_sheared") if name in nets]
+    reads = [name for name in (POSENET, POSENET_SHEARED) if name in nets]
     names = names_of(targets[reads[0]]) if reads else ()
     run = ready(partial(_forward, nets, targets, recorded_too), variables)
     if over_pins(experiment):
@@ -131,14 +132,14 @@ def _forward(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, 
     def pose(name: str, given: Any) -> Any:
         return posenet.pose_from_outputs(predict(nets[name], variables[name], given), targets[name])
 
-    after = unshear(nets["disentangled"], variables["disentangled"], seen) if "disentangled" in nets else None
+    after = unshear(nets[DISENTANGLED], variables[DISENTANGLED], seen) if DISENTANGLED in nets else None
     poses = {}
-    if "posenet" in nets and (recorded_too or after is None):
-        poses[AS_RECORDED] = pose("posenet", seen)
-    if "posenet" in nets and after is not None:
-        poses[UNSHEARED] = pose("posenet", after)
-    if "posenet_sheared" in nets:
-        poses[LEARNT] = pose("posenet_sheared", seen)
+    if POSENET in nets and (recorded_too or after is None):
+        poses[AS_RECORDED] = pose(POSENET, seen)
+    if POSENET in nets and after is not None:
+        poses[UNSHEARED] = pose(POSENET, after)
+    if POSENET_SHEARED in nets:
+        poses[LEARNT] = pose(POSENET_SHEARED, seen)
     return after, poses
 
 

@@ -23,21 +23,30 @@ from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
-from jaxunshear.settings.experiment import UNSHEARING, Experiment, over_pins, simulated_of
+from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.settings.networks import PinPoseNet, PoseNet
+from jaxunshear.settings.registry import (
+    DISENTANGLED,
+    ENTANGLED,
+    ENTANGLED_LARGE,
+    POSENET,
+    POSENET_SHEARED,
+    UNET,
+    UNSHEARING,
+)
 from jaxunshear.settings.targets import Targets, names_of
 from jaxunshear.training.checkpoint import check_finished, digest_of, holds_model, load_best, read_net, read_targets
 
 TRUE = "true"  # the pose that the simulator knows
 WAYS = {  # name: the networks it runs, in this order
-    "sheared": ("posenet",),
-    "entangled": ("entangled", "posenet"),
-    "disentangled": ("disentangled", "posenet"),
-    "entangled_large": ("entangled_large", "posenet"),
-    "unet": ("unet", "posenet"),
-    "learnt": ("posenet_sheared",),
-    "code": ("disentangled",),  # the head that reads the pose code; draws no image
-    "both": ("disentangled", "posenet"),  # the mean of what that head reads and what PoseNet reads off the image
+    "sheared": (POSENET,),
+    ENTANGLED: (ENTANGLED, POSENET),
+    DISENTANGLED: (DISENTANGLED, POSENET),
+    ENTANGLED_LARGE: (ENTANGLED_LARGE, POSENET),
+    UNET: (UNET, POSENET),
+    "learnt": (POSENET_SHEARED,),
+    "code": (DISENTANGLED,),  # the head that reads the pose code; draws no image
+    "both": (DISENTANGLED, POSENET),  # the mean of what that head reads and what PoseNet reads off the image
 }
 OF_CODE = ("code", "both")  # ask for a head
 Perceive = Callable[
@@ -57,7 +66,7 @@ See = Callable[
 def ways_of(model: Path) -> tuple[str, ...]:
     """The ways that the trained networks in a folder allow."""
     there = [way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks)]
-    headed = "code" in there and pose_head.of(load_best(model / "disentangled")) is not None
+    headed = "code" in there and pose_head.of(load_best(model / DISENTANGLED)) is not None
     return tuple(way for way in there if headed or way not in OF_CODE)
 
 
@@ -84,7 +93,7 @@ def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
 
 def unsheared_by(way: str) -> str:
     """The network, if there is one of the name, that unshears the images of walks by this way of perceiving."""
-    return "disentangled" if way in (TRUE, *OF_CODE) else way
+    return DISENTANGLED if way in (TRUE, *OF_CODE) else way
 
 
 def unshearers(model: Path, experiment: Experiment, names: tuple[str, ...]) -> dict[str, Unshear]:
@@ -142,16 +151,16 @@ def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[For
     targets = {name: read_targets(model / name) for name in names}
     if way not in OF_CODE:
         return forward_of(nets, targets, precision), variables, targets[names[-1]]
-    if pose_head.of(variables["disentangled"]) is None:
+    if pose_head.of(variables[DISENTANGLED]) is None:
         raise UserError(
-            f"{model / 'disentangled'} has no head that reads the pose code, which networks over images get by "
+            f"{model / DISENTANGLED} has no head that reads the pose code, which networks over images get by "
             "--train.label_weight above zero: train one, or perceive another way"
         )
-    if not targets["disentangled"]:
+    if not targets[DISENTANGLED]:
         raise UserError(
-            f"{model / 'disentangled'} does not state what its head reads: train it again, or perceive another way"
+            f"{model / DISENTANGLED} does not state what its head reads: train it again, or perceive another way"
         )
-    return forward_of(nets, targets, precision, by_head=True), variables, targets["disentangled"]
+    return forward_of(nets, targets, precision, by_head=True), variables, targets[DISENTANGLED]
 
 
 def _lattice_of(experiment: Experiment) -> Lattice:

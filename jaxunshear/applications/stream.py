@@ -30,6 +30,7 @@ from jaxunshear.model.ready import ready
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import write_bytes
 
@@ -51,7 +52,7 @@ def robot_of(
     model: Path,
     experiment: Experiment,
     precision: str = "float32",
-    way: str = "disentangled",
+    way: str = DISENTANGLED,
     frame: PinFrame | None = None,
 ) -> Robot:
     """A model made ready for a stream, compiled already. `way` is one of perception's that unshear; of a model that learnt from recordings
@@ -59,7 +60,7 @@ def robot_of(
     if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
         step = step_of(model, experiment, precision, way)
         return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment))
-    if way != "disentangled":
+    if way != DISENTANGLED:
         raise UserError(
             f"--way {way}: only networks over simulated images have a head that reads the pose code: leave it out"
         )
@@ -77,7 +78,7 @@ def robot_of(
     return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected)
 
 
-def step_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = "disentangled") -> Step:
+def step_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = DISENTANGLED) -> Step:
     """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already.
     `way` is one of perception's that unshear."""
     forward, variables, targets = load_forward(model, way, precision)

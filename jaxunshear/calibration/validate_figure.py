@@ -8,6 +8,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from jaxunshear.calibration.validation import Compared, r2, rms
+from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.style import COLOURS, FAINT, INK, STYLE
 
 KINDS = ("tap", "slide")
@@ -59,7 +60,7 @@ def _axes_of(axes, part: Compared) -> None:
 def _rings(axes, kind: str, parts: list[Compared]) -> None:
     shells = np.unique(parts[0].shell)
     for label, field, colour in (
-        ("simulated", "simulated", COLOURS["disentangled"]),
+        ("simulated", "simulated", COLOURS[DISENTANGLED]),
         ("regression from labels", "ceiling", FAINT),
     ):
         scores = [

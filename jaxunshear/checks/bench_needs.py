@@ -23,6 +23,7 @@ from jaxunshear.model import native, posenet, unshearnet
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, POSENET
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
 from jaxunshear.training.loop import run_once
@@ -131,12 +132,12 @@ def _step(net: UnshearNet, training: Training) -> Way:
 
 def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
     entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
-    nets = {"entangled": entangled, "disentangled": net, "posenet": pose}
+    nets = {ENTANGLED: entangled, DISENTANGLED: net, POSENET: pose}
     targets = of_ranges((), Ranges())
     values = {
-        "entangled": _fresh(unshearnet, entangled, 1),
-        "disentangled": variables,
-        "posenet": _fresh_posenet(pose, posenet.outputs_of(targets)),
+        ENTANGLED: _fresh(unshearnet, entangled, 1),
+        DISENTANGLED: variables,
+        POSENET: _fresh_posenet(pose, posenet.outputs_of(targets)),
     }
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 
@@ -144,7 +145,7 @@ def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
         run = run_of({name: nets[name] for name in names}, dict.fromkeys(names, targets))
         return Way(run, ({name: values[name] for name in names}, None, images, images))
 
-    return "evaluation of a batch", "networks that are not asked for", way(tuple(nets)), way(("entangled",))
+    return "evaluation of a batch", "networks that are not asked for", way(tuple(nets)), way((ENTANGLED,))
 
 
 def table(rows: list[dict[str, Any]]) -> str:

@@ -25,6 +25,7 @@ from jaxunshear.model.ready import ready
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.registry import DISENTANGLED, POSENET
 from jaxunshear.settings.targets import names_of, of_ranges
 from jaxunshear.settings.training import Training
 from jaxunshear.training.loop import run_once
@@ -172,12 +173,12 @@ def _stream_sides(size: int, batch: int) -> Sides:
     def ours() -> Work:
         key = jax.random.key(0)
         variables = {
-            "disentangled": jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())(net, key),
-            "posenet": jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())(
+            DISENTANGLED: jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())(net, key),
+            POSENET: jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())(
                 pose_net, posenet.outputs_of(TARGETS), key
             ),
         }
-        forward = forward_of({"disentangled": net, "posenet": pose_net}, {"posenet": TARGETS})
+        forward = forward_of({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
         run = ready(perceive_of(forward, names_of(TARGETS)), variables)
         return lambda: jax.device_get(run(image)) is None
 

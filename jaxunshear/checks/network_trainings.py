@@ -28,6 +28,7 @@ from jaxunshear.checks.network_steps import (
 )
 from jaxunshear.checks.stability_networks import FINITE, REFUSED, SAYS_WHERE, STOPPED, Found, NetworkCase
 from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.settings.registry import ENTANGLED
 from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import train as train_network
@@ -103,7 +104,7 @@ def _settings() -> Iterator[NetworkCase]:
         yield steps_case(f"codes {pose}:{shear}", net, expects=(REFUSED,), words=(field,))
     for training, field in ((replace(TRAINING, crops=0), "crops"), (replace(TRAINING, crop_px=65), "crop_px")):
         yield steps_case(f"{field} that cannot be", SHALLOW, training, expects=(REFUSED,), words=(field,))
-    yield steps_case("entangled", replace(SHALLOW, disentangled=False))
+    yield steps_case(ENTANGLED, replace(SHALLOW, disentangled=False))
     yield steps_case("of the usual 128 px and widths", UnshearNet(), replace(TRAINING, batch=2), steps=SAVED_EVERY)
     for rounded in (SHALLOW, POSENET):
         yield steps_case("in bfloat16", rounded, replace(TRAINING, precision="bfloat16"))

@@ -8,6 +8,7 @@ from typing import Any
 from jaxunshear.cli.options import SKIN, Model, add_like, add_model
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
+from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import check_beside, check_new_file, check_new_folder
 
 
@@ -21,8 +22,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="(float32)")
     parser.add_argument(
         "--way",
-        choices=("disentangled", "code", "both"),
-        default="disentangled",
+        choices=(DISENTANGLED, "code", "both"),
+        default=DISENTANGLED,
         help="whose pose: PoseNet's of the unsheared image; the head's of the pose code, without a PoseNet; their mean (disentangled)",
     )
     parser.add_argument("--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)")

@@ -28,6 +28,7 @@ from jaxunshear.model.layers import in_precision
 from jaxunshear.progress import Progress
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import write_bytes, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples
@@ -61,7 +62,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled, learnt from
     other data or is not trained to the end.
     """
-    folder = Path(run_dir) / "disentangled"
+    folder = Path(run_dir) / DISENTANGLED
     if over_pins(experiment):
         raise UserError(
             f"{run_dir} reads pins: its table of swapped codes is in results.json; ablate a run over images"
@@ -73,8 +74,8 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     variables = load_best(folder)
     if net.shear_channels and "DS" not in variables["params"]:
         raise UserError(f"{folder} holds released weights, which leave out DS: name the folder of a finished run")
-    check_origin(experiment, "disentangled", run_dir)
-    pairs = open_examples(experiment, "disentangled", data_dir, run_dir).reader
+    check_origin(experiment, DISENTANGLED, run_dir)
+    pairs = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
     total = pairs.length("test")
     labels = pairs.take("test", np.arange(total), ("stimulus", "pose_id"))
     poses = numbered_poses(**labels)

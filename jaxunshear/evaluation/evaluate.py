@@ -35,6 +35,7 @@ from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
+from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
 from jaxunshear.storage import read_json_if_sound, write_bytes, write_json
@@ -97,7 +98,7 @@ def _trained_on(experiment: Experiment, run_dir: Path) -> dict[str, Any]:
 def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     """On the test split of the simulated pairs, and on further tests."""
     paired, _ = simulated_of(experiment, "this")
-    examples = open_examples(experiment, "disentangled", data_dir, run_dir)
+    examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
     pairs, targets = examples.reader, examples.targets
     total = pairs.length("test")
     if not total:

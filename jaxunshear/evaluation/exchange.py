@@ -16,6 +16,7 @@ from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
 from jaxunshear.model import pinnets
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinUnshear
+from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.examples import open_examples
 
@@ -33,9 +34,9 @@ class Exchanged(NamedTuple):
 
 def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchanged | None:
     """Of the first group of test poses that is complete; None where poses share no slides, or the network reads images."""
-    folder = Path(run_dir) / "disentangled"
+    folder = Path(run_dir) / DISENTANGLED
     net, variables = read_net(folder), load_best(folder)
-    reader = open_examples(experiment, "disentangled", data_dir, run_dir).reader
+    reader = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
     if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
         return None
     table = reader.shared("test").row

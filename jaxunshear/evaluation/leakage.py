@@ -31,6 +31,7 @@ from jaxunshear.scene.scene import turned
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.networks import PinUnshear, UnshearNet
+from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
 from jaxunshear.storage import write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
@@ -59,14 +60,14 @@ def leakage(
     Raises `UserError` where the network or the data set is missing or damaged, there is no shear code, or the network learnt from other
     data or is not trained to the end.
     """
-    folder = Path(run_dir) / "disentangled"
+    folder = Path(run_dir) / DISENTANGLED
     check_finished(folder)
     net, variables = read_net(folder), load_best(folder)
-    check_origin(experiment, "disentangled", run_dir)
+    check_origin(experiment, DISENTANGLED, run_dir)
     encode = _encoder(net, variables)
     if encode is None:
         raise UserError(f"{folder} holds no network with a shear code: there is nothing to leak from")
-    reader = open_examples(experiment, "disentangled", data_dir, run_dir).reader
+    reader = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
     seen = "sheared_pins" if over_pins(experiment) else "sheared"
     learnt, tested = (
         _taken(experiment, reader, split, seen, most) for split, most in (("train", MOST_LEARNT), ("test", MOST_TESTED))

@@ -18,7 +18,7 @@ from jaxunshear.image.dots import dots
 from jaxunshear.model import pinnets, pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.unshearing import unshear
-from jaxunshear.settings.experiment import UNSHEARING
+from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
 from jaxunshear.settings.targets import Targets
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from jaxunshear.training.examples import Pins
@@ -67,17 +67,17 @@ def run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: s
         if taps is not None:
             images |= baseline_images(taps, tap, sheared)
         for kind in UNSHEARING:
-            if kind == "disentangled" and kind in nets:
+            if kind == DISENTANGLED and kind in nets:
                 cells = draw_cells(nets[kind], variables[kind], given)
                 images[kind] = cells["DC(z_p)"]
             elif kind in nets:
                 images[kind] = unshear(nets[kind], variables[kind], given)
-        if "posenet" in nets:
-            answers = {kind: posenet.predict(nets["posenet"], variables["posenet"], x) for kind, x in images.items()}
-            poses = {kind: posenet.pose_from_outputs(answer, targets["posenet"]) for kind, answer in answers.items()}
-        if "posenet_sheared" in nets:
-            answer = posenet.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
-            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, targets["posenet_sheared"])
+        if POSENET in nets:
+            answers = {kind: posenet.predict(nets[POSENET], variables[POSENET], x) for kind, x in images.items()}
+            poses = {kind: posenet.pose_from_outputs(answer, targets[POSENET]) for kind, answer in answers.items()}
+        if POSENET_SHEARED in nets:
+            answer = posenet.predict(nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared)
+            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, targets[POSENET_SHEARED])
         head = pose_head.of(variables.get(kind := shown_kind(nets), {"params": {}}))
         if head is not None:
             z_p = unshearnet.encode_pose(nets[kind], variables[kind], given)
@@ -104,13 +104,13 @@ def pin_run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pi
             if z_s is not None:
                 cells = {"DC(z_p)": places[kind]}
                 cells["DS(z_p,z_s)"] = pinnets.decode_sheared(nets[kind], variables[kind], z_p, z_s)
-        if "posenet" in nets:
+        if POSENET in nets:
             for kind, place in places.items():
-                outputs = pinnets.predict(nets["posenet"], variables["posenet"], place)
-                poses[kind] = posenet.pose_from_outputs(outputs, targets["posenet"])
-        if "posenet_sheared" in nets:
-            outputs = pinnets.predict(nets["posenet_sheared"], variables["posenet_sheared"], sheared)
-            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(outputs, targets["posenet_sheared"])
+                outputs = pinnets.predict(nets[POSENET], variables[POSENET], place)
+                poses[kind] = posenet.pose_from_outputs(outputs, targets[POSENET])
+        if POSENET_SHEARED in nets:
+            outputs = pinnets.predict(nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared)
+            poses[LEARNT_SHEARED] = posenet.pose_from_outputs(outputs, targets[POSENET_SHEARED])
         shown = places | {"tap": tap}
         images, drawn = ({k: dots(p, pins.radius_px, pins.size) for k, p in each.items()} for each in (shown, cells))
         apart = {f"pins/{kind}": _rms(place, tap) for kind, place in places.items() if kind != "tap"}

@@ -23,7 +23,8 @@ from jaxunshear.evaluation.score import Outputs, pose_scores
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.model.posenet import pose_from_outputs, pose_targets
-from jaxunshear.settings.experiment import UNSHEARING, Experiment, over_pins, recorded_of
+from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.settings.registry import POSENET, UNSHEARING
 from jaxunshear.settings.targets import Targets, fields_of
 from jaxunshear.training.examples import open_examples
 
@@ -89,9 +90,9 @@ def read(reader: PoseReader, features: np.ndarray) -> Poses:
 def readers_of(experiment: Experiment, data_dir: Path, run_dir: Path) -> dict[str, PoseReader]:
     """By name, from the taps that the run's PoseNet learnt from: none where it has no PoseNet, or too few taps. Networks over pins have
     no images but drawn ones; what networks over recorded images draw has no pins known by name."""
-    if "posenet" not in experiment.networks:
+    if POSENET not in experiment.networks:
         return {}
-    examples = open_examples(experiment, "posenet", data_dir, run_dir)
+    examples = open_examples(experiment, POSENET, data_dir, run_dir)
     images = not over_pins(experiment)
     names = [PIXELS] * images + [PIN_PLACES] * (not images or recorded_of(experiment) is None)
     found = {name: learnt(name, examples.reader, examples.targets) for name in names}

@@ -24,7 +24,8 @@ from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
 from jaxunshear.evaluation.spread import redrawn_means
 from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
-from jaxunshear.settings.experiment import POSENETS, Experiment, over_pins, recorded_of
+from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.settings.registry import POSENET, POSENETS
 from jaxunshear.settings.targets import Targets, names_of, to_json, true_values
 from jaxunshear.training.examples import pairs_of, pins_of
 
@@ -50,7 +51,7 @@ def what_to_test(
     slides = None
     if stored.count("slides", "test"):
         slides = pairs_of(experiment, stored, targets, run_dir, data_dir) if paired and data_dir else stored.slides()
-    taps = stored.taps() if stored.count("taps", "test") and "posenet" in experiment.networks else None
+    taps = stored.taps() if stored.count("taps", "test") and POSENET in experiment.networks else None
     return Test(slides, taps, paired and slides is not None)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.metrics import ms_ssim, mse, pose_errors, scales_that_fit, ssim
-from jaxunshear.settings.experiment import UNSHEARING
+from jaxunshear.settings.registry import DISENTANGLED, UNSHEARING
 from jaxunshear.settings.targets import Targets
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
@@ -78,8 +78,8 @@ def differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     found = {}
     for name, score in scores.items():
         table, kind, *quantity = name.split("/")
-        ours = scores.get("/".join([table, "disentangled", *quantity]))
-        if ours is not None and kind in (*UNSHEARING, *LEARNT) and kind != "disentangled":
+        ours = scores.get("/".join([table, DISENTANGLED, *quantity]))
+        if ours is not None and kind in (*UNSHEARING, *LEARNT) and kind != DISENTANGLED:
             found["/".join(["difference", kind, *(quantity or [table])])] = ours - score
     return found
 

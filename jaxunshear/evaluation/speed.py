@@ -12,8 +12,8 @@ from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import unshear
-from jaxunshear.settings.experiment import POSENETS
 from jaxunshear.settings.networks import PinNet, PinUnshear
+from jaxunshear.settings.registry import POSENETS
 from jaxunshear.training.checkpoint import load_best, read_net
 
 CALLS = 40

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
-from jaxunshear.settings.experiment import TEACHER
+from jaxunshear.settings.registry import DISENTANGLED, TEACHER
 from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
@@ -20,7 +20,7 @@ ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "pose/disentangled/edge_deg": ("edge angle error, deg", False),
 }
 COSTS = {"train_seconds": "seconds of training", "ms_per_image": "ms an image"}
-NETWORK = "disentangled"
+NETWORK = DISENTANGLED
 TEST = ("paired.", "sensor")  # settings that decide which contacts the test holds, and how their images appear
 SIZES = (
     "paired.preprocess.size",

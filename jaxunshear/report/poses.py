@@ -6,6 +6,7 @@ from typing import Any
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, scores, words
 from jaxunshear.report.page import number, spanned
+from jaxunshear.settings.registry import DISENTANGLED
 
 TITLE = "What a pose network reads"
 ALIAS = "unsheared"  # in recorded results: the network that the run is about, once more
@@ -101,7 +102,7 @@ def _of_paper(results: dict[str, Any]) -> str:
     """Its recoveries: of another sensor and other quantities, they give the scale."""
     error = results["paper"]["pose_mae"]
     reported = [
-        f"{(felt - error['disentangled'][q]) / (felt - error['tap'][q]):.2f} in {words.word(q)}"
+        f"{(felt - error[DISENTANGLED][q]) / (felt - error['tap'][q]):.2f} in {words.word(q)}"
         for q, felt in error["sheared"].items()
     ]
     return f"The paper's disentangled network, on another sensor and task, has a recovery of {' and '.join(reported)}."

@@ -10,7 +10,7 @@ from typing import Any
 from jaxunshear.errors import UserError
 from jaxunshear.report import applications, headlines, making, montage, page, poses, readers, recordings, scores, words
 from jaxunshear.report.history import read_history
-from jaxunshear.settings.experiment import TRAINABLE
+from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write_text
 
 

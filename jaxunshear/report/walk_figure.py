@@ -8,15 +8,13 @@ from matplotlib.patches import Polygon
 
 from jaxunshear.applications.contour import Outline
 from jaxunshear.applications.servo import CLOSED, ENDS, Walks
+from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed
 
 WORDS = {
     "true": "true pose",
     "sheared": "sheared images",
-    "entangled": "unsheared, entangled",
-    "disentangled": "unsheared, disentangled",
-    "entangled_large": "unsheared, entangled (large)",
-    "unet": "unsheared, U-Net",
+    **{name: f"unsheared, {REGISTRY[name].title}" for name in UNSHEARING},
     "learnt": "sheared, PoseNet that learnt slides",
     "code": "pose code, its head",
     "both": "head and unsheared image",

@@ -3,6 +3,7 @@
 from html import escape
 from typing import Any
 
+from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.settings.targets import RECORDED
 
 KINDS = {
@@ -14,10 +15,7 @@ KINDS = {
     "mean_tap": "mean of the training taps",
     "nearest_tap": "training tap nearest to the sheared",
     "translated": "sheared, best translation (knows the tap)",
-    "entangled": "unsheared, entangled",
-    "entangled_large": "unsheared, entangled, as many parameters",
-    "unet": "unsheared, U-Net",
-    "disentangled": "unsheared, disentangled",
+    **{name: f"unsheared, {REGISTRY[name].title}" for name in UNSHEARING},
     "true_slide": "sheared, pins known by name",
 }
 OF_RECORDINGS = {
@@ -25,10 +23,7 @@ OF_RECORDINGS = {
     "partner": "partners of the slides",
     "sheared": "slides, as felt",
     "sheared_learnt": "slides, learnt from slides directly",
-    "entangled": "slides, unsheared (entangled)",
-    "entangled_large": "slides, unsheared (entangled, as many parameters)",
-    "unet": "slides, unsheared (U-Net)",
-    "disentangled": "slides, unsheared (disentangled)",
+    **{name: f"slides, unsheared ({REGISTRY[name].title})" for name in UNSHEARING},
     "unsheared": "slides, unsheared",
     "true_slide": "slides, pins known by name",
 }

@@ -3,31 +3,26 @@
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Literal, cast
+from typing import cast
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import RENDERED, PairedData, PoseData, Recorded, RecordedTaps, StimulusName, seed_rule
 from jaxunshear.settings.networks import PinNet, PoseNet, UnshearNet
+from jaxunshear.settings.registry import (
+    ALL_NETWORKS,
+    NETWORKS,
+    OF_TAPS,
+    POSENET_SHEARED,
+    POSENETS,
+    RENDERER,
+    TEACHER,
+    UNSHEARING,
+    Network,
+)
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import Rule
 
-Network = Literal["entangled", "disentangled", "posenet", "entangled_large", "unet", "posenet_sheared"]
-
-NETWORKS: tuple[Network, ...] = ("entangled", "disentangled", "posenet")  # the paper's
-# entangled with as many parameters; a U-Net; PoseNet on slides
-RIVALS: tuple[Network, ...] = ("entangled_large", "unet", "posenet_sheared")
-TEACHER = "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
-ALL_NETWORKS: tuple[Network, ...] = (*NETWORKS, *RIVALS)
-UNSHEARING = ("entangled", "entangled_large", "unet", "disentangled")  # the last that a run has is the one it is about
-PIN_NETWORKS = (
-    "entangled",
-    "disentangled",
-    "posenet",
-    "posenet_sheared",
-)  # those that may read pins in the place of images
-RENDERER = "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
-TRAINABLE = (RENDERER, TEACHER, *ALL_NETWORKS)
 PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "patch_weight",
     "crops",
@@ -42,8 +37,6 @@ PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "pose_target",
     "label_weight",
 )
-POSENETS = ("posenet", "posenet_sheared", TEACHER)
-
 
 PINS = Training(
     epochs=100,
@@ -116,15 +109,12 @@ def over_pins(experiment: Experiment) -> bool:
 def trained(experiment: Experiment) -> tuple[str, ...]:
     """The networks to train, in this order: those of the results, after those that one of them needs: a
     renderer, a teacher, a reader of slides without labels."""
-    unshears = set(experiment.networks) - {*POSENETS, RENDERER}
+    unshears = set(experiment.networks) & set(UNSHEARING)
     recorded = recorded_of(experiment)
-    reader = ("posenet_sheared",) if recorded and recorded.unlabelled == "read" and unshears else ()
+    reader = (POSENET_SHEARED,) if recorded and recorded.unlabelled == "read" and unshears else ()
     training = experiment.train_pins if over_pins(experiment) else experiment.train
     taught = (TEACHER,) if training.pose_weight and unshears else ()
-    drawn = over_pins(experiment) and {"posenet", TEACHER} & {
-        *experiment.networks,
-        *taught,
-    }  # learns from rendered taps, too
+    drawn = over_pins(experiment) and set(OF_TAPS) & {*experiment.networks, *taught}  # learn from rendered taps, too
     rendered = (RENDERER,) if recorded and (drawn or (recorded.pairing in RENDERED and unshears)) else ()
     return tuple(dict.fromkeys((*rendered, *taught, *reader, *experiment.networks)))
 
@@ -136,7 +126,7 @@ def needed(experiment: Experiment, network: str) -> tuple[str, ...]:
 
 def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData | Recorded:
     """The data set that `network` learns from."""
-    if isinstance(experiment.pose, PoseData) and network in ("posenet", TEACHER):
+    if isinstance(experiment.pose, PoseData) and network in OF_TAPS:
         return experiment.pose
     return experiment.paired
 
@@ -144,7 +134,7 @@ def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData |
 def takes_taps(experiment: Experiment) -> bool:
     """Whether a network of a simulated experiment learns from the taps without slides, `pose`."""
     networks = trained(experiment)
-    return any(name in networks for name in ("posenet", TEACHER)) or any(
+    return any(name in networks for name in OF_TAPS) or any(
         training_of(experiment, name).tap_weight > 0 for name in networks
     )
 

@@ -4,17 +4,9 @@ from collections.abc import Iterator, Mapping
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import (
-    PAIR_LOSSES,
-    PIN_NETWORKS,
-    RENDERER,
-    TEACHER,
-    Experiment,
-    over_pins,
-    recorded_of,
-    trained,
-)
+from jaxunshear.settings.experiment import PAIR_LOSSES, Experiment, over_pins, recorded_of, trained
 from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.registry import PIN_NETWORKS, POSENET_SHEARED, RENDERER, TEACHER, UNET
 from jaxunshear.settings.targets import parsed
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import Rule
@@ -47,7 +39,7 @@ def network_rules(experiment: Experiment, paired: Preprocess, pose: Preprocess) 
     )
     yield not pins.turned or over_pins(experiment), "pins.turned", "is for networks over pins: leave it at 0"
     yield (
-        not pins.turned or recorded_of(experiment) is None or "posenet_sheared" in trained(experiment),
+        not pins.turned or recorded_of(experiment) is None or POSENET_SHEARED in trained(experiment),
         "pins.turned",
         "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
     )
@@ -74,7 +66,7 @@ def training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Ru
         f"must be 1 to the image's {experiment.unshear.size} px",
     )
     yield (
-        not experiment.train.label_weight or "unet" not in experiment.networks,
+        not experiment.train.label_weight or UNET not in experiment.networks,
         "train.label_weight",
         "asks for a code to read the pose off, and the network unet has none: leave one of the two out",
     )

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment, trained
+from jaxunshear.settings.registry import POSENET_SHEARED
 from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
 from jaxunshear.settings.rules_simulated import FURTHER
 from jaxunshear.settings.sensor import TACTIP_331_FITTED
@@ -31,7 +32,7 @@ def recorded_rules(experiment: Experiment) -> Iterator[Rule]:
     yield from target_rules(experiment.targets, RECORDED | SLIDES)
     slides = slides_of(experiment.targets)
     yield (
-        not slides or set(trained(experiment)) == {"posenet_sheared"},
+        not slides or set(trained(experiment)) == {POSENET_SHEARED},
         "targets",
         f"a tap has no {', '.join(slides)}: name --networks posenet_sheared alone",
     )

@@ -6,8 +6,9 @@ from dataclasses import fields
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import CONFIGS, set_name
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
-from jaxunshear.settings.experiment import TEACHER, Experiment, further_tests, takes_taps, trained
+from jaxunshear.settings.experiment import Experiment, further_tests, takes_taps, trained
 from jaxunshear.settings.reach import contact_angle, deepest_touch_mm
+from jaxunshear.settings.registry import POSENET, TEACHER
 from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import train_poses
@@ -102,7 +103,7 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
             yield not wrong, field, wrong
     most = pose.ranges.tilt_deg
     remedy = f"goes beyond pose.ranges.tilt_deg ({most:g}), where PoseNet knows no pose: widen that one, too"
-    read = bool({"posenet", TEACHER} & set(trained(experiment)))
+    read = bool({POSENET, TEACHER} & set(trained(experiment)))
     yield not read or max(experiment.other_tilts_deg, default=0) <= most, "other_tilts_deg", remedy
 
 

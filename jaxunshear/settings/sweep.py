@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.experiment import Experiment, Network
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.fields import override, parse_overrides, replaced
 from jaxunshear.settings.load import load_variable
+from jaxunshear.settings.registry import Network
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.types import check_types
 

@@ -11,7 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.experiment import TRAINABLE, Experiment, needed, trained
+from jaxunshear.settings.experiment import Experiment, needed, trained
+from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep.rows import Row, training_part

@@ -18,19 +18,18 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import VERSION, floats
 from jaxunshear.settings.data import Pairing, PoseData, Recorded
 from jaxunshear.settings.earlier import without_later
-from jaxunshear.settings.experiment import (
-    ALL_NETWORKS,
-    POSENETS,
-    RENDERER,
-    TEACHER,
-    Experiment,
-    needed,
-    over_pins,
-    recorded_of,
-    without_pair_losses,
-)
+from jaxunshear.settings.experiment import Experiment, needed, over_pins, recorded_of, without_pair_losses
 from jaxunshear.settings.fields import replaced, show
 from jaxunshear.settings.networks import without_codes, without_pin_codes, without_turns
+from jaxunshear.settings.registry import (
+    ALL_NETWORKS,
+    DISENTANGLED,
+    OF_TAPS,
+    POSENET_SHEARED,
+    POSENETS,
+    REGISTRY,
+    RENDERER,
+)
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.stored import to_json
 from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, base_of, names_of
@@ -38,14 +37,7 @@ from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, base_of, name
 LONGEST_NAME = 90  # of a folder, before its digest
 # what is trained and tested beside a training is not for it
 TESTS = ("networks", "unseen", "other_jitters_mm", "other_twists_deg", "other_tilts_deg")
-UNUSED = {
-    "posenet": ("paired", "unshear", "train", "train_teacher"),
-    TEACHER: ("paired", "unshear", "train", "train_posenet"),
-    "posenet_sheared": ("pose", "unshear", "train", "train_teacher"),
-}
-WITHOUT_CODES = ("entangled", "unet")
 UNUSED_BY_TAUGHT = ("train_posenet",)
-UNUSED_BY_UNSHEARERS = ("pose", "posenet", "train_posenet", "train_teacher")
 
 
 @dataclass(frozen=True)
@@ -114,7 +106,7 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     """
     plain = Experiment(name="", claim="")
     taught = len(needed(experiment, network)) > 1
-    unused = ("name", "claim", *TESTS, *(UNUSED_BY_TAUGHT if taught else UNUSED.get(network, UNUSED_BY_UNSHEARERS)))
+    unused = ("name", "claim", *TESTS, *(UNUSED_BY_TAUGHT if taught else REGISTRY[network].unused))
     if recorded_of(experiment) or over_pins(
         experiment
     ):  # one set for taps and slides; one training for all networks over pins
@@ -124,18 +116,18 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(
             part, train_pins=without_pair_losses(part.train_pins), pins=without_pin_codes(part.pins)
         )
-    if isinstance(part.pose, PoseData) and network in ("posenet", TEACHER):  # these learn from taps alone
+    if isinstance(part.pose, PoseData) and network in OF_TAPS:  # these learn from taps alone
         part = dataclasses.replace(part, paired=plain.paired)
-    if isinstance(part.paired, Recorded) and network in (RENDERER, TEACHER, "posenet"):
+    if isinstance(part.paired, Recorded) and network in OF_TAPS:
         part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, labelled=1.0))
     if isinstance(part.paired, Recorded) and network in (*POSENETS, RENDERER):  # and none of these from pairs
-        dragged = network == "posenet_sheared" and part.paired.pairing == "simulated"  # it learns from simulated slides
+        dragged = network == POSENET_SHEARED and part.paired.pairing == "simulated"  # it learns from simulated slides
         way: Pairing = "simulated" if dragged else "rendered"
         alone = dataclasses.replace(part.paired, pairing=way, pairs="", unlabelled="left_out")
         part = dataclasses.replace(part, paired=alone)
-    if network in (RENDERER, TEACHER, "posenet"):
+    if network in OF_TAPS:
         part = dataclasses.replace(part, pins=without_turns(part.pins))
-    if network in WITHOUT_CODES:
+    if REGISTRY[network].does == "unshears" and not REGISTRY[network].codes:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))
     own = _digest({"experiment": without_later(to_json(part)), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
@@ -194,7 +186,7 @@ def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experimen
         validate(experiment)
     except UserError as error:
         raise UserError(f"cell {label}: {error}") from error
-    if sweep.ablation and "disentangled" not in experiment.networks:
+    if sweep.ablation and DISENTANGLED not in experiment.networks:
         raise UserError(f"cell {label}: sweep.ablation needs the network 'disentangled': only its codes can be swapped")
     return experiment
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 from jaxunshear.report.frontier_figure import ranked
+from jaxunshear.settings.registry import POSENET_SHEARED
 
 LEARNT_SHEARED = "sheared_learnt"  # as evaluation calls what `posenet_sheared` reads
 
@@ -54,7 +55,7 @@ def main_metrics(summary: dict[str, Any]) -> list[str]:
     if not any(name.endswith("/edge_mm") for name in there):  # other targets: the first two
         read = [name.rpartition("/")[2] for name in there if name.startswith("pose/")]
         patterns = (MAIN[0], *(f"pose/*/{target}" for target in list(dict.fromkeys(read))[:2]))
-    shown = [LEARNT_SHEARED if network == "posenet_sheared" else network for network in summary["networks"]]
+    shown = [LEARNT_SHEARED if network == POSENET_SHEARED else network for network in summary["networks"]]
     wanted = [pattern.replace("*", network) for pattern in patterns for network in shown]
     return [name for name in dict.fromkeys(wanted) if name in there]
 

@@ -15,16 +15,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.unshearnet import as_large_entangled
 from jaxunshear.settings.data import PairedData
-from jaxunshear.settings.experiment import (
-    POSENETS,
-    RENDERER,
-    TEACHER,
-    Experiment,
-    over_pins,
-    recorded_of,
-    trained,
-    training_of,
-)
+from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of, trained, training_of
 from jaxunshear.settings.networks import (
     PinPoseNet,
     PinRenderer,
@@ -34,6 +25,17 @@ from jaxunshear.settings.networks import (
     without_codes,
     without_pin_codes,
     without_turns,
+)
+from jaxunshear.settings.registry import (
+    DISENTANGLED,
+    ENTANGLED,
+    ENTANGLED_LARGE,
+    OF_TAPS,
+    POSENETS,
+    REGISTRY,
+    RENDERER,
+    TEACHER,
+    UNET,
 )
 from jaxunshear.settings.targets import fields_of
 from jaxunshear.settings.training import exchanged, labelled
@@ -49,13 +51,13 @@ from jaxunshear.training.turning import Turns, sense_of, turns_of
 def task_of(experiment: Experiment, network: str, examples: Examples, folder: Path) -> tuple[Task, tuple[str, ...]]:
     """What `network` learns, and the fields of a batch that this takes."""
     training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
-    weighed = ("weight",) if recorded_of(experiment) and network not in POSENETS and network != RENDERER else ()
+    weighed = ("weight",) if recorded_of(experiment) and REGISTRY[network].does == "unshears" else ()
     if network == RENDERER or over_pins(experiment):
         task, fields = _over_pins(experiment, network, examples, folder, weighed)
         share = 0.0 if recorded_of(experiment) else experiment.pins.turned
         return _drawn(task, examples, share) if share else task, fields
     if network in POSENETS:
-        seen = "sheared" if network == "posenet_sheared" else "image"
+        seen = "image" if network in OF_TAPS else "sheared"
         return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
     teacher = _teacher(experiment, folder, posenet.predict) if training.pose_weight else None
     task = tasks.unshear_task(unshear_net(experiment.unshear, network), training, teacher, targets)
@@ -66,7 +68,7 @@ def _over_pins(
     experiment: Experiment, network: str, examples: Examples, folder: Path, weighed: tuple[str, ...]
 ) -> tuple[Task, tuple[str, ...]]:
     training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
-    field = {"posenet": "pins", TEACHER: "pins", RENDERER: "pins"}.get(network, "sheared_pins")
+    field = "pins" if network in OF_TAPS else "sheared_pins"
     known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
     net = asdict(without_turns(experiment.pins))
     plain = asdict(without_pin_codes(without_turns(experiment.pins)))
@@ -74,16 +76,16 @@ def _over_pins(
     if network == RENDERER:
         return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
     if network in POSENETS:
-        turned = experiment.pins.turned if network == "posenet_sheared" and recorded_of(experiment) else 0.0
+        turned = experiment.pins.turned if network not in OF_TAPS and recorded_of(experiment) else 0.0
         turns = _turns(examples) if turned else None
         reader = PinPoseNet(**plain | {"turned": turned})
         rendered = field == "pins" and RENDERER in trained(experiment)
         render = partial(pinnets.render, *_of_taps(experiment, RENDERER, folder)) if rendered else None
         return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
-    codes = PinUnshear(**net if network == "disentangled" else net | {"shear_code": 0})
+    codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})
     teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
     shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
-    partners = (OTHER, SWAPPED) if shared and network == "disentangled" and exchanged(training) else ()
+    partners = (OTHER, SWAPPED) if shared and network == DISENTANGLED and exchanged(training) else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
     return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
 
@@ -100,13 +102,15 @@ def _drawn(task: Task, examples: Examples, share: float) -> Task:
 
 def unshear_net(net: UnshearNet, network: str) -> UnshearNet | UNet:
     """The settings of one of the networks that unshear, all derived from `net`."""
-    if network == "unet":
-        return UNet(net.size, net.widths)
-    if network == "entangled_large":
-        return as_large_entangled(dataclasses.replace(net, disentangled=True))
-    if network == "entangled":
-        return dataclasses.replace(without_codes(net), disentangled=False)
-    return dataclasses.replace(net, disentangled=True)
+    return _NETS[network](dataclasses.replace(net, disentangled=True))
+
+
+_NETS: dict[str, Callable[[UnshearNet], UnshearNet | UNet]] = {
+    DISENTANGLED: lambda net: net,
+    ENTANGLED: lambda net: dataclasses.replace(without_codes(net), disentangled=False),
+    ENTANGLED_LARGE: as_large_entangled,
+    UNET: lambda net: UNet(net.size, net.widths),
+}
 
 
 def renamed(batch: dict[str, Any]) -> dict[str, Any]:

@@ -20,12 +20,12 @@ from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.settings import configs
 from jaxunshear.settings.data import RENDERED, PairedData, PoseData
-from jaxunshear.settings.experiment import RENDERER, TEACHER, Experiment, learnt_from, over_pins, recorded_of
+from jaxunshear.settings.experiment import Experiment, learnt_from, over_pins, recorded_of
+from jaxunshear.settings.registry import OF_TAPS, POSENET_SHEARED, RENDERER
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.targets import RECORDED, Targets, of_ranges
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
-OF_TAPS = ("posenet", TEACHER, RENDERER)
 POSES_AT_ONCE = 1024
 READ_AT_ONCE = 128
 FRAME = "frame.json"  # in a run's folder: what the frames of its sensor have in common, see `dataset.preparing.Frame`
@@ -56,7 +56,7 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
     epoch = stored.count("slides", "train")
     if network in OF_TAPS:
         reader, epoch = stored.taps(), stored.count("taps", "train")
-    elif network == "posenet_sheared":
+    elif network == POSENET_SHEARED:
         reader = stored.slides(_drag(experiment, stored, data_dir), not over_pins(experiment))
     else:
         reader = pairs_of(experiment, stored, targets, run_dir, data_dir)
@@ -80,7 +80,7 @@ def pairs_of(experiment: Experiment, stored: RecordedSet, targets: Targets, run_
     settings = stored.settings
     render = _render(run_dir / RENDERER) if settings.pairing in RENDERED else None
     drag = _drag(experiment, stored, data_dir)
-    read = _read(run_dir / "posenet_sheared", over_pins(experiment)) if settings.unlabelled == "read" else None
+    read = _read(run_dir / POSENET_SHEARED, over_pins(experiment)) if settings.unlabelled == "read" else None
     return stored.pairs(targets, render, not over_pins(experiment), read, drag)
 
 

@@ -11,7 +11,8 @@ from typing import Any
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import PAIRED_SET, POSE_SET, RECORDED_SET, RECORDED_VERSION, describe, differences
 from jaxunshear.settings.data import PoseData, Recorded
-from jaxunshear.settings.experiment import POSENETS, RENDERER, TEACHER, Experiment, learnt_from, needed, training_of
+from jaxunshear.settings.experiment import Experiment, learnt_from, needed, training_of
+from jaxunshear.settings.registry import OF_TAPS, POSENETS
 from jaxunshear.storage import read_json, read_json_if_sound
 from jaxunshear.training.kept_out import Exam, exams_of, known
 
@@ -22,7 +23,7 @@ def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
     """The description of the data set that `network` is to learn from, and of what is made of it."""
     settings = learnt_from(experiment, network)
     described = describe(settings, experiment.sensor)
-    if isinstance(settings, Recorded) and network not in ("posenet", TEACHER, RENDERER):
+    if isinstance(settings, Recorded) and network not in OF_TAPS:
         described |= {"labelled": settings.labelled}
         if network not in POSENETS or settings.pairing == "simulated":
             described |= {"pairing": settings.pairing}

@@ -13,8 +13,9 @@ from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.release import PARTS
 from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.experiment import UNSHEARING, Experiment
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.registry import UNSHEARING
 from jaxunshear.settings.targets import of_ranges, to_json
 from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint

@@ -13,8 +13,8 @@ from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, PARTNER, POSE_KINDS
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.settings.data import Ranges
-from jaxunshear.settings.experiment import NETWORKS, RIVALS
 from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.registry import NETWORKS, RIVALS
 from jaxunshear.settings.targets import names_of, of_ranges
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once

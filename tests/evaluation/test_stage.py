@@ -11,7 +11,8 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import reproducible
-from jaxunshear.settings.experiment import ALL_NETWORKS, UNSHEARING, Experiment
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.training import examples
 from jaxunshear.training.origin import origin_of

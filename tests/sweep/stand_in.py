@@ -18,7 +18,8 @@ import numpy as np
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import describe
-from jaxunshear.settings.experiment import TRAINABLE, Experiment, learnt_from
+from jaxunshear.settings.experiment import Experiment, learnt_from
+from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import to_json
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.storage import os_error, read_json, write_json

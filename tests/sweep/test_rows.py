@@ -9,9 +9,10 @@ import pytest
 from jaxunshear import run
 from jaxunshear.errors import UserError
 from jaxunshear.fit import BASE as RECORDED
-from jaxunshear.settings.experiment import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE, Experiment, needed, trained
+from jaxunshear.settings.experiment import Experiment, needed, trained
 from jaxunshear.settings.fields import field_types, replaced
 from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.registry import ALL_NETWORKS, RENDERER, TEACHER, TRAINABLE
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.sweep import Sweep, check

@@ -1,0 +1,75 @@
+"""The networks that an experiment can train: one table, which all that treats them apart asks.
+
+A network of another name needs an entry here, the settings that build it in `training/building.py`, and a colour in `style.py`.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+Network = Literal["entangled", "disentangled", "posenet", "entangled_large", "unet", "posenet_sheared"]
+ENTANGLED: Final = "entangled"
+DISENTANGLED: Final = "disentangled"
+POSENET: Final = "posenet"
+ENTANGLED_LARGE: Final = "entangled_large"  # with as many parameters as the disentangled one
+UNET: Final = "unet"
+POSENET_SHEARED: Final = "posenet_sheared"  # PoseNet on slides
+TEACHER: Final = (
+    "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
+)
+RENDERER: Final = "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
+
+CONSTANTS = ("rest", "spread")  # variables of networks over pins that are not trained
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a network does, and what that takes."""
+
+    name: str
+    does: Literal["unshears", "reads poses", "renders"]
+    learns_from: Literal["pairs", "taps", "slides"]
+    # groups of an experiment that its training over images does not read
+    unused: tuple[str, ...]
+    title: str = ""  # of its images in tables and figures
+    codes: bool = False  # it depends on how many numbers the codes have
+    over_pins: bool = True  # whether it may read pins in the place of images
+    released: tuple[str, ...] | None = None  # the parts that go with released weights, () for all of it; None: it stays
+
+
+_UNSHEARS = ("pose", "posenet", "train_posenet", "train_teacher")
+REGISTRY = {
+    kind.name: kind
+    for kind in (
+        Kind(RENDERER, "renders", "taps", _UNSHEARS),
+        Kind(TEACHER, "reads poses", "taps", ("paired", "unshear", "train", "train_posenet")),
+        Kind(ENTANGLED, "unshears", "pairs", _UNSHEARS, "entangled", released=("E", "DC", *CONSTANTS)),
+        Kind(
+            DISENTANGLED,
+            "unshears",
+            "pairs",
+            _UNSHEARS,
+            "disentangled",
+            codes=True,
+            released=("E", "pose", "DC", "head", *CONSTANTS),
+        ),
+        Kind(POSENET, "reads poses", "taps", ("paired", "unshear", "train", "train_teacher"), released=()),
+        Kind(
+            ENTANGLED_LARGE,
+            "unshears",
+            "pairs",
+            _UNSHEARS,
+            "entangled, as many parameters",
+            codes=True,
+            over_pins=False,
+        ),
+        Kind(UNET, "unshears", "pairs", _UNSHEARS, "U-Net", over_pins=False),
+        Kind(POSENET_SHEARED, "reads poses", "slides", ("pose", "unshear", "train", "train_teacher"), released=()),
+    )
+}
+TRAINABLE = tuple(REGISTRY)
+NETWORKS: tuple[Network, ...] = (ENTANGLED, DISENTANGLED, POSENET)  # the paper's
+ALL_NETWORKS: tuple[Network, ...] = (*NETWORKS, ENTANGLED_LARGE, UNET, POSENET_SHEARED)  # and rivals
+UNSHEARING = (ENTANGLED, ENTANGLED_LARGE, UNET, DISENTANGLED)  # the last that a run has is the one it is about
+POSENETS = tuple(name for name, kind in REGISTRY.items() if kind.does == "reads poses")
+OF_TAPS = tuple(name for name, kind in REGISTRY.items() if kind.learns_from == "taps")
+PIN_NETWORKS = tuple(name for name in ALL_NETWORKS if REGISTRY[name].over_pins)
