@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test check check-long clean
+.PHONY: demo test check check-long docs clean
 
 demo: $(READY)
 	$(BIN)/jaxunshear run experiments/demo.py
@@ -18,9 +18,14 @@ check: $(READY)
 check-long: $(READY)
 	$(BIN)/python -m pytest -m long
 
+# Pages in site/: open site/index.html. Their search needs a server: python -m http.server -d site
+docs: $(READY)
+	$(BIN)/python docs/make_diagrams.py
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 # Results (runs/) and data sets (datasets/) are kept.
 clean:
-	rm -rf .venv build dist .pytest_cache .ruff_cache .mypy_cache *.egg-info
+	rm -rf .venv build dist site .pytest_cache .ruff_cache .mypy_cache *.egg-info
 	find jaxunshear data_specs tests experiments -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last: an install that was interrupted is done again.

@@ -68,7 +68,7 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
         config = self.builder_config
         return configs.unfinished_folder(config.settings, config.sensor, Path(self._data_dir_root))
 
-    def download_and_prepare(self, **options) -> None:
+    def download_and_prepare(self, **options: object) -> None:
         """Makes the set unless it is there. Raises `UserError` if another process is making it."""
         if not Path(self.data_dir).exists():
             with _alone(self._unfinished):
@@ -80,13 +80,13 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
                         super().download_and_prepare(**{**defaults, **options})
         shutil.rmtree(self._unfinished, ignore_errors=True)
 
-    def _download_and_prepare(self, *args, **kwargs) -> None:
+    def _download_and_prepare(self, *args: object, **kwargs: object) -> None:
         super()._download_and_prepare(*args, **kwargs)
         folder = Path(self.data_dir)  # still the unfinished one
         shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
         write_json(folder / MANIFEST, {path.name: sha256(path) for path in shards})
 
-    def _keep_metadata(self, counts: dict, **more) -> None:
+    def _keep_metadata(self, counts: dict, **more: object) -> None:
         versions = {name: importlib.metadata.version(name) for name in ("jax", "numpy", "tensorflow-datasets")}
         described = configs.describe(self.builder_config.settings, self.builder_config.sensor)
         self.info.metadata.update(**described, counts=counts, versions=versions, **more)
@@ -107,7 +107,7 @@ class SimulatedSet(StoredSet, skip_registration=True):  # type: ignore[call-arg]
     }
     engine: Engine | None = None  # tests put a fast stand-in for the simulator here
 
-    def _split_generators(self, dl_manager):
+    def _split_generators(self, dl_manager: tfds.download.DownloadManager) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
         shots = draw(settings)
         paths = simulate_chunks(settings, sensor, shots, self._unfinished, self.engine or simulator())

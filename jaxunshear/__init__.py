@@ -14,7 +14,7 @@ if typing.TYPE_CHECKING:
 
     from jaxunshear.api import Model
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 
 def load_model(name: str | Path, like: str | Path | None = None) -> Model:

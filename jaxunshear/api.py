@@ -17,8 +17,8 @@ import numpy as np
 from jaxunshear.applications.perceiver import Answers, Perceiver, frame_for, perceiver
 from jaxunshear.applications.perception import BATCH, in_batches
 from jaxunshear.errors import UserError
+from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.infer import load_settings, model_folder
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import encode
 from jaxunshear.settings.experiment import Experiment

@@ -12,16 +12,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.stored import from_json
 from jaxunshear.settings.targets import RECORDED, SLIDES
-from jaxunshear.storage import check_beside, csv_text, read_json, write_bytes, write_text
+from jaxunshear.storage import check_beside, csv_text, write_bytes, write_text
 
 if TYPE_CHECKING:
+    from jaxunshear.applications.frames import Understood
     from jaxunshear.applications.perceiver import Answers, Perceiver
     from jaxunshear.dataset.recordings import Recordings
 
@@ -32,8 +33,6 @@ FRAMES = (
     "give the nearest edge in the sensor frame; recorded_* are the labels that came with the images, in their own work frame."
 )
 OWN_FRAME = "Poses have the names, the frame and the units of the recorded labels that the networks learnt from."
-SAMPLED = 20  # frames that a folder is judged by
-RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card
 
 Log = Callable[[str], None]
 
@@ -75,7 +74,7 @@ def unshear_recordings(
         model, experiment, over_pins(experiment) or isinstance(experiment.paired, Recorded), like or path
     )
     recordings = _read(path, network.preprocess)
-    understood = _Understood(recordings, network, force)
+    understood = _understood(recordings, network, force)
     targets = _targets(recordings.names)
     table: list[dict[str, Any]] = []
     seconds: list[float] = []
@@ -130,7 +129,7 @@ def pose_of_recordings(
             f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
         )
     recordings = _read(path, network.preprocess)
-    understood = _Understood(recordings, network, force)
+    understood = _understood(recordings, network, force)
     table: list[dict[str, Any]] = []
     rows_out: list[dict[str, Any]] = []
     errors = _Errors(network.names, recordings)
@@ -149,77 +148,6 @@ def pose_of_recordings(
     errors.report(note)
     _print_summary([*recordings.notes, learnt_note(experiment)], note)
     return _measured([*rows_out, *errors.rows()])
-
-
-def model_folder(model: Path) -> Path:
-    """`model` itself where it is a folder, else that of the released weights of this name. Raises `UserError`."""
-    released = {folder.name: folder for folder in sorted(RELEASED.glob("*")) if (folder / "experiment.json").is_file()}
-    if model.exists() or str(model) not in released:
-        return model
-    return released[str(model)]
-
-
-def load_settings(model: Path) -> Experiment:
-    """The experiment that the folder of a run was made with. Raises `UserError`."""
-    file = model / "experiment.json"
-    if not file.is_file():
-        names = ", ".join(sorted(folder.name for folder in RELEASED.glob("*") if folder.is_dir()))
-        raise UserError(
-            f"--model {model} holds no experiment.json: name the folder of a finished run, such as runs/demo, "
-            f"or released weights{f' ({names})' if names else ''}"
-        )
-    return from_json(read_json(file), str(file))
-
-
-class _Understood:
-    """Frames of a folder that are of the model's sensor. Raises UserError where they are not, unless `force`d."""
-
-    def __init__(self, recordings: "Recordings", network: "Perceiver", force: bool) -> None:
-        from jaxunshear.image.understood import verdict
-
-        self._recordings, self._network, self._force = recordings, network, force
-        self._turned = False
-        if force:
-            return
-        found = verdict(np.stack(list(self._sample())), network.expected)
-        self._turned = found.inverted
-        if found.inverted:
-            recordings.notes.append(f"{found.reason}: they are turned")
-        elif not found.ok:
-            raise UserError(f"{recordings.path}: {found.reason}; --force answers all the same")
-
-    def _sample(self) -> Iterator[np.ndarray]:
-        """Up to SAMPLED frames, evenly spaced."""
-        from jaxunshear.dataset.recordings import read_image
-        from jaxunshear.image.preprocess import prepare_frame
-
-        files, problem, some = self._recordings.files, "", False
-        for file in files[:: -(-len(files) // SAMPLED)]:
-            view = self._network.view or self._recordings.common_view(file.parent)
-            try:
-                yield prepare_frame(self._network.preprocess, read_image(file), view)
-                some = True
-            except UserError as error:
-                problem = f"{file.name}: {error}"
-        if not some:
-            raise UserError(f"none of the sampled images in {self._recordings.path} can be read; the last: {problem}")
-
-    def frames(self) -> Iterator[tuple[int, str, np.ndarray]]:
-        """(row, name, image) of each frame that is understood; the others are left out and noted."""
-        from jaxunshear.image.understood import ENOUGH, inverse, plausibility
-
-        some = False
-        for row, name, image in self._recordings.frames(self._network.view):
-            image = inverse(image) if self._turned else image
-            if not self._force and not self._turned and plausibility(image, self._network.expected) < ENOUGH:
-                self._recordings.notes.append(f"left out {name}: its pins are not those of the model's sensor")
-                continue
-            some = True
-            yield row, name, image
-        if not some:
-            raise UserError(
-                f"{self._recordings.path}: no image is one of the model's sensor; --force answers all the same"
-            )
 
 
 class _Errors:
@@ -279,6 +207,12 @@ def _read(path: Path, preprocess: Preprocess) -> "Recordings":
     return read_recordings(path, preprocess)
 
 
+def _understood(recordings: "Recordings", network: "Perceiver", force: bool) -> "Understood":
+    from jaxunshear.applications.frames import Understood
+
+    return Understood(recordings, network, force)
+
+
 def _targets(names: tuple[str, ...]) -> list[str]:
     """Where each image goes: its own name as PNG; `a.jpg` beside `a.png` keeps its full name."""
     targets: list[str] = []
@@ -292,7 +226,7 @@ def _targets(names: tuple[str, ...]) -> list[str]:
 
 
 def _answers(
-    recordings: "Recordings", network: "Perceiver", understood: "_Understood", label: str
+    recordings: "Recordings", network: "Perceiver", understood: "Understood", label: str
 ) -> "Iterator[tuple[list[int], list[str], Answers, float]]":
     """Batches of rows, names and answers, and the seconds the networks took for the full BATCH, compilation apart."""
     size = recordings.preprocess.size

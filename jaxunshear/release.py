@@ -96,8 +96,11 @@ def card(results: dict[str, Any], name: str) -> str:
 
 def _made_on(results: dict[str, Any]) -> list[str]:
     """Machines and versions; those that trained are named where they are others than the one that measured."""
-    others = {json.dumps(machine) for machine in results.get("trained_on", {}).values()} - {
-        json.dumps(results["machine"])
+    trained = results.get("trained_on", {}).values()
+    others = {
+        json.dumps(machine)
+        for machine in trained
+        if machine | {"kernels": None} != results["machine"] | {"kernels": None}
     }
     reported = [*(("Trained on", machine) for machine in sorted(others)), ("Machine", json.dumps(results["machine"]))]
     lines = [line for name, machine in reported for line in ("", f"{name}: {machine}")]

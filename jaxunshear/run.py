@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxunshear.errors import UserError
-from jaxunshear.infer import model_folder
+from jaxunshear.folders import model_folder
 from jaxunshear.locks import locked
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment, recorded_of, training_of

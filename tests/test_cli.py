@@ -2,6 +2,7 @@
 
 import errno
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -320,3 +321,16 @@ def test_help_lists_every_field(command):
 
 def test_every_stage_of_a_command_is_one_of_run():
     assert {stage for stages in cli.stages.STAGES.values() for stage in stages} == set(cli.stages.STAGES["run"])
+
+
+def test_every_field_has_its_meaning_in_help(command):
+    from jaxunshear.settings.fields import field_types
+
+    groups = {name.rpartition(".")[0] for name, _ in field_types()}
+    written = "".join(command("run", "--help-fields", group).out for group in groups)
+    entries = dict(re.findall(r"^--(\S+) .*\n((?:    .*\n?)+)", written, re.MULTILINE))
+    assert entries.keys() == {name for name, _ in field_types()}
+    assert not [name for name, text in entries.items() if len(" ".join(text.split()).partition(". ")[2]) < 6]
+    answer = command("run", "--help-fields", "trains")
+    is_one_line(answer)
+    assert "name one of sensor, paired," in answer.err

@@ -5,11 +5,6 @@ import json
 import pytest
 
 from jaxunshear.cli import checks, main
-from jaxunshear.contact.plan import LEVELS
-
-
-def test_levels_are_those_of_the_plan():
-    assert set(checks.LEVEL_NAMES) == set(LEVELS)
 
 
 def test_values_that_begin_with_a_minus_are_values():

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from jaxunshear import __version__
 from jaxunshear.cli import main
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -55,6 +56,12 @@ def test_commands_exist(page, capsys):
 @pytest.mark.parametrize("page", PAGES)
 def test_pages_are_short(page):
     assert len((ROOT / page).read_text().splitlines()) <= MOST_LINES.get(page, 200)
+
+
+def test_one_version():
+    named = {re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)[1]}
+    named.add(re.search(r"^## (\S+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)[1])
+    assert named == {__version__}
 
 
 UNPLAIN = r"\b(look|told|begun|whole|tell|tells|mended)\b"  # words that said too many things

@@ -4,13 +4,14 @@ import json
 import shutil
 from dataclasses import asdict
 from functools import partial
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import infer
+from jaxunshear import folders, infer
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.release import card, release
@@ -110,11 +111,11 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head)
         checkpoint.save(run / "disentangled", 2, {"average": variables}, {"history": [], "best_step": 2})
         errors = RESULTS["pose_mae"] | {"code_learnt": RESULTS["pose_mae"]["tap"]}
         write_json(run / "results.json", RESULTS | {"pose_mae": errors})
-    monkeypatch.setattr(infer, "RELEASED", tmp_path / "weights")
+    monkeypatch.setattr(folders, "RELEASED", tmp_path / "weights")
     made = release(run, tmp_path / "weights" / "mine")
     frames = image_in(tmp_path / "frames")
     for model, out in ((run, "by_run"), ("mine", "by_name")):
-        infer.unshear_recordings(frames, infer.Path(model), tmp_path / out, log=lambda text: None, force=True)
+        infer.unshear_recordings(frames, Path(model), tmp_path / out, log=lambda text: None, force=True)
     pictures = [np.asarray(Image.open(tmp_path / out / "a.png"), float) for out in ("by_run", "by_name")]
     assert np.ptp(pictures[0]) > 20
     assert np.abs(pictures[0] - pictures[1]).mean() <= 3  # kernels are float16
@@ -194,13 +195,13 @@ def test_weights_of_another_network_under_a_true_digest_are_reported_apart(run, 
 
 
 def test_an_unknown_name_lists_those_there_are(tmp_path, monkeypatch):
-    monkeypatch.setattr(infer, "RELEASED", tmp_path)
+    monkeypatch.setattr(folders, "RELEASED", tmp_path)
     (tmp_path / "mine").mkdir()
     with pytest.raises(UserError, match=r"released weights \(mine\)"):
-        infer.load_settings(infer.model_folder(infer.Path("yours")))
+        folders.load_settings(folders.model_folder(Path("yours")))
 
 
-RELEASED = sorted(path.parent for path in infer.RELEASED.glob("*/experiment.json"))
+RELEASED = sorted(path.parent for path in folders.RELEASED.glob("*/experiment.json"))
 
 
 @pytest.mark.parametrize("folder", RELEASED, ids=lambda folder: folder.name)
@@ -216,4 +217,4 @@ def test_what_is_released_with_the_package_can_be_used(folder):
 
 
 def test_all_released_weights_are_small():
-    assert sum(path.stat().st_size for path in infer.RELEASED.rglob("*") if path.is_file()) <= 20e6
+    assert sum(path.stat().st_size for path in folders.RELEASED.rglob("*") if path.is_file()) <= 20e6

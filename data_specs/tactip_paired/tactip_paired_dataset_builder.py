@@ -1,10 +1,14 @@
 """`tactip_paired`: sheared tactile images, each with a tap at the same pose."""
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 import tensorflow_datasets as tfds
 
 from data_specs.stored_set import SimulatedSet, standard_configs
 from jaxunshear.dataset import examples
+from jaxunshear.dataset.shots import Shots
 from jaxunshear.settings.configs import PAIRED_SET
 
 
@@ -38,5 +42,5 @@ class Builder(SimulatedSet):
         }
         return self._set_info(features, ("sheared", "canonical"))
 
-    def _generate_examples(self, shots, paths, split):
+    def _generate_examples(self, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
         yield from examples.paired_examples(self.builder_config.settings, shots, paths, split)

@@ -1,10 +1,14 @@
 """`tactip_pose`: taps at poses of their own, recorded with drift."""
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 import tensorflow_datasets as tfds
 
 from data_specs.stored_set import SimulatedSet, standard_configs
 from jaxunshear.dataset import examples
+from jaxunshear.dataset.shots import Shots
 from jaxunshear.settings.configs import POSE_SET
 
 
@@ -27,5 +31,5 @@ class Builder(SimulatedSet):
         }
         return self._set_info(features, ("image", "pose"))
 
-    def _generate_examples(self, shots, paths, split):
+    def _generate_examples(self, shots: Shots, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
         yield from examples.pose_examples(self.builder_config.settings, shots, paths, split)

@@ -1,5 +1,7 @@
 """`tactip_recorded`: taps and slides as a laboratory recorded them, with the pins that are found in them."""
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -7,6 +9,7 @@ import tensorflow_datasets as tfds
 
 from data_specs.stored_set import StoredSet
 from jaxunshear.dataset import recorded_examples
+from jaxunshear.dataset.recorded import Contacts
 from jaxunshear.settings import configs
 from jaxunshear.settings.splits import SPLITS
 
@@ -33,12 +36,12 @@ class Builder(StoredSet):
         }
         return self._set_info(features, ("image", "pose"))
 
-    def _split_generators(self, dl_manager):
+    def _split_generators(self, dl_manager: tfds.download.DownloadManager) -> dict[str, Iterator[tuple[str, dict]]]:
         settings, sensor = self.builder_config.settings, self.builder_config.sensor
         contacts, frame, paths = recorded_examples.read(settings, sensor, self._unfinished)
         counts, more = recorded_examples.summary(contacts, frame, paths)
         self._keep_metadata(counts, **more)
         return {split: self._generate_examples(contacts, paths, split) for split in SPLITS}
 
-    def _generate_examples(self, contacts, paths, split):
+    def _generate_examples(self, contacts: Contacts, paths: list[Path], split: str) -> Iterator[tuple[str, dict]]:
         yield from recorded_examples.examples(self.builder_config.settings, contacts, paths, split)

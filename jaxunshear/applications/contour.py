@@ -58,7 +58,7 @@ def _length(curve: np.ndarray) -> float:
 def _on_edge(stimulus: Stimulus, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Normals (K, 2), and points (K, 2) moved along them onto the edge."""
 
-    def both(xy):
+    def both(xy: jax.Array) -> tuple[jax.Array, jax.Array]:
         return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
 
     distance, normal = (np.asarray(value, float) for value in jax.jit(both)(jnp.asarray(points, jnp.float32)))

@@ -121,7 +121,7 @@ def forward_of(
     """Of networks by name, in the order in which they run; `targets` by network. With `by_head` the answer of the head of a network
     that unshears counts, too: alone, or in a mean with PoseNet's."""
 
-    def forward(variables, given):
+    def forward(variables: Mapping[str, Any], given: Array) -> tuple[Array, dict[str, Array]]:
         seen, answers = _unit(given) if given.dtype == np.uint8 else given, []
         known: Targets = ()
         for name, net in nets.items():
@@ -206,7 +206,7 @@ def _perception(model: Path, see: See, way: str) -> Perceive:
     if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
         raise UserError(f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg")
 
-    def edge(variables, given):
+    def edge(variables: Mapping[str, Any], given: Array) -> tuple[Array, Array]:
         _, pose = forward(variables, given)
         return pose["edge_mm"], pose["edge_deg"]
 

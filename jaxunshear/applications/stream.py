@@ -8,6 +8,7 @@ import base64
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TextIO
 
@@ -98,7 +99,7 @@ def perceive_of(forward: Forward, names: tuple[str, ...]) -> Callable[[Any, Arra
     """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
     the quantities of the pose and the confidence."""
 
-    def perceive(variables, image):
+    def perceive(variables: Any, image: Array) -> tuple[Array, Array]:
         seen, pose = forward(variables, image[None])
         return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in names), confidence(seen[0])])
 
@@ -110,6 +111,20 @@ def confidence(image: Array) -> Array:
     one that hesitates between places of a pin is grey there. 0 for a black one."""
     total = jnp.sum(image)
     return jnp.where(total > 0, jnp.sum(image**2) / jnp.where(total > 0, total, 1), 0)
+
+
+@dataclass
+class _Found:
+    """What a stream has come to so far."""
+
+    total_ms: list[float] = field(default_factory=list)  # of each frame that was used
+    networks_ms: list[float] = field(default_factory=list)
+    confident: list[float] = field(default_factory=list)
+    errors: dict[str, list[float]] = field(default_factory=dict)  # by quantity
+    problems: dict[str, int] = field(default_factory=dict)
+    skipped: int = 0
+    missed: int = 0
+    last: int = -1  # number of a frame
 
 
 def stream(
@@ -126,62 +141,72 @@ def stream(
     `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. With `truth`
     the errors, too. A live source also ends by Ctrl-C, or when its camera is lost.
     """
-    preprocess = robot.preprocess
-    seen = steady_view(preprocess)
-    errors: dict[str, list[float]] = {}
-    total_ms, networks, confident, skipped, last, missed = [], [], [], 0, -1, 0
-    problems: dict[str, int] = {}
+    seen = steady_view(robot.preprocess)
+    found = _Found()
     began = time.perf_counter()
     try:
-        for frame in _until_lost(frames, live, problems):
+        for frame in _until_lost(frames, live, found.problems):
             came = time.perf_counter()
-            missed += frame.number - last - 1
-            last = frame.number
+            found.missed += frame.number - found.last - 1
+            found.last = frame.number
             line: dict[str, Any] = {"frame": frame.number, "name": frame.name}
             try:
-                if frame.pixels is None:
-                    raise UserError(frame.problem)
-                image = prepare_frame(preprocess, frame.pixels, robot.view or frame.view or seen(frame.pixels))
-                if not image.any():
-                    raise UserError("nothing white is left of this frame: no pins to see")
-                asked = time.perf_counter()
-                after, pose, sure = robot.step(image)
-                answered = time.perf_counter()
-                if robot.expected is not None:
-                    sure *= plausibility(image, robot.expected)
+                after, pose, sure, spent = _answer(robot, frame, seen)
             except UserError as error:
-                skipped += 1
-                problems[str(error)] = problems.get(str(error), 0) + 1
+                found.skipped += 1
+                found.problems[str(error)] = found.problems.get(str(error), 0) + 1
                 _write(out, line | {"error": str(error)})
                 continue
             line |= {name: round(value, 4) for name, value in pose.items()} | {"confidence": round(sure, 4)}
             for name, off in _errors(pose, truth(frame.number) if truth else {}).items():
                 line[f"error_{name}"] = round(off, 4)
-                errors.setdefault(name, []).append(off)
+                found.errors.setdefault(name, []).append(off)
             if images is not None and after is not None:
                 line["image"] = _save(images, frame, after)
             elif inline and after is not None:
                 line["image_png"] = base64.b64encode(png(eight_bit(after), FAST)).decode()
-            networks.append(1e3 * (answered - asked))
-            total_ms.append(1e3 * (time.perf_counter() - came))
-            confident.append(sure)
-            _write(out, line | {"ms": round(total_ms[-1], 3)})
+            found.networks_ms.append(1e3 * spent)
+            found.total_ms.append(1e3 * (time.perf_counter() - came))
+            found.confident.append(sure)
+            _write(out, line | {"ms": round(found.total_ms[-1], 3)})
     except KeyboardInterrupt:  # a camera's usual end
-        if not live or not total_ms:
+        if not live or not found.total_ms:
             raise
-    used = len(total_ms)
+    return _summary(found, live, began)
+
+
+def _answer(
+    robot: Robot, frame: Frame, seen: Callable[[np.ndarray], View]
+) -> tuple[np.ndarray | None, dict[str, float], float, float]:
+    """Unsheared image, pose, confidence, and the seconds that the networks took. Raises UserError for a frame that cannot
+    be used."""
+    if frame.pixels is None:
+        raise UserError(frame.problem)
+    image = prepare_frame(robot.preprocess, frame.pixels, robot.view or frame.view or seen(frame.pixels))
+    if not image.any():
+        raise UserError("nothing white is left of this frame: no pins to see")
+    asked = time.perf_counter()
+    after, pose, sure = robot.step(image)
+    answered = time.perf_counter()
+    if robot.expected is not None:
+        sure *= plausibility(image, robot.expected)
+    return after, pose, sure, answered - asked
+
+
+def _summary(found: _Found, live: bool, began: float) -> dict[str, Any]:
+    used = len(found.total_ms)
     return {
-        "frames": used + skipped + missed,
+        "frames": used + found.skipped + found.missed,
         "used": used,
-        "skipped": skipped,
-        "dropped": missed,
-        "problems": problems,
+        "skipped": found.skipped,
+        "dropped": found.missed,
+        "problems": found.problems,
         "live": live,
         "frames_per_s": used / max(time.perf_counter() - began, 1e-9),
-        "confidence": float(np.mean(confident)) if used else None,
-        "pose_mae": {name: float(np.mean(values)) for name, values in errors.items()},
-        "latency_ms": _spread(total_ms),
-        "networks_ms": _spread(networks),
+        "confidence": float(np.mean(found.confident)) if used else None,
+        "pose_mae": {name: float(np.mean(values)) for name, values in found.errors.items()},
+        "latency_ms": _spread(found.total_ms),
+        "networks_ms": _spread(found.networks_ms),
     }
 
 

@@ -76,18 +76,6 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
         "unsheared": (of_slides[UNSHEARED], slides.pose),
     }
     mae = {way: _errors(aligned, poses, labels) for way, (poses, labels) in ways.items()}
-    readers = {}
-    if tap_pins:
-        sure = known_half & np.isfinite(tap_pins[AS_RECORDED]).all(axis=(1, 2))
-        targets = of_labels(tuple(aligned), taps.pose[sure])
-        reader = reader_of(places(tap_pins[AS_RECORDED][sure]), {"pose": taps.pose[sure]}, targets)
-        seen = {
-            "tap": (tap_pins[AS_RECORDED][~known_half], taps.pose[~known_half]),
-            "sheared": (slide_pins[AS_RECORDED], slides.pose),
-            "unsheared": (slide_pins[UNSHEARED], slides.pose),
-        }
-        if reader:
-            readers[PIN_PLACES] = {way: _errors_of(reader, pins, labels) for way, (pins, labels) in seen.items()}
     unread = [int(np.isnan(next(iter(of[AS_RECORDED].values()))).sum()) for of in (of_taps, of_slides)]
     results = {
         "experiment": experiment.name,
@@ -102,7 +90,7 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
         "aligned": {name: each._asdict() for name, each in aligned.items()},
         "pose_mae": mae,
         "pose_recovery": {"unsheared": _recovery(mae)},
-        "readers": readers,
+        "readers": _score_reader(tuple(aligned), known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
         "counts": {
             "told_taps": int(known_half.sum()),
             "test_taps": int((~known_half).sum()),
@@ -118,6 +106,30 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
         "command": command,
     }
     return rounded(results)
+
+
+def _score_reader(
+    names: tuple[str, ...],
+    known: np.ndarray,
+    taps: tuple[np.ndarray, dict[str, np.ndarray]],
+    slides: tuple[np.ndarray, dict[str, np.ndarray]],
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Errors by way of a reader that learns from the taps `known` (T,); of taps and slides labels (N, 6) and pins by way
+    (N, P, 2) px. Empty where there are no pins, or too few taps to learn from."""
+    (tap_pose, tap_pins), (slide_pose, slide_pins) = taps, slides
+    if not tap_pins:
+        return {}
+    sure = known & np.isfinite(tap_pins[AS_RECORDED]).all(axis=(1, 2))
+    targets = of_labels(names, tap_pose[sure])
+    reader = reader_of(places(tap_pins[AS_RECORDED][sure]), {"pose": tap_pose[sure]}, targets)
+    seen = {
+        "tap": (tap_pins[AS_RECORDED][~known], tap_pose[~known]),
+        "sheared": (slide_pins[AS_RECORDED], slide_pose),
+        "unsheared": (slide_pins[UNSHEARED], slide_pose),
+    }
+    if not reader:
+        return {}
+    return {PIN_PLACES: {way: _errors_of(reader, pins, labels) for way, (pins, labels) in seen.items()}}
 
 
 def scored(readings: dict[str, np.ndarray], labels: np.ndarray) -> tuple[str, ...]:

@@ -6,21 +6,22 @@
 Domes are kept in the cache, so that a second calibration of the same sensor takes a third of the time.
 """
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from jaxunshear.calibration.comparison import compared
 from jaxunshear.calibration.fit import Fitted, fit
 from jaxunshear.calibration.matching import CREDIBLE, read_labels
 from jaxunshear.calibration.prediction import Values, skin_to_gel
 from jaxunshear.calibration.problem import Group
-from jaxunshear.calibration.rendering import contact_tips, fit_housing, fit_pin_radius, render
-from jaxunshear.calibration.report import AFTER, BEFORE, RECORDED, Summaries, curves, rows_of, table
+from jaxunshear.calibration.rendering import contact_tips, fit_housing, fit_pin_radius
+from jaxunshear.calibration.report import curves, rows_of, table
 from jaxunshear.calibration.sampling import Recorded, sample
-from jaxunshear.calibration.statistics import Seen, Summary, observe, summaries
+from jaxunshear.calibration.statistics import Seen, observe
 from jaxunshear.errors import UserError
 from jaxunshear.image.pins import find_pins
 from jaxunshear.progress import Progress
@@ -65,10 +66,7 @@ def calibrate(
     recordings cannot be read or show no such pins. What `held` names (of UNITS, but for the pin radius) keeps its start.
     """
     path = Path(path)
-    wrong = [name for name in held if name not in UNITS or name == "pin_radius_mm"]
-    if wrong:
-        known = ", ".join(name for name in UNITS if name != "pin_radius_mm")
-        raise UserError(f"'{wrong[0]}' cannot be held: name some of {known}")
+    _check_held(held)
     recorded, notes = sample(path, images, seed)
     sensor = sensor or _sensor_for(recorded)
     camera = camera or Camera()
@@ -84,14 +82,7 @@ def calibrate(
     radius = _with_scale(fit_pin_radius(groups, after_sensor, fitted.values, solved), fitted)
     after_sensor = replace(after_sensor, pin_radius_mm=radius[0])
     after = replace(fitted.values, housing=fit_housing(groups, after_sensor, fitted.values, solved))
-    reported: Summaries = {RECORDED: _merged([_summaries(group, group.seen, group.seen.sure) for group in groups])}
-    pictures = [(f"recorded: {part.name}", part.images[0]) for part in recorded[:2]]
-    for kind, own, values, tips in (
-        (BEFORE, sensor, before, tips_before),
-        (AFTER, after_sensor, after, tips_after),
-    ):
-        reported[kind], picture = _simulated(groups, own, values, tips)
-        pictures.append((kind, picture))
+    reported, pictures = compared(recorded, groups, (sensor, before, tips_before), (after_sensor, after, tips_after))
     parameters = _parameters(start, fitted, sensor, radius, held)
     lost = {"the fit, where each counts for 3 px": fitted.dropped}
     for where, tips in (("the images before, left out", tips_before), ("the images after, left out", tips_after)):
@@ -113,6 +104,13 @@ def calibrate(
         write_text(Path(out) / "calibration.txt", text + "\n")
         write_bytes(Path(out) / "calibration.png", curves(reported, pictures))
     return results
+
+
+def _check_held(held: Collection[str]) -> None:
+    wrong = [name for name in held if name not in UNITS or name == "pin_radius_mm"]
+    if wrong:
+        known = ", ".join(name for name in UNITS if name != "pin_radius_mm")
+        raise UserError(f"'{wrong[0]}' cannot be held: name some of {known}")
 
 
 def _fit(groups: list[Group], sensor: Sensor, start: Values, held: Collection[str]) -> Fitted:
@@ -168,7 +166,7 @@ def _groups(
     return groups, tuple(surfaces)
 
 
-def _counted(images: np.ndarray, progress: Progress):
+def _counted(images: np.ndarray, progress: Progress) -> Iterator[np.ndarray]:
     for image in images:
         yield image
         progress.advance()
@@ -206,38 +204,6 @@ def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: 
     return Group(
         part.name, seen.take(rows).turned(reading.mirrored, reading.angle), reading.contacts, reading.side
     ), reading.surface_mm
-
-
-def _summaries(group: Group, seen: Seen, kept: np.ndarray) -> list[Summary]:
-    """Of a group's images, recorded or simulated; NaN where they are not `kept` (N,)."""
-    contacts = group.contacts
-    seen = seen._replace(
-        place=np.where(kept[:, None, None], seen.place, np.nan), diameter=np.where(kept[:, None], seen.diameter, np.nan)
-    )
-    rows = summaries(seen, contacts.slide if contacts else None, contacts.yaw if contacts else None)
-    return [row._replace(values=np.where(kept, row.values, np.nan)) for row in rows]
-
-
-def _merged(parts: list[list[Summary]]) -> list[Summary]:
-    """The same statistics of several groups, image after image; those that only some have are theirs alone."""
-    merged: dict[str, Summary] = {}
-    for part in parts:
-        for row in part:
-            known = merged.get(row.name)
-            merged[row.name] = row if known is None else row._replace(values=np.concatenate([known.values, row.values]))
-    return list(merged.values())
-
-
-def _simulated(groups: list[Group], sensor: Sensor, values: Values, tips: list[tuple[np.ndarray, np.ndarray]]):
-    """Statistics of rendered images of the same contacts, and the first image. Left out are, as among the recorded ones, images whose
-    pins cannot be followed, and contacts that did not converge."""
-    parts, first = [], None
-    for group, (tip, converged) in zip(groups, tips, strict=True):
-        images = render(values.camera(group.seen.size), sensor, group.seen.size, tip)
-        first = images[0] if first is None else first
-        seen = observe(images, sensor)
-        parts.append(_summaries(group, seen, converged & seen.sure))
-    return _merged(parts), first
 
 
 def _parameters(

@@ -94,13 +94,21 @@ def _error(residual: np.ndarray) -> float:
     return float(np.median(np.sqrt(np.sum(residual**2, axis=1))))
 
 
-def _solve(slopes, residual, weight, x, prior, damping) -> np.ndarray:
+def _solve(
+    slopes: np.ndarray, residual: np.ndarray, weight: np.ndarray, x: np.ndarray, prior: np.ndarray, damping: float
+) -> np.ndarray:
     normal = np.einsum("nfk,n,nfl->kl", slopes, weight, slopes) + np.diag(PRIOR_PX**2 / prior**2)
     slope = np.einsum("nfk,n,nf->k", slopes, weight, residual) + PRIOR_PX**2 * x / prior**2
     return -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), slope)
 
 
-def _bootstrap(slopes, redraw: Callable[[np.random.Generator], np.ndarray], weight, x, prior) -> np.ndarray:
+def _bootstrap(
+    slopes: np.ndarray,
+    redraw: Callable[[np.random.Generator], np.ndarray],
+    weight: np.ndarray,
+    x: np.ndarray,
+    prior: np.ndarray,
+) -> np.ndarray:
     """(BOOTSTRAPS, K) minimisers of the linearised problem with images drawn again, and with them the places (K,) that the priors
     hold parameters at: else one that the images say nothing of would not move, and pass for exactly known. `redraw`: see
     `Problem.redrawer`."""

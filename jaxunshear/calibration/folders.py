@@ -1,5 +1,6 @@
 """A folder of recorded contacts as the simulator can follow them: labels read, pins followed, the object's frame found."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -157,7 +158,7 @@ def _solved(name: str, contacts: Motions, side: int, known: Calibrated) -> tuple
 def _observed(part: Recorded, sensor: Sensor) -> Seen:
     with Progress(f"pins of {part.name}", len(part.images)) as progress:
 
-        def counted():
+        def counted() -> Iterator[np.ndarray]:
             for image in part.images:
                 yield image
                 progress.advance()

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from jaxunshear.contact.gradient import PinModel, pin_model, pins
-from jaxunshear.contact.plan import Level
+from jaxunshear.contact.level import Level
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
@@ -65,7 +65,7 @@ def seen(model: PinModel, points: jax.Array, theta: jax.Array) -> jax.Array:
 
 
 @jax.jit
-def _loss(model: PinModel, points, theta, target, noise_mm):
+def _loss(model: PinModel, points: jax.Array, theta: jax.Array, target: jax.Array, noise_mm: float) -> jax.Array:
     return jnp.mean((seen(model, points, theta) - target) ** 2) / noise_mm**2
 
 
@@ -79,7 +79,9 @@ def jacobian(model: PinModel, points: jax.Array, theta: jax.Array) -> tuple[jax.
     return jax.vmap(push, out_axes=(None, -1))(jnp.eye(2, dtype=theta.dtype))
 
 
-def lbfgs(model: PinModel, points, target, noise_mm: float, start: tuple[float, float]) -> Descent:
+def lbfgs(
+    model: PinModel, points: jax.Array, target: jax.Array, noise_mm: float, start: tuple[float, float]
+) -> Descent:
     """Down the loss by its gradient (scipy's L-BFGS-B)."""
     tried: list[np.ndarray] = []
     losses: list[float] = []
@@ -96,7 +98,7 @@ def lbfgs(model: PinModel, points, target, noise_mm: float, start: tuple[float, 
 
 
 def gauss_newton(
-    model: PinModel, points, target, noise_mm: float, start: tuple[float, float], most: int = 15
+    model: PinModel, points: jax.Array, target: jax.Array, noise_mm: float, start: tuple[float, float], most: int = 15
 ) -> Descent:
     """Least squares on the linearised pins, at most half a decade a step; a step that worsens the loss is halved."""
     theta, step = np.log(start), np.zeros(2)
@@ -208,7 +210,7 @@ def run(
 
 
 def _fit_row(
-    name: str, start, fit: Descent, truth: np.ndarray, reported: dict[str, Any], model_mm: float
+    name: str, start: tuple[float, float], fit: Descent, truth: np.ndarray, reported: dict[str, Any], model_mm: float
 ) -> dict[str, Any]:
     """`*_std`: what noise alone would leave; `model_mm`: rms distance of the fit's pins, coarser in increments, nodes and the
     compliance between its knots, from the noiseless ones at the true values."""

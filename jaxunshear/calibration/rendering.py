@@ -1,5 +1,6 @@
 """Simulated images of calibrated contacts, and the pin radius that makes their pins as large as the recorded ones."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -51,9 +52,9 @@ def render(camera: Camera, sensor: Sensor, size: int, tips: np.ndarray, seed: in
     return np.concatenate([np.asarray(draw(tips[i : i + 1], keys[i : i + 1])) for i in range(len(tips))])
 
 
-def _drawer(camera: Camera, sensor: Sensor, size: int):
+def _drawer(camera: Camera, sensor: Sensor, size: int) -> Callable[[np.ndarray, jax.Array], jax.Array]:
     @jax.jit
-    def draw(tips, keys):
+    def draw(tips: jax.Array, keys: jax.Array) -> jax.Array:
         grey = jax.vmap(partial(frame, camera, sensor, Nuisance()))(jnp.asarray(tips, jnp.float32), keys)
         return binarise(Preprocess(size=size), grey)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxunshear.calibration.statistics import SLIDE_BINS_MM, Summary
@@ -14,6 +15,7 @@ RECORDED, BEFORE, AFTER = "recorded", "simulated, before", "simulated, after"
 COLOURS = {RECORDED: "#1c2330", BEFORE: "#d9822b", AFTER: "#1f6feb"}
 LONGEST = 30  # characters of a title
 Summaries = dict[str, list[Summary]]
+ByName = dict[str, dict[str, np.ndarray]]
 
 
 def rows_of(summaries: Summaries) -> list[dict[str, Any]]:
@@ -92,7 +94,7 @@ def curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]] = ()
     return stream.getvalue()
 
 
-def _rings(axes, by_name) -> None:
+def _rings(axes: Axes, by_name: ByName) -> None:
     names = [name for name in by_name[RECORDED] if name.startswith("ring ")]
     recorded = [_mean_known(by_name[RECORDED][name]) for name in names]
     for kind, values in by_name.items():
@@ -103,9 +105,9 @@ def _rings(axes, by_name) -> None:
     axes.legend()
 
 
-def _histogram(axes, by_name, name: str, title: str) -> None:
+def _histogram(axes: Axes, by_name: ByName, name: str, title: str) -> None:
     every = np.concatenate([values[name] for values in by_name.values()])
-    edges = np.linspace(np.nanmin(every) - 0.05, np.nanmax(every) + 0.05, 30)
+    edges = np.linspace(np.nanmin(every) - 0.05, np.nanmax(every) + 0.05, 30).tolist()
     for kind, values in by_name.items():
         known = values[name][np.isfinite(values[name])]
         if len(known):
@@ -113,7 +115,7 @@ def _histogram(axes, by_name, name: str, title: str) -> None:
     axes.set(title=title, yticks=[])
 
 
-def _slides(axes, by_name) -> None:
+def _slides(axes: Axes, by_name: ByName) -> None:
     for kind, values in by_name.items():
         for part, style in (("central pins left", "o-"), ("outermost ring left", "s:")):
             means = [values[name] for name in values if name.startswith(part)]

@@ -82,7 +82,9 @@ def shear(view: View, pose: np.ndarray, moves: np.ndarray, friction: np.ndarray)
     return (apart @ view.turn.T).astype(np.float32), fine & converged
 
 
-def _moved(view: View, pose: np.ndarray, moves: np.ndarray | None, friction: float | np.ndarray):
+def _moved(
+    view: View, pose: np.ndarray, moves: np.ndarray | None, friction: float | np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """As `prediction.displacements`."""
     contacts = framed(motions(np.asarray(pose, np.float64), moves), view.frame)
     ratio = view.known.values.skin_to_gel

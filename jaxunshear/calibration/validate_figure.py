@@ -4,7 +4,8 @@ import io
 
 import numpy as np
 from matplotlib import rc_context
-from matplotlib.collections import LineCollection
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 
 from jaxunshear.calibration.validation import Compared, r2, rms
@@ -39,15 +40,16 @@ def validate_figure(parts: list[Compared]) -> bytes:
     return buffer.getvalue()
 
 
-def _map(axes, part: Compared, values: np.ndarray, most: float):
+def _map(axes: Axes, part: Compared, values: np.ndarray, most: float) -> PathCollection:
     axes.set(xticks=[], yticks=[], aspect="equal")
     axes.grid(False)
     for side in axes.spines.values():
         side.set_visible(False)
-    return axes.scatter(*part.rest.T, c=values, s=PIN, cmap="viridis", vmin=0, vmax=most)
+    x, y = part.rest.T
+    return axes.scatter(x, y, c=values, s=PIN, cmap="viridis", vmin=0, vmax=most)
 
 
-def _axes_of(axes, part: Compared) -> None:
+def _axes_of(axes: Axes, part: Compared) -> None:
     off = np.nan_to_num(part.recorded - part.simulated)
     spread = np.einsum("npi,npj->pij", off, off) / max(1, len(off))
     size, direction = np.linalg.eigh(spread)
@@ -57,7 +59,7 @@ def _axes_of(axes, part: Compared) -> None:
     )
 
 
-def _rings(axes, kind: str, parts: list[Compared]) -> None:
+def _rings(axes: Axes, kind: str, parts: list[Compared]) -> None:
     shells = np.unique(parts[0].shell)
     for label, field, colour in (
         ("simulated", "simulated", COLOURS[DISENTANGLED]),

@@ -19,7 +19,8 @@ import numpy as np
 from jaxunshear.checks.clock import seconds
 from jaxunshear.evaluation.networks import run_of
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import native, posenet, unshearnet
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.fast import native
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet

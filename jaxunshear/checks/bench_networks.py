@@ -18,15 +18,16 @@ import numpy as np
 from jaxunshear.applications.perception import forward_of
 from jaxunshear.applications.stream import perceive_of
 from jaxunshear.checks.clock import SIZE, matrix_product, seconds
+from jaxunshear.checks.multiplications import TARGETS, multiplications, pose_multiplications
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.memory import keep_freed_memory
-from jaxunshear.model import native, posenet, unshearnet
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.model.fast import native
 from jaxunshear.model.ready import ready
 from jaxunshear.progress import Progress
-from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET
-from jaxunshear.settings.targets import names_of, of_ranges
+from jaxunshear.settings.targets import names_of
 from jaxunshear.settings.training import Training
 from jaxunshear.training.loop import run_once
 from jaxunshear.training.step import fresh, make_step, optimiser_of
@@ -38,7 +39,6 @@ ROUNDS = 7
 FROZEN: dict[str, Any] = {"freezing": True}  # PyTorch's weights as constants too
 ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
 ABSENT = "is not installed"  # which is no failure
-TARGETS = of_ranges((), Ranges())
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
 
@@ -263,33 +263,6 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int)
             "failed": "",
         }
     return list(rows.values())
-
-
-def multiplications(net: UnshearNet, training: bool) -> int:
-    """Of one image's forward pass through all convolutions; with `training` False those of encoder, pose code and DC alone."""
-    widths, side, count = net.widths, net.size, 0
-    for before, width in zip((1, *widths), widths, strict=False):
-        side //= 2
-        count += 16 * before * width * side * side
-    shear = net.shear_channels if net.disentangled and training else 0
-    pose = net.pose_channels if net.disentangled else 0
-    count += 9 * widths[-1] * (pose + shear) * side * side
-    decoders = [pose or widths[-1]] + ([pose + shear] if shear else [])
-    for code in decoders:
-        here, outwards = side, (*reversed(widths[:-1]), 1)
-        for before, width in zip((code, *outwards), outwards, strict=False):
-            count += 16 * before * width * here * here
-            here *= 2
-    return count
-
-
-def pose_multiplications(net: PoseNet) -> int:
-    """Of one image's pass through PoseNet."""
-    first, second, *rest = net.widths
-    side = net.size // 4
-    count = 16 * first * (2 * side) ** 2 + 16 * first * second * side**2
-    count += 9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2 + 9 * rest[1] * rest[2] * (side // 4) ** 2
-    return count + (side // 4) ** 2 * rest[2] * net.hidden + net.hidden * posenet.outputs_of(TARGETS)
 
 
 def table(rows: Sequence[dict[str, Any]]) -> str:

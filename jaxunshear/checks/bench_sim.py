@@ -22,7 +22,7 @@ from jaxunshear.checks.rivals import RIVALS, exchanged
 from jaxunshear.checks.truth import true_pins
 from jaxunshear.contact import batches
 from jaxunshear.contact import simulate as simulator
-from jaxunshear.contact.plan import LEVELS, Level, unabridged
+from jaxunshear.contact.level import LEVELS, Level, unabridged
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.progress import Progress

@@ -7,17 +7,16 @@ the dome is of half the size: the same shape, materials and spacing of nodes wit
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 
-import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.checks.duplicates import follow_duplicated
-from jaxunshear.contact.plan import Level
+from jaxunshear.checks.stimuli import SHAPES
+from jaxunshear.contact.level import Level
 from jaxunshear.contact.scope import level_named
 from jaxunshear.contact.simulate import follow, simulate
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.scene.shapes import disk, stroke
 from jaxunshear.scene.stimuli import SHAPES as PLANAR
 from jaxunshear.scene.stimuli import Stimulus
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
@@ -33,21 +32,6 @@ HALF_SIZE = replace(
     skin_mm=0.5,
 )
 Solve = Callable[[str | Level, bool], Contacts]  # of the level and whether to retry at a stronger one
-_ARM = np.array([[radius * np.cos(a), radius * np.sin(a)] for a in np.linspace(0, 4 * np.pi, 81) for radius in [3 + a]])
-SHAPES = {
-    shape.name: shape
-    for shape in (
-        Stimulus("2-mm spiral arm", stroke(_ARM, 1.0), (3 + 2 * np.pi + 1.0, 0.0, 0.0), 17.0),
-        Stimulus("smaller than a pin", disk(0.3), (0.0, 0.0, 0.0), 0.3),
-        Stimulus("a point", disk(0.0), (0.0, 0.0, 0.0), 0.0),
-        Stimulus("a hair", stroke(np.array([[-40.0, 0.0], [40.0, 0.0]]), 0.0), (0.0, 0.0, 90.0), 40.0),
-        Stimulus("empty", lambda p: jnp.full(p.shape[:-1], 1e3, p.dtype), (0.0, 0.0, 0.0), 0.0),
-        Stimulus("everywhere", lambda p: jnp.full(p.shape[:-1], -1e3, p.dtype), (0.0, 0.0, 0.0), 1e3),
-        Stimulus("NaN", lambda p: p[..., 0] * jnp.nan, (0.0, 0.0, 0.0), 1.0),
-        Stimulus("infinite", lambda p: jnp.full(p.shape[:-1], jnp.inf, p.dtype), (0.0, 0.0, 0.0), 1.0),
-        Stimulus("NaN target", disk(50.0), (np.nan, 0.0, 0.0), 50.0),
-    )
-}
 
 
 @dataclass(frozen=True)

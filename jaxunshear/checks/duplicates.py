@@ -6,8 +6,9 @@ import numpy as np
 
 from jaxunshear.contact.batches import dome
 from jaxunshear.contact.friction import RHO, System, contact_state, follow_path, rest
+from jaxunshear.contact.level import Level
 from jaxunshear.contact.obstacle import sample
-from jaxunshear.contact.plan import Level, increments
+from jaxunshear.contact.plan import increments
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.stimuli import stimulus_named

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from jaxunshear.checks.tables import Row, fit_order, vanishes
@@ -71,7 +72,7 @@ def patch_test() -> list[Row]:
     return [vanishes(GROUP, words, worst, 1.0, 1e-9)]
 
 
-def _solved(matrix, fixed: np.ndarray, values: np.ndarray, load: np.ndarray) -> np.ndarray:
+def _solved(matrix: sp.csc_matrix, fixed: np.ndarray, values: np.ndarray, load: np.ndarray) -> np.ndarray:
     """Displacements that are `values` where `fixed` (both (n,))."""
     found = np.where(fixed, values, 0.0)
     free = ~fixed

@@ -10,7 +10,7 @@ import numpy as np
 from jaxunshear.checks.px import px_apart
 from jaxunshear.checks.tables import Row, vanishes
 from jaxunshear.contact.elasticity import sixfold
-from jaxunshear.contact.plan import LEVELS, Level
+from jaxunshear.contact.level import LEVELS, Level
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths

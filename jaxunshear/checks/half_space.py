@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.contact.elasticity import Compliance, condense, isotropic
-from jaxunshear.contact.friction import RHO, System, advance, increment_offset, rest
+from jaxunshear.contact.friction import RHO, Skin, System, advance, increment_offset, rest
 from jaxunshear.contact.mesh import half_space_mesh
 from jaxunshear.contact.obstacle import Obstacles
 
@@ -24,6 +24,7 @@ SPACING_MM = 0.1  # of the rings of contact nodes, and of the mesh below them
 RINGS = 12
 REACH = 2000.0
 GROWTH = 1.5  # of the elements' size, layer by layer, outside the contact
+_Made = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 @dataclass(frozen=True)
@@ -151,12 +152,12 @@ def _system(body: HalfSpace, height: np.ndarray, chosen: np.ndarray) -> tuple[Sy
 
 
 @partial(jax.jit, static_argnames="tolerance")
-def _scan(system: System, friction: jax.Array, poses: jax.Array, tolerance: float):
+def _scan(system: System, friction: jax.Array, poses: jax.Array, tolerance: float) -> _Made:
     count = poses.shape[1]
     flat = Obstacles(jnp.full((1, 5, 5), -10.0, poses.dtype))
     which = jnp.zeros(count, jnp.int32)
 
-    def step(skin, pose):
+    def step(skin: Skin, pose: jax.Array) -> tuple[Skin, _Made]:
         offset, _ = increment_offset(system, flat, which, skin, pose, False)
         after, quality = advance(system, flat, which, friction, pose, skin, tolerance, 20000, False)
         apart = offset + after.displacement

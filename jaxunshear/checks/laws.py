@@ -6,7 +6,7 @@ from jaxunshear.checks.half_space import SPACING_MM, HalfSpace, Trace, press, tr
 from jaxunshear.checks.normal import SPHERE_MM, depth
 from jaxunshear.checks.shear import FRICTION, slip_distance
 from jaxunshear.checks.tables import Row, compare, fit_order, vanishes
-from jaxunshear.contact.elasticity import condense, isotropic
+from jaxunshear.contact.elasticity import Compliance, condense, isotropic
 from jaxunshear.contact.mesh import dome_mesh
 
 GROUP = "laws of every answer"
@@ -204,7 +204,7 @@ def scaled() -> list[Row]:
     """A small dome whose moduli, and one whose lengths, are larger: displacements and forces follow."""
     rings, pins = 5, np.array([[3.0, 0.0, 2.5], [0.0, 4.0, 3.0]])
 
-    def made(size: float, modulus: float):
+    def made(size: float, modulus: float) -> Compliance:
         mesh = dome_mesh(20.0 * size, 1.0 * size, 3.0 * size)
         gel, skin = isotropic(0.1 * modulus, 0.49), isotropic(modulus, 0.49)
         materials = np.where(mesh.skin[:, None, None], skin, gel)

@@ -5,6 +5,9 @@ period, then only lift the entire contact, by 3.900265 P / (pi E* L) for a squar
 square Wigner lattice: Bonsall and Maradudin 1977, Phys. Rev. B 15, 1959); their curvature falls with (a / L)^3.
 """
 
+from collections.abc import Callable
+from types import ModuleType
+
 import numpy as np
 
 from jaxunshear.checks.half_space import SPACING_MM, HalfSpace, press, trace
@@ -70,7 +73,9 @@ def against_tamaas(body: HalfSpace) -> list[Row]:
     return rows
 
 
-def _tamaas(tamaas, body: HalfSpace, profile, total: float) -> tuple[float, np.ndarray, np.ndarray]:
+def _tamaas(
+    tamaas: ModuleType, body: HalfSpace, profile: Callable[[np.ndarray, np.ndarray], np.ndarray], total: float
+) -> tuple[float, np.ndarray, np.ndarray]:
     """Depth in mm (of an endless half-space), the grid's line, and the pressure (CELLS, CELLS) under a total force in N."""
     model = tamaas.Model(tamaas.model_type.basic_2d, [PERIOD_MM, PERIOD_MM], [CELLS, CELLS])
     model.E, model.nu = 1.0, body.poisson

@@ -8,7 +8,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TypeVar
 from unittest.mock import patch
 
 import jax
@@ -17,7 +17,11 @@ import jax.numpy as jnp
 from jaxunshear.contact import friction as physics
 from jaxunshear.contact.friction import BETWEEN_CHECKS, OVER_RELAXATION, RHO, System, project
 
-Solver = Callable[..., tuple[jax.Array, jax.Array, jax.Array, jax.Array]]
+Start = tuple[jax.Array, jax.Array, jax.Array]
+Solved = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+Solver = Callable[..., Solved]
+State = TypeVar("State")
+_Walk = tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[jax.Array, jax.Array], jax.Array, jax.Array, jax.Array]
 MEMORY = 5  # earlier steps that Anderson's extrapolation uses
 GROWTH = 2.0  # of its residual, beyond which an extrapolated step is taken back
 NEWTON_LIMIT = 40  # iterations, each a matrix factorised for every scene
@@ -51,7 +55,7 @@ def _length(system: System, miss: jax.Array, force: jax.Array, factor: jax.Array
 def _largest_eigenvalue(system: System) -> jax.Array:
     """Of w, by the power method; a little above."""
 
-    def step(_, v):
+    def step(_: jax.Array, v: jax.Array) -> jax.Array:
         moved = v @ system.w
         return moved / jnp.linalg.norm(moved)
 
@@ -61,14 +65,16 @@ def _largest_eigenvalue(system: System) -> jax.Array:
     return 1.02 * jnp.linalg.norm(vector @ system.w)
 
 
-def _iterate(step: Callable, state: Any, tolerance: jax.Array, limit: int, every: int) -> tuple:
+def _iterate(
+    step: Callable[[State], tuple[State, jax.Array]], state: State, tolerance: jax.Array, limit: int, every: int
+) -> tuple[State, jax.Array, jax.Array]:
     """Repeat `step`(state) -> (state, error (B,)), `every` times between checks, until all are below their tolerance."""
 
-    def unfinished(carry):
+    def unfinished(carry: tuple[State, jax.Array, jax.Array, jax.Array]) -> jax.Array:
         _, error, _, count = carry
         return jnp.any(~(error <= tolerance)) & (count < limit)
 
-    def some(carry):
+    def some(carry: tuple[State, jax.Array, jax.Array, jax.Array]) -> tuple[State, jax.Array, jax.Array, jax.Array]:
         state, before, spent, count = carry
         state, error = jax.lax.fori_loop(0, every, lambda _, both: step(both[0]), (state, before))
         return state, error, spent + every * (before > tolerance), count + every
@@ -80,11 +86,19 @@ def _iterate(step: Callable, state: Any, tolerance: jax.Array, limit: int, every
 
 
 def _gradient(accelerate: bool) -> Solver:
-    def solve(system, frame, offset, friction, start, tolerance, limit):
+    def solve(
+        system: System,
+        frame: jax.Array | None,
+        offset: jax.Array,
+        friction: jax.Array,
+        start: Start,
+        tolerance: jax.Array,
+        limit: int,
+    ) -> Solved:
         _untilted(frame)
         largest = _largest_eigenvalue(system)
 
-        def step(state):
+        def step(state: Start) -> tuple[Start, jax.Array]:
             z, ahead, momentum = state
             after = project(ahead - (_times(system.w, ahead) + offset) / largest, friction)
             error = _length(system, after - ahead, after, largest)
@@ -98,8 +112,8 @@ def _gradient(accelerate: bool) -> Solver:
 
         force, dual, _ = start
         state = (force, force, jnp.ones(len(force), force.dtype))
-        (force, *_), error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
-        return force, dual, error, spent
+        state, error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
+        return state[0], dual, error, spent
 
     return solve
 
@@ -107,17 +121,25 @@ def _gradient(accelerate: bool) -> Solver:
 projected_gradient, accelerated = _gradient(False), _gradient(True)
 
 
-def anderson(system, frame, offset, friction, start, tolerance, limit):
+def anderson(
+    system: System,
+    frame: jax.Array | None,
+    offset: jax.Array,
+    friction: jax.Array,
+    start: Start,
+    tolerance: jax.Array,
+    limit: int,
+) -> Solved:
     """ADMM moves v = z + y by 1.8 (x - z), with z = P(v): Anderson's extrapolation of that, taken back where it does harm."""
     _untilted(frame)
     count, size = len(offset), offset[0].size
 
-    def move(v):
+    def move(v: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         z = project(v, friction)
         x = _times(system.inverse, RHO * (2 * z - v) - offset)
         return OVER_RELAXATION * (x - z), z, x
 
-    def step(state):
+    def step(state: _Walk) -> tuple[_Walk, jax.Array]:
         v, plain, ways, pulls, last, before, z_before, number = state
         pull, z, x = move(v)
         norm = jnp.linalg.norm(pull.reshape(count, -1), axis=-1)
@@ -144,12 +166,21 @@ def anderson(system, frame, offset, friction, start, tolerance, limit):
     pull, z, _ = move(v)
     none = jnp.zeros((count, MEMORY, size), v.dtype)
     state = (v + pull, v + pull, none, none, (v, pull), jnp.full(count, jnp.inf, v.dtype), z, jnp.zeros((), jnp.int32))
-    (v, *_), error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
+    state, error, spent = _iterate(step, state, tolerance, limit, BETWEEN_CHECKS)
+    v = state[0]
     force = project(v, friction)
     return force, v - force, error, spent
 
 
-def newton(system, frame, offset, friction, start, tolerance, limit):
+def newton(
+    system: System,
+    frame: jax.Array | None,
+    offset: jax.Array,
+    friction: jax.Array,
+    start: Start,
+    tolerance: jax.Array,
+    limit: int,
+) -> Solved:
     """Full steps on f - P(f - (W f + b)) = 0, from zero."""
     _untilted(frame)
     count, nodes, unknowns = offset.shape
@@ -157,11 +188,11 @@ def newton(system, frame, offset, friction, start, tolerance, limit):
     slopes_of = jax.vmap(jax.vmap(of_node, (0, None)))
     identity = jnp.eye(nodes * unknowns, dtype=offset.dtype)
 
-    def step(force):
+    def step(force: jax.Array) -> tuple[jax.Array, jax.Array]:
         inner = force - _times(system.w, force) - offset
         miss = force - project(inner, friction)
 
-        def one(item):
+        def one(item: tuple[jax.Array, jax.Array]) -> jax.Array:
             slopes, miss = item
             rows = (identity - system.w).reshape(nodes, unknowns, -1)
             through = jnp.einsum("nij,njk->nik", slopes, rows).reshape(identity.shape)

@@ -15,8 +15,9 @@ from jaxunshear.checks.paper import KINDS, NAMES, paper_scenes
 from jaxunshear.checks.px import pin_error
 from jaxunshear.contact import batches
 from jaxunshear.contact import simulate as simulator
+from jaxunshear.contact.level import OMISSIONS, Level
 from jaxunshear.contact.obstacle import Obstacles, sample
-from jaxunshear.contact.plan import OMISSIONS, Batch, Level
+from jaxunshear.contact.plan import Batch
 from jaxunshear.contact.scope import check_paths, level_named
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError

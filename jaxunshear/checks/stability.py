@@ -25,7 +25,7 @@ from jaxunshear.checks.network_trainings import training_cases
 from jaxunshear.checks.network_values import value_cases
 from jaxunshear.checks.px import PinError, pin_error
 from jaxunshear.checks.stability_networks import NetworkCase, NetworkRow
-from jaxunshear.contact.plan import LEVELS
+from jaxunshear.contact.level import LEVELS
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress

@@ -8,15 +8,16 @@ Layers, losses, regularisation, Adam and the moving averages are those of `unshe
 gradients of the two together.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
+from jaxunshear.model.fast.norm import EPSILON
 from jaxunshear.model.layers import MOMENTUM
-from jaxunshear.model.norm import EPSILON
+from jaxunshear.model.unshearnet import Variables
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.training import Training
 
@@ -130,12 +131,14 @@ def channels_last(twin: Any) -> Any:
     return twin.to(memory_format=torch.channels_last)
 
 
-def _load_layers(layers, params, stats, names: tuple[str, ...], transposed: bool) -> None:
+def _load_layers(
+    layers: Iterable[Any], params: Variables, stats: Variables, names: tuple[str, ...], transposed: bool
+) -> None:
     for layer, name in zip(layers, names, strict=True):
         _load_layer(layer, params[name], stats[name], transposed)
 
 
-def _load_layer(layer, params, stats, transposed: bool) -> None:
+def _load_layer(layer: Any, params: Variables, stats: Variables, transposed: bool) -> None:
     kernel = params["kernel"]
     _set(layer[0].weight, _transposed(kernel) if transposed else np.transpose(kernel, (3, 2, 0, 1)))
     _set(layer[1].weight, params["norm"]["scale"])

@@ -11,7 +11,7 @@ from importlib.resources import files
 
 import numpy as np
 
-from jaxunshear.contact.plan import Level
+from jaxunshear.contact.level import Level
 from jaxunshear.contact.simulate import simulate
 from jaxunshear.errors import UserError
 from jaxunshear.metrics.machine import versions

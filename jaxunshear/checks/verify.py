@@ -15,6 +15,7 @@ import numpy as np
 from jaxunshear.checks import elements, full_dome, laws, normal, periodic, shear
 from jaxunshear.checks.half_space import half_space
 from jaxunshear.checks.tables import Row, vanishes
+from jaxunshear.progress import Progress
 from jaxunshear.settings.sensor import TACTIP_331
 
 INCOMPRESSIBLE = 0.499
@@ -73,7 +74,7 @@ CHECKS: tuple[Check, ...] = (
 )
 
 
-def verify(progress=None) -> list[Row]:
+def verify(progress: Progress | None = None) -> list[Row]:
     """All rows; `progress` is advanced by one for each of `CHECKS`. Minutes on two cores."""
     rows = []
     for check in CHECKS:

@@ -6,6 +6,7 @@ import sys
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, NoReturn
 
 from jaxunshear import __version__
@@ -22,6 +23,7 @@ from jaxunshear.cli import (
     unshear,
     validate,
 )
+from jaxunshear.cli.fields import asked_for, help_on
 from jaxunshear.environment import check_environment, check_links, settle
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
@@ -45,7 +47,8 @@ MODULES: tuple[Any, ...] = (
 CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
 AGAIN = "the same command begins anew"
 FIELDS_HELP = """
-fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1:
+fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1;
+--help-fields train (or another group) says what each takes and means:
 """
 
 
@@ -105,7 +108,10 @@ class _Parser(argparse.ArgumentParser):
         groups: dict[str, list[str]] = {}
         for name, _ in field_types():
             groups.setdefault(name.rpartition(".")[0], []).append(name.rpartition(".")[2])
-        lines = [f"  --{group + '.' if group else ''}{{{','.join(names)}}}" for group, names in groups.items()]
+        lines = []
+        for group, names in groups.items():
+            start = f"  --{group + '.' if group else ''}"
+            lines += wrap(f"{start}{{{', '.join(names)}}}", 120, subsequent_indent=" " * 8)
         return super().format_help() + FIELDS_HELP + "\n".join(lines) + "\n"
 
 
@@ -122,6 +128,9 @@ def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words = argv
     if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
+        if (group := asked_for(argv)) is not None:
+            print(help_on(group))
+            return 0
         from jaxunshear.settings.fields import parse_overrides, split_overrides
 
         words, fields = split_overrides(

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _model(arguments: argparse.Namespace) -> Model:
-    from jaxunshear import infer
+    from jaxunshear.folders import load_settings, model_folder
 
-    folder = infer.model_folder(arguments.model)
-    return folder, infer.load_settings(folder)
+    folder = model_folder(arguments.model)
+    return folder, load_settings(folder)

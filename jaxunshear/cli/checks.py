@@ -3,18 +3,13 @@
 import argparse
 import re
 from collections.abc import Callable, Sequence
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from jaxunshear.cli import bench
+from jaxunshear.cli.bench import Keep
+from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
-
-LEVEL_NAMES = (
-    "fast",
-    "default",
-    "auto",
-    "reference",
-)  # of `contact.plan`, which imports JAX; a test holds the two together
 
 _CONTACT: dict[str, Any] = {
     "stimulus": "disk",
@@ -44,7 +39,7 @@ def add_parsers(commands: Any) -> None:
     parser.add_argument("--twist", metavar="DEG", type=_number, help="turn that ends at the pose (0)")
     parser.add_argument("--tilt", metavar="TX,TY", help="deg (0,0)")
     parser.add_argument("--friction", metavar="MU", type=_number, help="0 to inf (default: that of the stimulus)")
-    parser.add_argument("--level", choices=LEVEL_NAMES, default="auto", help="(auto)")
+    parser.add_argument("--level", choices=tuple(LEVELS), default="auto", help="(auto)")
     parser.add_argument("--sensor", metavar="NAME", default="tactip331", help="(tactip331)")
     parser.add_argument("--scenes", metavar="N", type=int, help="instead: how N random scenes of the paper are grouped")
 
@@ -61,7 +56,7 @@ def add_parsers(commands: Any) -> None:
         choices=("sim", "train", "infer", "needs", "pins", "stream", "strangers"),
         help="the simulator, the networks, parts left out, pins of images, a robot's perception, or images of no sensor of ours",
     )
-    parser.add_argument("--level", choices=LEVEL_NAMES, help="sim: only rows of this level")
+    parser.add_argument("--level", choices=tuple(LEVELS), help="sim: only rows of this level")
     parser.add_argument(
         "--batch", metavar="N", type=int, help="sim, train, infer: only rows with N scenes or images in a batch"
     )
@@ -98,7 +93,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 RIVALS = {"bench": ("torch",)}  # packages that are timed beside ours
-Keep = Callable[[list[dict[str, Any]]], None]
 
 
 def _writer(file: Path | None, command: str, rivals: Sequence[str]) -> Keep:
@@ -155,96 +149,6 @@ def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
     return 1 if stability.failed(rows) else 0
 
 
-BENCH_OPTIONS: dict[str, tuple[str, ...]] = {
-    "sim": ("level", "batch", "out"),
-    "train": ("size", "batch"),
-    "infer": ("size", "batch"),
-    "needs": ("size",),
-    "pins": ("size", "seed"),
-    "stream": ("size",),
-    "strangers": ("recordings", "seed"),
-}
-
-
-def _bench(arguments: argparse.Namespace, keep: Keep) -> int:
-    taken = BENCH_OPTIONS[arguments.what]
-    for option in dict.fromkeys(chain.from_iterable(BENCH_OPTIONS.values())):
-        if getattr(arguments, option) is not None and option not in taken:
-            known = ", ".join(f"--{name}" for name in taken)
-            raise UserError(f"--{option}: bench {arguments.what} has no use for it; it takes {known} and --json")
-    if arguments.batch is not None and arguments.batch < 1:
-        raise UserError(f"--batch {arguments.batch}: use at least 1")
-    if arguments.what != "sim":
-        return _bench_networks(arguments, keep)
-    from jaxunshear.checks import bench_figure, bench_sim
-    from jaxunshear.storage import write_bytes
-
-    rows = bench_sim.bench_sim(arguments.level, arguments.batch, keep=keep)
-    print(bench_sim.table(rows))
-    if arguments.out is not None:
-        write_bytes(arguments.out / "work_precision.png", bench_figure.work_precision(rows))
-        print(arguments.out / "work_precision.png")
-    return 0
-
-
-def _bench_strangers(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import confidence
-    from jaxunshear.table import plain_table
-
-    rows = confidence.bench(arguments.recordings or [], arguments.seed or 0)
-    print(plain_table(rows, ("name", "images", "refused", "accepted", "low", "high", "auc")))
-    keep(rows)
-    return 0
-
-
-def _bench_networks(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import bench_networks
-
-    if arguments.size is not None and arguments.size < 1:
-        raise UserError(f"--size {arguments.size}: use at least 1")
-    if arguments.what == "needs":
-        return _bench_needs(arguments, keep)
-    if arguments.what == "pins":
-        return _bench_pins(arguments, keep)
-    if arguments.what == "strangers":
-        return _bench_strangers(arguments, keep)
-    if arguments.what == "stream":
-        rows = bench_networks.bench_stream(arguments.size)
-    else:
-        measure = bench_networks.bench_train if arguments.what == "train" else bench_networks.bench_infer
-        rows = measure(arguments.size, arguments.batch)
-    print(bench_networks.table(rows))
-    keep(rows)
-    return 0
-
-
-def _bench_pins(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import bench_pins
-    from jaxunshear.table import plain_table
-
-    if arguments.size is not None and not 64 <= arguments.size <= 1024:
-        raise UserError(f"--size {arguments.size}: use 64 to 1024 px")
-    seed = 0 if arguments.seed is None else arguments.seed
-    if seed < 0:
-        raise UserError(f"--seed {seed}: use 0 or more")
-    rows = bench_pins.bench_pins(arguments.size, seed)
-    print(plain_table(rows, bench_pins.COLUMNS))
-    keep(rows)
-    return 0
-
-
-def _bench_needs(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import bench_needs
-
-    try:
-        rows = bench_needs.bench_needs(128 if arguments.size is None else arguments.size)
-    except ValueError as error:
-        raise UserError(f"--size {arguments.size}: {error}") from error
-    print(bench_needs.table(rows))
-    keep(rows)
-    return 0
-
-
 def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.checks import show_plan
 
@@ -296,7 +200,7 @@ def _identify(arguments: argparse.Namespace, keep: Keep) -> int:
 _COMMANDS: dict[str, Callable[[argparse.Namespace, Keep], int]] = {
     "verify": _verify,
     "stability": _stability,
-    "bench": _bench,
+    "bench": bench.run,
     "plan": _plan,
     "calibrate": _calibrate,
     "identify": _identify,

@@ -73,7 +73,7 @@ def _add_sensor(command: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns the exit code."""
-    from jaxunshear.infer import model_folder
+    from jaxunshear.folders import model_folder
     from jaxunshear.settings.experiment import trained
 
     if arguments.command == "fit":
@@ -149,7 +149,7 @@ def _finished(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
     """The experiment of a finished run, which is named by its folder."""
     from dataclasses import replace
 
-    from jaxunshear.infer import load_settings
+    from jaxunshear.folders import load_settings
 
     if fields or arguments.sensor_from:
         asked = fields[0] if fields else "--sensor-from"

@@ -13,20 +13,12 @@ from threadpoolctl import threadpool_limits
 
 from jaxunshear.contact import dome as domes
 from jaxunshear.contact.elasticity import Compliance, sixfold
-from jaxunshear.contact.friction import RHO, Skin, System, contact_state, follow_path, rest
+from jaxunshear.contact.friction import RHO, Quality, Skin, System, contact_state, follow_path, rest
+from jaxunshear.contact.level import Level
 from jaxunshear.contact.obstacle import Obstacles, sample
-from jaxunshear.contact.plan import (
-    BATCHES,
-    NODE_COUNTS,
-    PATH_LENGTHS,
-    Batch,
-    Level,
-    gaps,
-    increments,
-    make_plan,
-    padded,
-)
+from jaxunshear.contact.plan import BATCHES, NODE_COUNTS, PATH_LENGTHS, Batch, gaps, increments, make_plan, padded
 from jaxunshear.contact.skins import Contacts, Skins
+from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
 from jaxunshear.scene.stimuli import Stimulus, stimulus_named
 from jaxunshear.settings.reach import ring_arcs, ring_spacing
@@ -73,7 +65,7 @@ def solve_batches(
     level: Level,
     start: Skins | None,
     batch: int,
-    progress,
+    progress: Progress | None,
     wide: bool,
 ) -> tuple[Contacts, Skins, np.ndarray]:
     """Contacts and skins at the ends of B paths, and which of them (B,) turn out to need nodes that were left out."""
@@ -286,7 +278,18 @@ def _both_halves(upper: jax.Array) -> jax.Array:
 
 
 @partial(jax.jit, static_argnames=("tolerance", "limit", "tilted"))
-def _run(system, obstacles, which, friction, path, steps, force, tolerance, limit, tilted):
+def _run(
+    system: System,
+    obstacles: Obstacles,
+    which: jax.Array,
+    friction: jax.Array,
+    path: jax.Array,
+    steps: jax.Array,
+    force: jax.Array,
+    tolerance: float,
+    limit: int,
+    tilted: bool,
+) -> tuple[Skin, Quality, tuple[jax.Array, jax.Array, jax.Array]]:
     count = len(which)
     skin = rest(system, path[0])
     displacement = (force.reshape(count, -1) @ system.spread).reshape(count, -1, 3)

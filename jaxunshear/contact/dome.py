@@ -46,7 +46,7 @@ def sensitivity(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     return slopes.w, slopes.g
 
 
-def compute_dome(sensor: Sensor, mesh_mm: float | None = None, progress=None) -> Compliance:
+def compute_dome(sensor: Sensor, mesh_mm: float | None = None, progress: Progress | None = None) -> Compliance:
     """`dome` without the cache, on elements of `mesh_mm`. Raises `UserError` for a sensor that cannot be."""
     return put_together(_compute(sensor, False, mesh_mm or _mesh_mm(sensor), progress))
 
@@ -55,7 +55,7 @@ def _mesh_mm(sensor: Sensor) -> float:
     return MESH_MM * ring_spacing(sensor) / RING_MM
 
 
-def _compute(sensor: Sensor, varied: bool, mesh_mm: float, progress) -> Response:
+def _compute(sensor: Sensor, varied: bool, mesh_mm: float, progress: Progress | None) -> Response:
     check_sensor(sensor)
     mesh = dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, mesh_mm)
     gel = isotropic(sensor.gel_modulus_mpa, sensor.gel_poisson)

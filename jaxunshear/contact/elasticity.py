@@ -12,6 +12,7 @@ compliance W is symmetric positive definite by construction, if there are at lea
 Read `condense` first: `respond` solves the harmonics, `harmonics` puts them together.
 """
 
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ from jaxunshear.contact.harmonics import sixfold as sixfold
 from jaxunshear.contact.mesh import Mesh, shape_functions
 from jaxunshear.contact.pins import Pins, interpolation
 from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
 
 _GAUSS = np.array([[x, y] for y in (-1, 1) for x in (-1, 1)]) / np.sqrt(3)
 _SAMPLES = 40  # of a surface edge
@@ -159,7 +161,7 @@ def respond(
     ring_arcs: np.ndarray,
     pins: np.ndarray,
     harmonics: int,
-    progress=None,
+    progress: Progress | None = None,
     levers: np.ndarray | None = None,
     varied: np.ndarray | None = None,
 ) -> Response:
@@ -209,7 +211,7 @@ def respond(
     return Response(nodes, pins, place.ravel(), rings, fields)
 
 
-def _one_thread():
+def _one_thread() -> AbstractContextManager[object]:
     """For thousands of small products: threads that wait for each other made them ten times slower on busy cores."""
     return threadpool_limits(1, user_api="blas")
 
@@ -232,7 +234,7 @@ def condense(
     ring_arcs: np.ndarray,
     pins: np.ndarray,
     harmonics: int,
-    progress=None,
+    progress: Progress | None = None,
     levers: np.ndarray | None = None,
 ) -> Compliance:
     """Compliance of contact rings and of pins with tips at `pins` (P, 3), for materials (E, 6, 6) as of `isotropic`.

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from jaxunshear.contact.frame import level_frame, rotate, turn
 from jaxunshear.contact.obstacle import Obstacles, drop
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW
 
@@ -65,6 +66,12 @@ class Quality(NamedTuple):
     iterations: jax.Array
 
 
+_Iterates = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # z, its dual, x, and z before
+_Solving = tuple[
+    _Iterates, jax.Array, jax.Array, jax.Array
+]  # with residual (B,), iterations (B,), and the count of them
+
+
 def project(force: jax.Array, friction: jax.Array) -> jax.Array:
     """Cut (B, N, d) to p >= 0 and |t| <= friction * p; friction (B,), infinite for pure stick."""
     normal = jnp.maximum(force[..., -1:], 0)
@@ -79,29 +86,11 @@ def project(force: jax.Array, friction: jax.Array) -> jax.Array:
     return jnp.concatenate([tangential * shrink.astype(force.dtype), normal], axis=-1)
 
 
-def level_frame(pose: jax.Array) -> jax.Array:
-    """Rotations (B, 3, 3) from the sensor frame to the level frame of poses (B, 6): Rodrigues' formula."""
-    tilt = pose[:, TILT_X:]
-    squared = jnp.sum(tilt**2, axis=-1)[:, None, None]
-    angle = jnp.sqrt(jnp.maximum(squared, 1e-30))
-    zero = jnp.zeros_like(tilt[:, 0])
-    x, y = tilt[:, 0], tilt[:, 1]
-    rows = [jnp.stack(row, -1) for row in ((zero, zero, y), (zero, zero, -x), (-y, x, zero))]
-    cross = jnp.stack(rows, 1)
-    return (
-        jnp.eye(3, dtype=pose.dtype) + jnp.sin(angle) / angle * cross + (1 - jnp.cos(angle)) / angle**2 * cross @ cross
-    )
-
-
-def _rotate(frame: jax.Array, vectors: jax.Array) -> jax.Array:
-    return jnp.einsum("bij,bnj->bni", frame, vectors)
-
-
 def _times(matrix: jax.Array, force: jax.Array, frame: jax.Array | None) -> jax.Array:
     """matrix . force with both in the level frame (the matrix, symmetric, in the sensor frame)."""
     inside = force if frame is None else jnp.einsum("bji,bnj->bni", frame, force)
     product = (inside.reshape(force.shape[0], -1) @ matrix).reshape(force.shape)
-    return product if frame is None else _rotate(frame, product)
+    return product if frame is None else rotate(frame, product)
 
 
 def solve_increment(
@@ -119,25 +108,25 @@ def solve_increment(
     mm and iterations (B,). Scenes with an infinite tolerance are not waited for.
     """
 
-    def iterate(_, state):
+    def iterate(_: jax.Array, state: _Iterates) -> _Iterates:
         z, y, _, _ = state
         x = _times(system.inverse, RHO * (z - y) - offset, frame)
         relaxed = OVER_RELAXATION * x + (1 - OVER_RELAXATION) * z
         after = project(relaxed + y, friction)
         return after, y + relaxed - after, x, z
 
-    def error(state):
+    def error(state: _Iterates) -> jax.Array:
         z, _, x, before = state
         apart = _times(system.w, x - z, frame)
         change = RHO * (z - before)
         touching = jnp.sum(z[..., -1] > 0, axis=-1)
         return jnp.sqrt(jnp.sum(apart**2 + change**2, axis=(1, 2)) / jnp.maximum(touching, 1))
 
-    def unfinished(state):
+    def unfinished(state: _Solving) -> jax.Array:
         _, error, _, count = state
         return jnp.any(error > tolerance) & (count < limit)
 
-    def step(state):
+    def step(state: _Solving) -> _Solving:
         inner, before, spent, count = state
         inner = jax.lax.fori_loop(0, BETWEEN_CHECKS, iterate, inner)
         return inner, error(inner), spent + BETWEEN_CHECKS * (before > tolerance), count + BETWEEN_CHECKS
@@ -153,18 +142,12 @@ def solve_increment(
     return z, y, missing, spent
 
 
-def _turn(angle: jax.Array, xy: jax.Array) -> jax.Array:
-    """Rotate (B, N, 2) by angle (B,) rad."""
-    cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
-    return jnp.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)
-
-
 def _levelled(system: System, frame: jax.Array | None, points: jax.Array) -> jax.Array:
     """Points (B, N, 3) of the sensor frame in the level frame, whose lowest point of the dome lies at z = 0."""
     if frame is None:
         return points
     centre = jnp.stack([jnp.zeros_like(system.centre_mm), jnp.zeros_like(system.centre_mm), system.centre_mm])
-    return _rotate(frame, points - centre) + centre
+    return rotate(frame, points - centre) + centre
 
 
 def increment_offset(
@@ -185,7 +168,7 @@ def increment_offset(
     frame = level_frame(pose) if tilted else None
 
     def in_target_frame(displaced: jax.Array) -> jax.Array:
-        return _turn(pose[:, YAW], _levelled(system, frame, displaced)[..., :2]) + pose[:, None, :2]
+        return turn(pose[:, YAW], _levelled(system, frame, displaced)[..., :2]) + pose[:, None, :2]
 
     place = system.nodes + skin.displacement
     rest_height = _levelled(system, frame, jnp.broadcast_to(system.nodes, place.shape))[..., 2]
@@ -195,9 +178,9 @@ def increment_offset(
     if skin.force.shape[-1] == 1:
         return height[..., None], frame
     level_before = _levelled(system, level_frame(skin.pose) if tilted else None, place)
-    before = _turn(skin.pose[:, YAW], level_before[..., :2]) + skin.pose[:, None, :2]
-    slip = _turn(-pose[:, YAW], in_target_frame(place) - before)
-    moved = skin.displacement if frame is None else _rotate(frame, skin.displacement)
+    before = turn(skin.pose[:, YAW], level_before[..., :2]) + skin.pose[:, None, :2]
+    slip = turn(-pose[:, YAW], in_target_frame(place) - before)
+    moved = skin.displacement if frame is None else rotate(frame, skin.displacement)
     return jnp.concatenate([slip - moved[..., :2], height[..., None]], axis=-1), frame
 
 
@@ -239,12 +222,12 @@ def advance(
     frame = level_frame(pose) if tilted else None
     force, dual, displacement = skin.force, skin.dual, skin.displacement
     if frame is not None:
-        force, dual = _rotate(frame, force), _rotate(frame, dual)
+        force, dual = rotate(frame, force), rotate(frame, dual)
     count = jnp.zeros(len(which), jnp.int32)
     for allowed in [FIRST_PASS] * (PASSES - 1) + [1.0]:
         offset, _ = increment_offset(system, obstacles, which, skin, pose, tilted, displacement)
         # a free node's dual follows from the gap; carried over, it is what takes most iterations to forget
-        moved = (displacement if frame is None else _rotate(frame, displacement))[..., -force.shape[-1] :]
+        moved = (displacement if frame is None else rotate(frame, displacement))[..., -force.shape[-1] :]
         start = (force, jnp.where(force[..., -1:] > 0, dual, -(moved + offset) / RHO), moved)
         goals = allowed * wanted
         force, dual, error, spent = solve_increment(system, frame, offset, friction, start, goals, limit)
@@ -253,7 +236,7 @@ def advance(
         count = count + spent
     if frame is not None:
         back = jnp.swapaxes(frame, 1, 2)
-        force, dual = _rotate(back, force), _rotate(back, dual)
+        force, dual = rotate(back, force), rotate(back, dual)
     keep = moving[:, None, None]
     after = Skin(
         jnp.where(keep, force, skin.force),
@@ -282,7 +265,7 @@ def follow_path(
     rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew.
     """
 
-    def step(state):
+    def step(state: tuple[jax.Array, Skin, Quality]) -> tuple[jax.Array, Skin, Quality]:
         number, skin, worst = state
         # both are written so that a NaN counts as the worst
         lost = ~(worst.residual_mm <= worst.tolerance_mm)
@@ -301,7 +284,7 @@ def follow_path(
 
 def contact_state(skin: Skin, friction: jax.Array, tilted: bool = False) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Numbers of stuck, slipping and free nodes, each (B,)."""
-    force = _rotate(level_frame(skin.pose), skin.force) if tilted else skin.force
+    force = rotate(level_frame(skin.pose), skin.force) if tilted else skin.force
     touching = force[..., -1] > 0
     if force.shape[-1] == 1:
         slipping = touching

@@ -27,8 +27,9 @@ from jaxunshear.contact import dome as domes
 from jaxunshear.contact.batches import Stimuli, obstacles_of
 from jaxunshear.contact.friction import RHO, Skin, System
 from jaxunshear.contact.implicit import GOAL_MM, pin_state
+from jaxunshear.contact.level import Level
 from jaxunshear.contact.obstacle import Obstacles
-from jaxunshear.contact.plan import Level, increments, reachable
+from jaxunshear.contact.plan import increments, reachable
 from jaxunshear.contact.scope import check_batch, check_paths, check_start, level_named
 from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
@@ -229,7 +230,9 @@ def pin_gradient(
 
 
 @jax.jit
-def _derivatives(model: PinModel, points: jax.Array, friction: jax.Array):
+def _derivatives(
+    model: PinModel, points: jax.Array, friction: jax.Array
+) -> tuple[Pins, jax.Array, jax.Array, jax.Array]:
     """One tangent for all scenes at once, as none knows of another; all tangents share each increment's matrix."""
     count, ways = points.shape[0], points.shape[1] * 6
     tangents = (
@@ -239,8 +242,8 @@ def _derivatives(model: PinModel, points: jax.Array, friction: jax.Array):
     )
     at = (points, friction, model.log_ratio)
 
-    def push(*tangent):
-        def both(*x):
+    def push(*tangent: jax.Array) -> tuple[Pins, jax.Array]:
+        def both(*x: jax.Array) -> tuple[jax.Array, Pins]:
             answer = pins(model, *x)
             return answer.pins, answer
 

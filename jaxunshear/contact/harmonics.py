@@ -82,7 +82,9 @@ def node_to_point(fields: np.ndarray, place: np.ndarray, angle: np.ndarray) -> n
     return np.moveaxis(g, (0, 1), (1, 3)).reshape(3 * len(place), -1)
 
 
-def _sum(fields: np.ndarray, place: np.ndarray, angle: np.ndarray, forces: np.ndarray, nodes) -> np.ndarray:
+def _sum(
+    fields: np.ndarray, place: np.ndarray, angle: np.ndarray, forces: np.ndarray, nodes: np.ndarray | slice
+) -> np.ndarray:
     """(3, 3, P, K): directions of P points at (place, angle), of unit forces at K `nodes`; the points; the nodes.
 
     fields (M, Q, 3, R, 3) are the harmonics at Q places.

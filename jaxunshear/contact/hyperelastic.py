@@ -71,7 +71,7 @@ def make_body(mesh: Mesh, shear: np.ndarray, first: np.ndarray, density: Density
     return Body(mesh, slopes, values / radius[..., None], volume, shear, first, density)
 
 
-def _gradients(moved, slopes, hoop):
+def _gradients(moved: jax.Array, slopes: jax.Array, hoop: jax.Array) -> jax.Array:
     """Deformation gradients (Q, 3, 3) in (r, theta, z) of an element whose nodes moved (8, 2)."""
     plane = jnp.einsum("ni,qnj->qij", moved, slopes)
     around = hoop @ moved[:, 0]
@@ -84,11 +84,19 @@ def _gradients(moved, slopes, hoop):
     return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
-def _energy(density, moved, slopes, hoop, volume, shear, first):
+def _energy(
+    density: Density,
+    moved: jax.Array,
+    slopes: jax.Array,
+    hoop: jax.Array,
+    volume: jax.Array,
+    shear: jax.Array,
+    first: jax.Array,
+) -> jax.Array:
     return volume @ jax.vmap(density, (0, None, None))(_gradients(moved, slopes, hoop), shear, first)
 
 
-def _by_element(function):
+def _by_element(function: Callable[..., jax.Array]) -> Callable[..., jax.Array]:
     """Of each element, jitted; the energy density is part of the program."""
     return partial(jax.jit, static_argnums=0)(jax.vmap(function, (None, 0, 0, 0, 0, 0, 0)))
 
@@ -98,7 +106,7 @@ _forces = _by_element(jax.grad(_energy, argnums=1))
 _tangents = _by_element(jax.hessian(_energy, argnums=1))
 
 
-def _on_elements(function, body: Body, moved: np.ndarray) -> np.ndarray:
+def _on_elements(function: Callable[..., jax.Array], body: Body, moved: np.ndarray) -> np.ndarray:
     with jax.enable_x64(True):
         at = moved[body.mesh.elements]
         return np.asarray(function(body.density, at, body.slopes, body.hoop, body.volume, body.shear, body.first))

@@ -23,6 +23,7 @@ import jax.numpy as jnp
 from jax.ad_checkpoint import checkpoint_name
 from jax.custom_batching import custom_vmap
 
+from jaxunshear.contact.frame import level_frame, rotate
 from jaxunshear.contact.friction import (
     LEAST_MM,
     MOST_MM,
@@ -30,11 +31,9 @@ from jaxunshear.contact.friction import (
     RHO,
     Skin,
     System,
-    _rotate,
     _times,
     increment_length,
     increment_offset,
-    level_frame,
     project,
     rest,
     solve_increment,
@@ -62,6 +61,11 @@ class PinState(NamedTuple):
     skin: Skin
     margin_mm: jax.Array  # (B,) to the nearest switch of any node in any increment
     residual_mm: jax.Array  # (B,) natural residual of the worst increment
+
+
+_Search = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
+_Given = tuple[jax.Array, jax.Array, jax.Array, jax.Array, Guess]
+_Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
 
 
 def slopes(moved: jax.Array, friction: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -106,22 +110,22 @@ def switch_distance(moved: jax.Array, friction: jax.Array) -> jax.Array:
     return jnp.min(jnp.minimum(jnp.abs(normal), jnp.where(either, beyond, jnp.inf)), axis=-1)
 
 
-def _solve_linear(w, frame, slope, right, most):
+def _solve_linear(w: jax.Array, frame: jax.Array, slope: jax.Array, right: jax.Array, most: int) -> jax.Array:
     """df (B, N, 3) of (I - D (I - W)) df = right, in the level frame; free nodes, D = 0, drop out.
 
     As long as no scene touches with more than `most` nodes, the systems have that size.
     """
     back = jnp.swapaxes(frame, 1, 2)
-    inside = (jnp.einsum("bji,bnjk,bkl->bnil", frame, slope, frame), _rotate(back, right))
+    inside = (jnp.einsum("bji,bnjk,bkl->bnil", frame, slope, frame), rotate(back, right))
     touches = jnp.any(slope != 0, axis=(2, 3))
     if most >= touches.shape[1]:
-        return _rotate(frame, _dense(w, *inside))
+        return rotate(frame, _dense(w, *inside))
     few = _most_touching(jax.lax.stop_gradient(touches)) <= most
-    return _rotate(frame, jax.lax.cond(few, partial(_on_touching, most), _dense, w, *inside))
+    return rotate(frame, jax.lax.cond(few, partial(_on_touching, most), _dense, w, *inside))
 
 
 @custom_vmap
-def _most_touching(touches):
+def _most_touching(touches: jax.Array) -> jax.Array:
     """Of all scenes, of those of a vmap too: the choice that stands on it stays one, or both of its sides would be worked out.
 
     XLA's CPU client was seen to wait for ever for two such factorisations of one loop.
@@ -130,11 +134,11 @@ def _most_touching(touches):
 
 
 @_most_touching.def_vmap
-def _most_touching_rule(size, batched, touches):
+def _most_touching_rule(size: int, batched: list[bool], touches: jax.Array) -> tuple[jax.Array, bool]:
     return _most_touching(touches), False
 
 
-def _on_touching(most, w, slope, right):
+def _on_touching(most: int, w: jax.Array, slope: jax.Array, right: jax.Array) -> jax.Array:
     touches = jnp.any(slope != 0, axis=(2, 3))
     index = jnp.argsort(~touches, axis=1, stable=True)[:, :most]
     free = jnp.where(touches[..., None], 0, right)
@@ -152,12 +156,12 @@ def _on_touching(most, w, slope, right):
     )
 
 
-def _dense(w, slope, right):
+def _dense(w: jax.Array, slope: jax.Array, right: jax.Array) -> jax.Array:
     nodes = right.shape[1]
     return _dense_blocks(w.T.reshape(1, nodes, 3, nodes, 3), slope, right)
 
 
-def _dense_blocks(blocks, slope, right):
+def _dense_blocks(blocks: jax.Array, slope: jax.Array, right: jax.Array) -> jax.Array:
     """(I - D (I - W)) x = right for W as blocks (B or 1, M, 3, M, 3)."""
     count, nodes = right.shape[:2]
     one = jnp.eye(3 * nodes, dtype=right.dtype).reshape(nodes, 3, nodes, 3)
@@ -166,23 +170,23 @@ def _dense_blocks(blocks, slope, right):
     return jax.vmap(jax.scipy.linalg.lu_solve)(factors, right.reshape(count, -1)).reshape(right.shape)
 
 
-def _moved(w, frame, offset, force):
+def _moved(w: jax.Array, frame: jax.Array, offset: jax.Array, force: jax.Array) -> jax.Array:
     return force - _times(w, force, frame) - offset
 
 
-def _size(miss):
+def _size(miss: jax.Array) -> jax.Array:
     return jnp.max(jnp.linalg.norm(miss, axis=-1), axis=-1)
 
 
-def _find(most, w, frame, offset, friction, guess: Guess) -> jax.Array:
+def _find(most: int, w: jax.Array, frame: jax.Array, offset: jax.Array, friction: jax.Array, guess: Guess) -> jax.Array:
     """The force by rounds of ADMM, each ten times tighter than the one before, and Newton steps where these help."""
     goal = jnp.where(guess.length_mm > 0, GOAL_MM[offset.dtype.name], jnp.inf).astype(offset.dtype)
     system = System(w, guess.inverse, w, jnp.zeros((0, 3), w.dtype), jnp.zeros((), w.dtype))
 
-    def miss(force):
+    def miss(force: jax.Array) -> jax.Array:
         return force - project(_moved(w, frame, offset, force), friction)
 
-    def newton(state):
+    def newton(state: _Search) -> _Search:
         force, error, _, number = state
         slope, _ = slopes(_moved(w, frame, offset, force), friction)
         after = force - _solve_linear(w, frame, slope, miss(force), most)
@@ -191,11 +195,11 @@ def _find(most, w, frame, offset, friction, guess: Guess) -> jax.Array:
         pick = lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)  # noqa: E731
         return pick(after, force), pick(error_after, error), jnp.any(better), number + 1
 
-    def newton_goes_on(state):
+    def newton_goes_on(state: _Search) -> jax.Array:
         _, error, improved, number = state
         return jnp.any(error > goal) & improved & (number < NEWTON)
 
-    def one_round(state):
+    def one_round(state: _Search) -> _Search:
         force, dual, error, number = state
         length = jnp.clip(guess.length_mm, LEAST_MM, MOST_MM)
         wanted = jnp.where(error > goal, TOLERANCE * length * 10.0**-number, jnp.inf).astype(offset.dtype)
@@ -224,7 +228,7 @@ def contact_force(
 
 
 @contact_force.defjvp
-def _contact_force_jvp(most, primals, tangents):
+def _contact_force_jvp(most: int, primals: _Given, tangents: _Given) -> tuple[jax.Array, jax.Array]:
     w, frame, offset, friction, guess = primals
     force = checkpoint_name(contact_force(most, *primals), "force")
     total, change = jax.jvp(
@@ -254,7 +258,9 @@ def pin_state(
     `most`: see `contact_force`; all nodes by default.
     """
 
-    def step(state, pose):
+    def step(
+        state: tuple[Skin, jax.Array, jax.Array], pose: jax.Array
+    ) -> tuple[tuple[Skin, jax.Array, jax.Array], None]:
         skin, margin, worst = state
         moves = jnp.any(pose != skin.pose, axis=-1)
         length = jnp.where(moves, increment_length(skin.pose, pose, system.centre_mm / 4), 0)
@@ -262,22 +268,22 @@ def pin_state(
         back, keep = jnp.swapaxes(frame, 1, 2), moves[:, None, None]
 
         @partial(jax.checkpoint, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names("force"))
-        def one_pass(state, _):
+        def one_pass(state: _Pass, _: None) -> tuple[_Pass, None]:
             force, dual, displacement, margin, worst = state
-            offset, _ = increment_offset(system, obstacles, which, skin, pose, True, displacement)
+            offset = increment_offset(system, obstacles, which, skin, pose, True, displacement)[0]
             guess = jax.lax.stop_gradient(Guess(system.inverse, force, dual, length))
             force = contact_force(most or len(system.nodes), system.w, frame, offset, friction, guess)
             total = _times(system.w, force, frame) + offset
-            displacement = (_rotate(back, force).reshape(len(which), -1) @ system.w).reshape(force.shape)
+            displacement = (rotate(back, force).reshape(len(which), -1) @ system.w).reshape(force.shape)
             margin = jnp.minimum(margin, jnp.where(moves, switch_distance(force - total, friction), jnp.inf))
             worst = jnp.maximum(worst, jnp.where(moves, _size(force - project(force - total, friction)), 0))
             return (force, -total / RHO, displacement, margin, worst), None
 
-        start = (_rotate(frame, skin.force), _rotate(frame, skin.dual), skin.displacement, margin, worst)
+        start = (rotate(frame, skin.force), rotate(frame, skin.dual), skin.displacement, margin, worst)
         (force, dual, displacement, margin, worst), _ = jax.lax.scan(one_pass, start, length=PASSES)
         after = Skin(
-            jnp.where(keep, _rotate(back, force), skin.force),
-            jnp.where(keep, _rotate(back, dual), skin.dual),
+            jnp.where(keep, rotate(back, force), skin.force),
+            jnp.where(keep, rotate(back, dual), skin.dual),
             jnp.where(keep, displacement, skin.displacement),
             pose,
         )

@@ -19,6 +19,7 @@ from scipy.sparse.linalg import splu
 from jaxunshear.contact.hyperelastic import Body, Density, deformation, forces, lame, make_body, neo_hookean, tangent
 from jaxunshear.contact.mesh import Mesh, dome_mesh
 from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
 from jaxunshear.scene.pins import pin_lattice, pin_tips
 from jaxunshear.settings.sensor import Sensor
 
@@ -64,7 +65,11 @@ class State(NamedTuple):
 
 
 def press(
-    sensor: Sensor, depths_mm: Sequence[float], mesh_mm: float = 1.0, density: Density = neo_hookean, progress=None
+    sensor: Sensor,
+    depths_mm: Sequence[float],
+    mesh_mm: float = 1.0,
+    density: Density = neo_hookean,
+    progress: Progress | None = None,
 ) -> LargeStrain:
     """The dome pressed to each of D depths (mm, rows in the order given); `density` as `hyperelastic.neo_hookean`."""
     depths = np.asarray(depths_mm, float)
@@ -106,7 +111,7 @@ def _edge_shapes(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], -1), np.stack([s - 0.5, -2 * s, s + 0.5], -1)
 
 
-def follow(body: Body, face: Face, depths: np.ndarray, progress=None) -> list[State]:
+def follow(body: Body, face: Face, depths: np.ndarray, progress: Progress | None = None) -> list[State]:
     """States at rising `depths` (mm of the plate's z); after one that fails, all fail."""
     state = State(np.zeros_like(body.mesh.nodes), np.zeros(len(face.place)), 0.0, 0, True)
     moving, pushing = np.zeros_like(state.moved), np.zeros_like(state.push)  # per mm of depth

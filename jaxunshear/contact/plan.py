@@ -6,7 +6,6 @@ Left out are scenes that touch nothing, friction where there is none, nodes that
 short to need them. A node that was left out and would have touched after all is found afterwards (see `batches`).
 """
 
-from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -14,52 +13,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.friction import level_frame
+from jaxunshear.contact.frame import level_frame
+from jaxunshear.contact.level import Level
 from jaxunshear.contact.obstacle import Obstacles, distance_at, drop
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
 from jaxunshear.settings.reach import REACHED
-
-# What `auto` leaves out, in the words of the command that shows a plan.
-OMISSIONS = ("untouched", "friction", "nodes", "steps", "grouping")
-
-
-@dataclass(frozen=True)
-class Level:
-    """How exactly a path is followed, and what is left out of it.
-
-    A leg between two way points is cut into increments of at most `press_mm` in depth and `slide_mm` along the surface; a leg
-    has at least `press` or `slide` of them unless "steps" is among the omissions. An increment is solved to `tolerance` times
-    its own length, within `limit` iterations. `reference` leaves out only what provably changes nothing.
-    """
-
-    press: int
-    slide: int
-    press_mm: float
-    slide_mm: float
-    tolerance: float
-    limit: int
-    precision: str = "float32"
-    omit: tuple[str, ...] = OMISSIONS
-    wide: bool = False  # leave out fewer nodes
-
-
-LEVELS = {
-    "fast": Level(press=1, slide=4, press_mm=3.0, slide_mm=0.9, tolerance=0.25, limit=300),
-    "default": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600, omit=()),
-    "auto": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600),
-    "reference": Level(
-        press=6,
-        slide=24,
-        press_mm=1.0,
-        slide_mm=0.15,
-        tolerance=0.02,
-        limit=8000,
-        precision="float64",
-        omit=("untouched", "nodes", "grouping"),
-        wide=True,
-    ),
-}
-STRONGER = {"fast": "auto", "default": "reference", "auto": "reference"}  # where to try again
 
 MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
 WIDE = (1.1, 3.0)  # both, where that was not enough
@@ -86,11 +44,6 @@ class Batch(NamedTuple):
     steps: int  # increments of the longest path
     friction: bool  # False: pressures only
     tilted: bool
-
-
-def unabridged(level: Level) -> Level:
-    """The same level with nothing left out."""
-    return replace(level, omit=())
 
 
 def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[np.ndarray, np.ndarray]:
@@ -122,7 +75,9 @@ def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[np.ndarray
     return np.concatenate([points[:, :1], poses], axis=1), total
 
 
-def _in_target_frame(nodes, displacement, centre, pose, tilted):
+def _in_target_frame(
+    nodes: jax.Array, displacement: jax.Array, centre: jax.Array, pose: jax.Array, tilted: bool
+) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Places (B, N, 2) of displaced nodes in the target frame, and heights (B, N) of the undeformed ones over the lowest."""
     place, height = nodes + displacement, jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
     if tilted:
@@ -135,11 +90,19 @@ def _in_target_frame(nodes, displacement, centre, pose, tilted):
 
 
 @partial(jax.jit, static_argnames=("tilted", "wide"))
-def _can_touch(obstacles, nodes, centre, which, poses, tilted, wide):
+def _can_touch(
+    obstacles: Obstacles,
+    nodes: jax.Array,
+    centre: jax.Array,
+    which: jax.Array,
+    poses: jax.Array,
+    tilted: bool,
+    wide: bool,
+) -> jax.Array:
     """(B, N): whether a node can touch at any of poses (S, B, 6)."""
     reached, margin = WIDE if wide else (REACHED, MARGIN_MM)
 
-    def at(pose):
+    def at(pose: jax.Array) -> jax.Array:
         still = jnp.zeros((pose.shape[0], *nodes.shape), nodes.dtype)
         here, height, _ = _in_target_frame(nodes, still, centre, pose, tilted)
         return (height < reached * pose[:, DEPTH, None]) & (distance_at(obstacles, which, here) < margin)
@@ -148,7 +111,15 @@ def _can_touch(obstacles, nodes, centre, which, poses, tilted, wide):
 
 
 @partial(jax.jit, static_argnames="tilted")
-def _gaps(obstacles, nodes, centre, which, pose, displacement, tilted):
+def _gaps(
+    obstacles: Obstacles,
+    nodes: jax.Array,
+    centre: jax.Array,
+    which: jax.Array,
+    pose: jax.Array,
+    displacement: jax.Array,
+    tilted: bool,
+) -> jax.Array:
     here, _, height = _in_target_frame(nodes, displacement, centre, pose, tilted)
     return height - pose[:, DEPTH, None] + drop(obstacles, which, here)
 

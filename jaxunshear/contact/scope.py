@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from jaxunshear.contact.plan import LEAST_LEG_MM, LEVELS, Level
+from jaxunshear.contact.level import LEVELS, Level
+from jaxunshear.contact.plan import LEAST_LEG_MM
 from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, Paths

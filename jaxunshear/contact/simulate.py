@@ -9,9 +9,10 @@
 import numpy as np
 
 from jaxunshear.contact.batches import Stimuli, dome, nothing_solved, obstacles_of, plan_paths, solve_batches
-from jaxunshear.contact.plan import STRONGER, Level
+from jaxunshear.contact.level import STRONGER, Level
 from jaxunshear.contact.scope import check_batch, check_paths, check_scenes, check_start, check_started, level_named
 from jaxunshear.contact.skins import Contacts, Skins
+from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
@@ -26,7 +27,7 @@ def simulate(
     level: str | Level = "auto",
     batch: int = BATCH,
     retry: bool = True,
-    progress=None,
+    progress: Progress | None = None,
 ) -> Contacts:
     """Contacts of B scenes, in the order given; `scenes.stimulus` indexes `names`. Raises `UserError` by name of the field."""
     check_scenes(scenes)
@@ -41,7 +42,7 @@ def follow(
     start: Skins | None = None,
     batch: int = BATCH,
     retry: bool = True,
-    progress=None,
+    progress: Progress | None = None,
 ) -> tuple[Contacts, Skins]:
     """Contacts at the ends of B paths, and the skins there; with `start`, each path goes on from its first point with that skin.
 

@@ -10,12 +10,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from jax import Array
 
+from jaxunshear.contact.skins import Contacts
 from jaxunshear.dataset.shots import Shots
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
+from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
@@ -37,7 +40,7 @@ def simulator() -> Engine:
     return Engine(simulate.plan, simulate.simulate, render)
 
 
-def _usable(contacts) -> np.ndarray:
+def _usable(contacts: Contacts) -> np.ndarray:
     finite = np.isfinite(contacts.pins).all((1, 2)) & np.isfinite(contacts.residual_mm)
     return finite & np.asarray(contacts.converged, bool)
 
@@ -73,7 +76,9 @@ def _holds(path: Path, batch: np.ndarray) -> bool:
     return path.exists() and np.array_equal(load_chunk(path)["number"], batch)
 
 
-def _chunk(settings, sensor: Sensor, shots: Shots, batch: np.ndarray, engine: Engine) -> dict[str, np.ndarray]:
+def _chunk(
+    settings: PairedData | PoseData, sensor: Sensor, shots: Shots, batch: np.ndarray, engine: Engine
+) -> dict[str, np.ndarray]:
     names = settings.stimuli
     scenes = shots.scenes.take(batch)
     contacts = engine.simulate(sensor, names, scenes)
@@ -115,7 +120,7 @@ def render(
     number: np.ndarray,
     age: np.ndarray,
     at_once: int = RENDER,
-):
+) -> tuple[np.ndarray, np.ndarray]:
     """Images (B, S, S) uint8 in {0, 255} of pin tips (B, P, 3) in mm, and the pins' places (B, P, 2) in them, px. Fewer `at_once`, to
     which batches are filled up, take less time where there are never more."""
     images, pins = [], []
@@ -138,15 +143,24 @@ def render(
 
 
 @functools.cache
-def _render():
+def _render() -> Callable[..., tuple[Array, Array]]:
     import jax
 
     from jaxunshear.image import camera as cameras
     from jaxunshear.image.preprocess import binarise
 
     @functools.partial(jax.jit, static_argnums=(0, 1, 2, 3))
-    def run(camera, nuisance, preprocess, sensor, tips, seed, number, age):
-        def one(tip, index, when):
+    def run(
+        camera: Camera,
+        nuisance: Nuisance,
+        preprocess: Preprocess,
+        sensor: Sensor,
+        tips: Array,
+        seed: Array,
+        number: Array,
+        age: Array,
+    ) -> tuple[Array, Array]:
+        def one(tip: Array, index: Array, when: Array) -> Array:
             key = jax.random.fold_in(jax.random.key(seed), index)
             return cameras.frame(camera, sensor, nuisance, tip, key, when)
 

@@ -137,7 +137,9 @@ def draw_pose(settings: PoseData) -> Shots:
     return _shots(settings, pose, np.zeros((len(pose), 2)), zero, zero.astype(bool))
 
 
-def _shots(settings, pose: np.ndarray, move: np.ndarray, instance: np.ndarray, slid: np.ndarray) -> Shots:
+def _shots(
+    settings: PairedData | PoseData, pose: np.ndarray, move: np.ndarray, instance: np.ndarray, slid: np.ndarray
+) -> Shots:
     names = settings.stimuli
     each = len(pose) // (len(names) * settings.poses)
     stimulus = np.repeat(np.arange(len(names)), settings.poses * each)

@@ -81,7 +81,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     poses = numbered_poses(**labels)
 
     @jax.jit
-    def run(tap: Array, sheared: Array, key: Array):
+    def run(tap: Array, sheared: Array, key: Array) -> tuple[dict[str, Array], dict[str, Array]]:
         tap, sheared = (images.astype(np.float32) / 255 for images in (tap, sheared))
         drawn = draw_cells(net, variables, in_precision(sheared, experiment.train.precision), SPOILT, key)
         return drawn, cell_scores(drawn, tap, sheared)
@@ -97,10 +97,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
             found.append({name: value[counts] for name, value in scores.items()})
             order.append(rows[counts])
             if not shown and counts.any():
-                some = np.flatnonzero(counts)
-                some = some[np.linspace(0, len(some) - 1, min(SHOWN, len(some))).round().astype(int)]
-                shown = {name: batch[name][some, ..., 0] / 255 for name in ("sheared", "canonical")}
-                shown |= {name: image[some, ..., 0] for name, image in drawn.items()}
+                shown = _shown(batch, drawn, np.flatnonzero(counts))
             progress.advance(int(counts.sum()))
     scores = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
     results = {
@@ -117,6 +114,13 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     write_bytes(Path(run_dir) / "ablation.png", picture(shown))
     write_json(Path(run_dir) / "ablation.json", results)
     return results
+
+
+def _shown(batch: dict[str, np.ndarray], drawn: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Images (K, S, S) of some of the `rows` of a batch, SHOWN at most, for `picture`."""
+    some = rows[np.linspace(0, len(rows) - 1, min(SHOWN, len(rows))).round().astype(int)]
+    shown = {name: batch[name][some, ..., 0] / 255 for name in ("sheared", "canonical")}
+    return shown | {name: image[some, ..., 0] for name, image in drawn.items()}
 
 
 def partners(poses: np.ndarray, batch: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:

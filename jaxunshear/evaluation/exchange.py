@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader
 from jaxunshear.dataset.reading import Reader
@@ -64,7 +65,7 @@ def errors_of(net: Any, variables: Any, reader: Reader) -> dict[str, Any] | None
     changed = np.any(own != wanted, axis=(1, 2))
 
     @jax.jit
-    def drawn(weights, own, other, wanted):
+    def drawn(weights: pinnets.Variables, own: Array, other: Array, wanted: Array) -> dict[str, Array]:
         codes: list[Any] = [pinnets.encode(net, weights, pins) for pins in (own, other, wanted)]
         pairs = {"exchanged": (0, 1), "both of its own": (2, 2), "shear code not exchanged": (0, 0)}
         return {n: pinnets.decode_sheared(net, weights, codes[p][0], codes[s][1]) for n, (p, s) in pairs.items()}

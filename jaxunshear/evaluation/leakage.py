@@ -7,18 +7,17 @@ stand a ceiling (the same probe on the network's own input), a floor (labels shu
 untrained network. A slide is given as the sensor feels it, in its own frame.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.codes import Encode, encoder_of, untrained
 from jaxunshear.evaluation.exchange import errors_of
 from jaxunshear.evaluation.probes import LEAST, PROBES
 from jaxunshear.evaluation.readers import pixels, places
@@ -26,11 +25,9 @@ from jaxunshear.evaluation.slide import slides_read, slipping
 from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import machine, versions
-from jaxunshear.model import pinnets, unshearnet
 from jaxunshear.scene.scene import turned
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
-from jaxunshear.settings.networks import PinUnshear, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
 from jaxunshear.storage import write_json
@@ -40,7 +37,6 @@ from jaxunshear.training.origin import check_origin
 
 MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen
 MOST_COMPARED = 500  # poses, in the criterion of independence
-AT_ONCE = 64
 SEED = 0
 CODES = ("z_s", "z_p")
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what should not be there; the rest should
@@ -48,7 +44,6 @@ SLIDE = ("mae", "rmse", "coverage")
 LABELS = ("pose", "move", "stimulus", "pose_id")
 
 Known = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
-Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F) by name
 
 
 def leakage(
@@ -64,7 +59,7 @@ def leakage(
     check_finished(folder)
     net, variables = read_net(folder), load_best(folder)
     check_origin(experiment, DISENTANGLED, run_dir)
-    encode = _encoder(net, variables)
+    encode = encoder_of(net, variables)
     if encode is None:
         raise UserError(f"{folder} holds no network with a shear code: there is nothing to leak from")
     reader = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
@@ -77,7 +72,7 @@ def leakage(
     codes = [encode(batch[seen]) for batch in (learnt, tested)]
     others: dict[str, list[Mapping[str, np.ndarray]]] = {}
     if not leaks_alone:
-        fresh = _encoder(net, _untrained(net, variables))
+        fresh = encoder_of(net, untrained(net, variables, SEED))
         assert fresh is not None
         features = places if over_pins(experiment) else pixels
         inputs = [features(batch[seen]) for batch in (learnt, tested)]
@@ -86,6 +81,34 @@ def leakage(
             "untrained": [fresh(batch[seen]) for batch in (learnt, tested)],
             "input": [dict.fromkeys(CODES, np.where(np.isfinite(values), values, mean)) for values in inputs],
         }
+    results = {
+        "experiment": experiment.name,
+        "simulated": recorded_of(experiment) is None,
+        "metric": f"R2 on test poses, mean over the quantities named in 'each'; brackets: 95 % over {OVER}",
+        "rows": _probed(codes, others, wanted, groups, poses, leaks_alone),
+        "independence": [_independence(what, code, codes[1][code], wanted[1][what], poses) for what, code in LEAKS],
+        "exchanged": errors_of(net, variables, reader),
+        "slide": [] if leaks_alone else _slide(experiment, reader, seen, encode, (learnt, tested), data_dir),
+        "slides": {"learnt": len(groups), "tested": len(poses)},
+        "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
+        "command": command,
+        "machine": machine(),
+        "versions": versions(),
+    }
+    write_json(Path(run_dir) / "leakage.json", results)
+    return results
+
+
+def _probed(
+    codes: Sequence[Mapping[str, np.ndarray]],
+    others: Mapping[str, Sequence[Mapping[str, np.ndarray]]],
+    wanted: Sequence[Mapping[str, Known]],
+    groups: np.ndarray,
+    poses: np.ndarray,
+    leaks_alone: bool,
+) -> list[dict[str, Any]]:
+    """A row for each quantity, code and probe. Of codes, of what stands beside them and of what is wanted, learnt slides
+    come first, in `groups` of one pose, then tested ones, of `poses`."""
     shuffled = np.random.default_rng(SEED).permutation(len(groups))
     rows = []
     for what, code, probe in product(("pose", "slide"), CODES, PROBES):
@@ -101,22 +124,7 @@ def leakage(
         if not leaks_alone:
             row["shuffled"] = _mean_r2(asked({name: value[shuffled] for name, value in known.items()}, *own))
         rows.append(row)
-    results = {
-        "experiment": experiment.name,
-        "simulated": recorded_of(experiment) is None,
-        "metric": f"R2 on test poses, mean over the quantities named in 'each'; brackets: 95 % over {OVER}",
-        "rows": rows,
-        "independence": [_independence(what, code, codes[1][code], wanted[1][what], poses) for what, code in LEAKS],
-        "exchanged": errors_of(net, variables, reader),
-        "slide": [] if leaks_alone else _slide(experiment, reader, seen, encode, (learnt, tested), data_dir),
-        "slides": {"learnt": len(groups), "tested": len(poses)},
-        "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
-        "command": command,
-        "machine": machine(),
-        "versions": versions(),
-    }
-    write_json(Path(run_dir) / "leakage.json", results)
-    return results
+    return rows
 
 
 def _slide(
@@ -166,38 +174,6 @@ def table(results: Mapping[str, Any]) -> str:
             f"{row['name']} from both codes, {row['part']} ({row['slides']}): error {mae}; 95 % intervals hold {coverage}"
         )
     return "\n".join([*lines, results["metric"]])
-
-
-def _encoder(net: Any, variables: Any) -> Encode | None:
-    """Inputs -> codes (N, F) by name; None without a shear code."""
-    if isinstance(net, PinUnshear):
-        run = jax.jit(lambda weights, pins: pinnets.encode(net, weights, pins))
-        held = bool(net.shear_code)
-    elif isinstance(net, UnshearNet) and net.disentangled:
-        run = jax.jit(lambda weights, images: unshearnet.encode(net, weights, images.astype(jnp.float32) / 255))
-        held = bool(net.shear_channels)
-    else:
-        return None
-    if not held:
-        return None
-
-    def encode(seen: np.ndarray) -> dict[str, np.ndarray]:
-        parts = []
-        for start in range(0, len(seen), AT_ONCE):
-            rows = np.arange(start, start + AT_ONCE) % len(seen)
-            parts.append(jax.device_get(run(variables, seen[rows])))
-        joined = [np.concatenate(part)[: len(seen)] for part in zip(*parts, strict=True)]
-        return {name: code.reshape(len(seen), -1) for name, code in zip(("z_p", "z_s"), joined, strict=True)}
-
-    return encode
-
-
-def _untrained(net: Any, variables: Any) -> Any:
-    key = jax.random.key(SEED)
-    if isinstance(net, PinUnshear):
-        constants = variables["batch_stats"]
-        return pinnets.init(net, constants["rest"], constants["spread"], key)
-    return unshearnet.init(net, key)
 
 
 def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: int) -> Batch:

@@ -53,14 +53,18 @@ def load(
     return partial(jax.jit(run_of(nets, targets, precision)), variables, taps)
 
 
-def run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32"):
+def run_of(
+    nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32"
+) -> Callable[[dict[str, Any], Array | None, Array, Array], tuple[Outputs, dict[str, Array]]]:
     """The function (variables, taps or None, tap, sheared) of these networks (settings and pose targets by name), not yet jitted.
 
     Images are uint8 in {0, 255}: taps (M, S, S, 1), tap and sheared (B, S, S, 1). Scores are (B,) each.
     Networks that unshear are given images in `precision`.
     """
 
-    def run(variables: dict[str, Any], taps: Array | None, tap: Array, sheared: Array):
+    def run(
+        variables: dict[str, Any], taps: Array | None, tap: Array, sheared: Array
+    ) -> tuple[Outputs, dict[str, Array]]:
         tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
         images, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
         given = in_precision(sheared, precision)
@@ -89,14 +93,18 @@ def run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: s
     return run
 
 
-def pin_run_of(nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pins):
+def pin_run_of(
+    nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pins
+) -> Callable[..., tuple[Outputs, dict[str, Array]]]:
     """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted. `seen_tap`: the tap's
     pins as PoseNet is to read them, where all is compared with others.
 
     Images are the pins drawn as dots, whatever the frames showed beside them, so that likenesses stand in the same tables.
     """
 
-    def run(variables: dict[str, Any], tap: Array, sheared: Array, seen_tap: Array | None = None):
+    def run(
+        variables: dict[str, Any], tap: Array, sheared: Array, seen_tap: Array | None = None
+    ) -> tuple[Outputs, dict[str, Array]]:
         places, cells, poses = {"tap": tap if seen_tap is None else seen_tap, "sheared": sheared}, {}, {}
         for kind in (name for name in UNSHEARING if name in nets):
             z_p, z_s = pinnets.encode(nets[kind], variables[kind], sheared)

@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from flax.typing import VariableDict
 from scipy import linalg
 
 HIDDEN, LAYERS = 128, 2
@@ -22,13 +23,14 @@ CHECKS = 20  # at the fifth that is kept out of fitting
 RIDGES = (1e-6, 1e-4, 1e-2, 1.0)  # times the number of examples
 LOG_DEVIATIONS = (-6.0, 2.0)  # least and most, of what is scaled to a deviation of one
 LEAST = 1e-12  # spread of a number that does not vary
+_State = tuple[VariableDict, optax.OptState]
 
 
 class MLP(nn.Module):
     outputs: int
 
     @nn.compact
-    def __call__(self, x):
+    def __call__(self, x: jax.Array) -> jax.Array:
         for _ in range(LAYERS):
             x = nn.gelu(nn.Dense(HIDDEN)(x))
         return nn.Dense(self.outputs, kernel_init=nn.initializers.zeros)(x)  # at first it knows the mean alone
@@ -65,7 +67,9 @@ PROBES: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.
 }
 
 
-def _scaled(codes: np.ndarray, wanted: np.ndarray, others: np.ndarray):
+def _scaled(
+    codes: np.ndarray, wanted: np.ndarray, others: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[np.ndarray | float], np.ndarray]]:
     middle, spread = codes.mean(axis=0, dtype=np.float64), codes.std(axis=0, dtype=np.float64)
     spread = np.where(spread > LEAST, spread, 1)
     centre, reach = wanted.mean(axis=0, dtype=np.float64), wanted.std(axis=0, dtype=np.float64)
@@ -96,36 +100,40 @@ def _solved(x: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
 
 
 @partial(jax.jit, static_argnames="gaussian")
-def _trained(x, y, x_out, y_out, others, gaussian):
+def _trained(
+    x: jax.Array, y: jax.Array, x_out: jax.Array, y_out: jax.Array, others: jax.Array, gaussian: bool
+) -> jax.Array:
     """What the network, trained on (x, y), says of `others`: (M, K), or (M, 2 K), mean and the deviation's logarithm."""
     net = MLP(y.shape[1] * (2 if gaussian else 1))
     key = jax.random.key(0)
-    params = net.init(key, x[:1])
+    params: VariableDict = net.init(key, x[:1])
     optimiser = optax.adamw(optax.cosine_decay_schedule(RATE, STEPS), weight_decay=DECAY)
 
-    def says(params, x):
+    def says(params: VariableDict, x: jax.Array) -> jax.Array:
         answer = jnp.asarray(net.apply(params, x))
         if not gaussian:
             return answer
         mean, log_deviation = jnp.split(answer, 2, axis=-1)
         return jnp.concatenate([mean, jnp.clip(log_deviation, *LOG_DEVIATIONS)], -1)
 
-    def error(params, x, y):
+    def error(params: VariableDict, x: jax.Array, y: jax.Array) -> jax.Array:
         if not gaussian:
             return jnp.mean((says(params, x) - y) ** 2)
         mean, log_deviation = jnp.split(says(params, x), 2, axis=-1)
         return jnp.mean(0.5 * ((y - mean) / jnp.exp(log_deviation)) ** 2 + log_deviation)
 
-    def loss(params, rows):
+    def loss(params: VariableDict, rows: jax.Array) -> jax.Array:
         return error(params, x[rows], y[rows])
 
-    def step(state, step_key):
+    def step(state: _State, step_key: jax.Array) -> tuple[_State, None]:
         params, opt_state = state
         rows = jax.random.randint(step_key, (min(BATCH, len(x)),), 0, len(x))
         updates, opt_state = optimiser.update(jax.grad(loss)(params, rows), opt_state, params)
         return (optax.apply_updates(params, updates), opt_state), None
 
-    def check(carry, keys):
+    def check(
+        carry: tuple[_State, jax.Array, VariableDict], keys: jax.Array
+    ) -> tuple[tuple[_State, jax.Array, VariableDict], None]:
         state, best, chosen = carry
         state, _ = jax.lax.scan(step, state, keys)
         off = error(state[0], x_out, y_out)

@@ -7,14 +7,17 @@ matrix on the rows and one on the columns; a batch is a few products of matrices
     image = prepare_frame(Preprocess(size=128), imageio.imread("frame.png"))       # any real frame
 """
 
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import lru_cache
-from typing import NamedTuple
+from types import ModuleType
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 from skimage.filters import threshold_otsu
@@ -28,6 +31,8 @@ from jaxunshear.settings.image import Preprocess
 
 OUTER_PINS_OF_DISC = 0.82  # radius of the outermost pins over that of the dark disc, measured: 172 and 210 px
 
+Grey = TypeVar("Grey", np.ndarray, Array)
+
 
 def binarise(preprocess: Preprocess, grey: Array) -> Array:
     """Square grey crops (..., H, H) in [0, 1] -> binary images (..., S, S) uint8 of {0, 255}."""
@@ -35,7 +40,7 @@ def binarise(preprocess: Preprocess, grey: Array) -> Array:
     return _binarise(jnp, _jax_matmul, preprocess, jnp.asarray(grey, jnp.float32))
 
 
-def _binarise(xp, matmul, preprocess: Preprocess, grey):
+def _binarise(xp: ModuleType, matmul: Callable[[Grey, np.ndarray], Grey], preprocess: Preprocess, grey: Grey) -> Grey:
     small = _both_sides(matmul, _area_matrix(grey.shape[-1], preprocess.size), grey)
     mean = _both_sides(matmul, _mean_matrix(preprocess.size, _block_px(preprocess)), small)
     mask = _mask(preprocess)
@@ -43,11 +48,11 @@ def _binarise(xp, matmul, preprocess: Preprocess, grey):
     return white.astype(xp.uint8) * np.uint8(255)
 
 
-def _jax_matmul(a, b):
+def _jax_matmul(a: Array, b: ArrayLike) -> Array:
     return jnp.matmul(a, b, precision=jax.lax.Precision.HIGHEST)
 
 
-def _both_sides(matmul, matrix: np.ndarray, image):
+def _both_sides(matmul: Callable[[Grey, np.ndarray], Grey], matrix: np.ndarray, image: Grey) -> Grey:
     """M X M^T for every image: both products are tall plain ones, which is faster than a batch of small ones."""
     half = matmul(image, matrix.T)
     return matmul(half.swapaxes(-1, -2), matrix.T).swapaxes(-1, -2)

@@ -10,6 +10,7 @@ gradient is two more of them.
 >>> ms_ssim(unsheared, tap, scales=scales_that_fit(128))   # (B, 128, 128, 1) in [0, 1] -> (B,)
 """
 
+from collections.abc import Callable
 from functools import partial
 
 import jax
@@ -127,7 +128,7 @@ def _power(x: Array, weight: float) -> Array:
     return jnp.where(nothing, 0, jnp.where(nothing, 1, x) ** weight)
 
 
-def _both_sides(matrix, images: Array) -> Array:
+def _both_sides(matrix: Callable[[int], np.ndarray], images: Array) -> Array:
     """matrix(H) @ image @ matrix(W).T over all leading axes, in full float32 also where the device would use less."""
     rows = jnp.asarray(matrix(images.shape[-2]), images.dtype)
     columns = jnp.asarray(matrix(images.shape[-1]), images.dtype)

@@ -1,5 +1,4 @@
-"""The layers of both networks: convolution + batch normalisation + ReLU. Arrays between them are in the layout that the next one
-reads ("plain", "padded", "blocks": norm.py).
+"""The layers of all networks over images: convolution, batch normalisation, ReLU (paper, appendix A).
 
 The precision is that of the images given: kernels are rounded to it, so bfloat16 images give bfloat16 products, logits and
 gradients of kernels, which are kept in float32 from there on, as are parameters and statistics.
@@ -9,11 +8,9 @@ import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
 
-from jaxunshear.model import conv, outermost
-from jaxunshear.model.norm import affine_relu, norm_relu
-
 INIT = nn.initializers.normal(0.02)  # paper, appendix B
 MOMENTUM = 0.9  # of the running statistics
+EPSILON = 1e-5
 
 
 def in_precision(images: Array, precision: str) -> Array:
@@ -21,49 +18,15 @@ def in_precision(images: Array, precision: str) -> Array:
     return images.astype(jnp.bfloat16) if precision == "bfloat16" else images
 
 
-class NormRelu(nn.Module):
-    """Batch normalisation and ReLU; see `norm_relu`. Its variables are named as Flax's BatchNorm names them."""
-
-    source: str = "plain"
-    target: str = "plain"
-
-    @nn.compact
-    def __call__(self, x: Array, train: bool) -> Array:
-        c = x.shape[-1] // (4 if self.source == "blocks" else 1)
-        scale = self.param("scale", nn.initializers.ones, (c,))
-        bias = self.param("bias", nn.initializers.zeros, (c,))
-        mean = self.variable("batch_stats", "mean", jnp.zeros, (c,))
-        variance = self.variable("batch_stats", "var", jnp.ones, (c,))
-        if not train:
-            return affine_relu(x, scale, bias, mean.value, variance.value, self.source, self.target)
-        y, batch_mean, batch_variance = norm_relu(x, scale, bias, self.source, self.target)
-        if not self.is_initializing():
-            mean.value = MOMENTUM * mean.value + (1 - MOMENTUM) * batch_mean
-            variance.value = MOMENTUM * variance.value + (1 - MOMENTUM) * batch_variance
-        return y
-
-
-class First(nn.Module):
-    """4x4 convolution of stride 2 from the image (B, S, S, C) to the blocks (B, S/4+1, S/4+1, 4 width)."""
-
-    width: int
-
-    @nn.compact
-    def __call__(self, x: Array, train: bool) -> Array:
-        w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
-        return NormRelu("blocks", "blocks", name="norm")(outermost.first(x, w, compiled=train), train)
-
-
 class Down(nn.Module):
-    """4x4 convolution of stride 2 from blocks (B, H/2+1, W/2+1, 4 C) of (H, W) to (H/2, W/2), in layout `target`."""
+    """4x4 convolution of stride 2: (B, H, W, C) -> (B, H/2, W/2, width)."""
 
     width: int
-    target: str = "blocks"
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, self.width)).astype(x.dtype)
-        return NormRelu("plain", self.target, name="norm")(conv.conv_valid(x, conv.down_kernel(w)), train)
+        conv = nn.Conv(self.width, (4, 4), 2, padding=1, use_bias=False, dtype=x.dtype, kernel_init=INIT)
+        return norm_relu(self, conv, x, train)
 
 
 class Same(nn.Module):
@@ -73,29 +36,38 @@ class Same(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        w = self.param("kernel", INIT, (3, 3, x.shape[-1], self.width)).astype(x.dtype)
-        return NormRelu(name="norm")(conv.conv_valid(conv.pad(x, 1), w, 1), train)
+        conv = nn.Conv(self.width, (3, 3), padding=1, use_bias=False, dtype=x.dtype, kernel_init=INIT)
+        return norm_relu(self, conv, x, train)
 
 
 class Up(nn.Module):
-    """4x4 transposed convolution of stride 2 from a padded array (B, H+2, W+2, C) to (2H, 2W), in layout `target`."""
+    """4x4 transposed convolution of stride 2: (B, H, W, C) -> (B, 2H, 2W, width)."""
 
     width: int
-    target: str = "padded"
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        w = self.param("kernel", INIT, (4, 4, x.shape[-1], self.width)).astype(x.dtype)
-        return NormRelu("blocks", self.target, name="norm")(conv.conv_valid(x, conv.up_kernel(w), 1), train)
+        conv = nn.ConvTranspose(self.width, (4, 4), (2, 2), use_bias=False, dtype=x.dtype, kernel_init=INIT)
+        return norm_relu(self, conv, x, train)
 
 
 class Last(nn.Module):
-    """4x4 transposed convolution of stride 2, with bias, from blocks (B, H+1, W+1, 4 C) to the image (B, 4H,
-    4W, 1), which is in float32 or wider: the bias' gradient is a sum over all pixels, more than bfloat16 can count."""
+    """4x4 transposed convolution of stride 2, with bias: (B, H, W, C) -> (B, 2H, 2W, 1), in float32 or wider: the bias' gradient is a
+    sum over all pixels, more than bfloat16 can count."""
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, 1)).astype(x.dtype)
+        conv = nn.ConvTranspose(1, (4, 4), (2, 2), use_bias=False, dtype=x.dtype, kernel_init=INIT)
+        nn.share_scope(self, conv)
         bias = self.param("bias", nn.initializers.zeros, (1,))
-        image = outermost.last(x, w, compiled=train)
-        return image.astype(jnp.promote_types(x.dtype, jnp.float32)) + bias[None, None, None]
+        image: Array = conv(x)
+        return image.astype(jnp.promote_types(x.dtype, jnp.float32)) + bias
+
+
+def norm_relu(layer: nn.Module, conv: nn.Conv | nn.ConvTranspose, x: Array, train: bool) -> Array:
+    """A layer's convolution, whose kernel is the layer's own parameter, batch normalisation and ReLU."""
+    nn.share_scope(layer, conv)
+    norm = nn.BatchNorm(
+        not train, momentum=MOMENTUM, epsilon=EPSILON, dtype=x.dtype, use_fast_variance=False, name="norm"
+    )
+    return nn.relu(norm(conv(x)))

@@ -18,8 +18,9 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxunshear.model import conv
-from jaxunshear.model.layers import INIT, Down, First, Same
+from jaxunshear.model import kernels
+from jaxunshear.model.fast import networks as fast
+from jaxunshear.model.layers import INIT, Down, Same
 from jaxunshear.settings import networks
 from jaxunshear.settings.targets import Targets
 
@@ -35,19 +36,17 @@ class Network(nn.Module):
     @nn.compact
     def __call__(self, images: Array, train: bool) -> Array:
         first, second, *rest = self.net.widths
-        x = Down(second, "plain")(First(first)(images, train), train)
-        x = _halve(x)
+        x = Down(second)(Down(first, name="First_0")(images, train), train)
+        x = nn.max_pool(x, (2, 2), (2, 2))
         x = Same(rest[1])(Same(rest[0])(x, train), train)
-        x = _halve(x)
+        x = nn.max_pool(x, (2, 2), (2, 2))
         x = Same(rest[2])(x, train)
         x = nn.relu(nn.Dense(self.net.hidden, kernel_init=INIT)(x.reshape(x.shape[0], -1)))
         return nn.sigmoid(nn.Dense(self.outputs, kernel_init=INIT)(x))
 
 
-def _halve(x: Array) -> Array:
-    """2x2 max pooling (whose windowed form has a slow gradient in XLA's CPU backend)."""
-    b, h, w, c = x.shape
-    return conv.to_blocks(x, 2).reshape(b, h // 2, w // 2, 4, c).max(3)
+def _network(net: networks.PoseNet, outputs: int) -> nn.Module:
+    return kernels.pick(Network, fast.PoseNet)(net, outputs)
 
 
 def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
@@ -55,7 +54,8 @@ def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
 
     Raises ValueError where `size` and `widths` do not fit the network."""
     check(net)
-    return dict(Network(net, outputs).init(key, jnp.zeros((1, net.size, net.size, 1)), True))
+    with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
+        return dict(_network(net, outputs).init(key, jnp.zeros((1, net.size, net.size, 1)), True))
 
 
 def check(net: networks.PoseNet) -> None:
@@ -78,8 +78,8 @@ def predict_training(net: networks.PoseNet, variables: Variables, images: Array)
     return outputs, updates["batch_stats"]
 
 
-def _of(net: networks.PoseNet, variables: Variables) -> Network:
-    return Network(net, len(variables["params"]["Dense_1"]["bias"]))
+def _of(net: networks.PoseNet, variables: Variables) -> nn.Module:
+    return _network(net, len(variables["params"]["Dense_1"]["bias"]))
 
 
 def outputs_of(targets: Targets) -> int:

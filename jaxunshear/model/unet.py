@@ -14,8 +14,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxunshear.model import conv, unshearnet
-from jaxunshear.model.layers import Down, First, Last, Up
+from jaxunshear.model import kernels, unshearnet
+from jaxunshear.model.fast import networks as fast
+from jaxunshear.model.layers import Down, Last, Up
 from jaxunshear.settings import networks
 
 Variables = dict[str, Any]
@@ -29,27 +30,25 @@ class Network(nn.Module):
     @nn.compact
     def __call__(self, images: Array, train: bool) -> Array:
         first, *widths = self.net.widths
-        arrays = [First(first)(images, train)]
+        arrays = [Down(first, name="First_0")(images, train)]
         for width in widths[:-1]:
             arrays.append(Down(width)(arrays[-1], train))
-        x = conv.pad(Down(widths[-1], "plain")(arrays[-1], train), 1)
-        for width in reversed(widths[:-1]):
-            x = jnp.concatenate([Up(width)(x, train), conv.from_blocks(arrays.pop(), 2)], -1)
-        x, skipped = Up(first, "blocks")(x, train), arrays.pop()
-        return Last()(_joined_blocks(x, skipped), train)
+        x = Down(widths[-1])(arrays[-1], train)
+        for width in reversed(self.net.widths[:-1]):
+            x = jnp.concatenate([Up(width)(x, train), arrays.pop()], -1)
+        return Last()(x, train)
 
 
-def _joined_blocks(a: Array, b: Array) -> Array:
-    """Bordered blocks (B, H, W, 4 C) and (B, H, W, 4 D) -> (B, H, W, 4 (C + D)): joined pixel by pixel."""
-    parts = [x.reshape(*x.shape[:3], 4, -1) for x in (a, b)]
-    return jnp.concatenate(parts, -1).reshape(*a.shape[:3], -1)
+def _network(net: networks.UNet) -> nn.Module:
+    return kernels.pick(Network, fast.UNet)(net)
 
 
 def init(net: networks.UNet, key: Array) -> Variables:
     """Fresh variables. Raises ValueError where `size` and `widths` do not fit each other."""
     check(net)
     side = 2 ** len(net.widths)
-    return dict(Network(net).init(key, jnp.zeros((1, side, side, 1)), True))
+    with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
+        return dict(_network(net).init(key, jnp.zeros((1, side, side, 1)), True))
 
 
 def check(net: networks.UNet) -> None:
@@ -59,12 +58,12 @@ def check(net: networks.UNet) -> None:
 
 def unshear(net: networks.UNet, variables: Variables, images: Array) -> Array:
     """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones."""
-    logits: Array = Network(net).apply(variables, images, False)  # type: ignore[assignment]
+    logits: Array = _network(net).apply(variables, images, False)  # type: ignore[assignment]
     return jax.nn.sigmoid(logits)
 
 
 def reconstruct(net: networks.UNet, variables: Variables, images: Array) -> tuple[Array, None, None, Variables]:
     """The training pass: logits of the canonical image, nothing in the places of the sheared one and of a code, new running
     statistics."""
-    canonical, updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])
+    canonical, updates = _network(net).apply(variables, images, True, mutable=["batch_stats"])
     return canonical, None, None, updates["batch_stats"]

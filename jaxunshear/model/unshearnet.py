@@ -18,8 +18,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from jaxunshear.model import conv
-from jaxunshear.model.layers import Down, First, Last, Same, Up
+from jaxunshear.model import kernels
+from jaxunshear.model.fast import layers as fast_layers
+from jaxunshear.model.fast import networks as fast
+from jaxunshear.model.layers import Down, Last, Same, Up
 from jaxunshear.model.parts import check_sheared, holds
 from jaxunshear.settings.networks import UnshearNet
 
@@ -33,10 +35,10 @@ class Encoder(nn.Module):
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
-        x = First(self.widths[0])(x, train)
-        for width in self.widths[1:-1]:
+        x = Down(self.widths[0], name="First_0")(x, train)
+        for width in self.widths[1:]:
             x = Down(width)(x, train)
-        return Down(self.widths[-1], "plain")(x, train)
+        return x
 
 
 class Decoder(nn.Module):
@@ -46,10 +48,9 @@ class Decoder(nn.Module):
 
     @nn.compact
     def __call__(self, z: Array, train: bool) -> Array:
-        x = conv.pad(z, 1)
-        for width in reversed(self.widths[1:-1]):
-            x = Up(width)(x, train)
-        return Last()(Up(self.widths[0], "blocks")(x, train), train)
+        for width in reversed(self.widths[:-1]):
+            z = Up(width)(z, train)
+        return Last()(z, train)
 
 
 class Network(nn.Module):
@@ -59,11 +60,13 @@ class Network(nn.Module):
 
     def setup(self) -> None:
         net = self.net
-        self.E, self.DC = Encoder(net.widths), Decoder(net.widths)
+        encoder, decoder = kernels.pick(Encoder, fast.Encoder), kernels.pick(Decoder, fast.Decoder)
+        same = kernels.pick(Same, fast_layers.Same)
+        self.E, self.DC = encoder(net.widths), decoder(net.widths)
         if net.disentangled:
-            self.pose = Same(net.pose_channels)
+            self.pose = same(net.pose_channels)
             if net.shear_channels:
-                self.shear, self.DS = Same(net.shear_channels), Decoder(net.widths)
+                self.shear, self.DS = same(net.shear_channels), decoder(net.widths)
 
     def encode_pose(self, images: Array, train: bool) -> Array:
         z = self.E(images, train)
@@ -93,7 +96,8 @@ def init(net: UnshearNet, key: Array) -> Variables:
     """Fresh variables. Raises ValueError where `size` and `widths` do not fit each other."""
     check(net)
     side = 2 ** len(net.widths)  # the variables' shapes do not depend on the image's size
-    return dict(Network(net).init(key, jnp.zeros((1, side, side, 1)), True))
+    with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
+        return dict(Network(net).init(key, jnp.zeros((1, side, side, 1)), True))
 
 
 def check(net: UnshearNet) -> None:

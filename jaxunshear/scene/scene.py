@@ -35,7 +35,7 @@ class Scenes:
 
 def draw_poses(
     generator: np.random.Generator, count: int, lateral_mm: float, yaw_deg: float, depth_mm: tuple[float, float]
-):
+) -> np.ndarray:
     """Uniform poses (count, 4) as in section 3.2 of the paper."""
     if count < 1:
         raise UserError(f"poses = {count}: draw at least one")
@@ -89,7 +89,7 @@ def edge_teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
     """A function that gives the same two labels (B, 2) of points (B, 3), x y mm and yaw deg; NaN where they are."""
 
     @jax.jit
-    def both(xy):
+    def both(xy: jax.Array) -> tuple[jax.Array, jax.Array]:
         return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
 
     def report(point: np.ndarray) -> np.ndarray:

@@ -24,8 +24,8 @@ class Ranges:
 
     lateral_mm: float = 5.0  # x and y within +- this
     yaw_deg: float = 45.0  # the text's "[-45, -45]" read as +-45
-    depth_min_mm: float = 1.0
-    depth_max_mm: float = 6.0
+    depth_min_mm: float = 1.0  # indentation depth from this
+    depth_max_mm: float = 6.0  # to this
     move_mm: float = 2.5  # slide offset within +- this, along x or y or both, as chance has it
     twist_deg: float = 0.0  # a slide turns within +- this while it moves, and ends at the pose's yaw
     tilt_deg: float = 0.0  # the sensor leans by up to this, any way: the same from first touch to the slide's end
@@ -56,13 +56,13 @@ class PairedData:
     """`tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
 
     config: str = "demo"  # name of the stored configuration; changed fields get a name of their own
-    stimuli: tuple[StimulusName, ...] = ("disk", "clover", "teardrop")
+    stimuli: tuple[StimulusName, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
     poses: int = 600  # per stimulus
-    taps: int = 1
-    slides: int = 2
+    taps: int = 1  # canonical images a pose
+    slides: int = 2  # sheared images a pose
     poses_a_slide: int = 1  # so many poses of a split share their slides (`dataset/factorial.py`)
-    tap_depth_jitter_mm: float = 0.0  # the paper: 1.0
-    seed: int = 0
+    tap_depth_jitter_mm: float = 0.0  # a tap misses its slide's depth by up to this (the paper: 1.0)
+    seed: int = 0  # of poses and slides
     friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
@@ -87,10 +87,10 @@ class PoseData:
     """`tactip_pose`: taps at poses of their own, drawn separately (paper section 3.2.2)."""
 
     config: str = "demo"
-    stimuli: tuple[StimulusName, ...] = ("disk", "clover", "teardrop")
+    stimuli: tuple[StimulusName, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
     poses: int = 2400  # per stimulus
-    seed: int = 1
-    friction: float | None = None  # as in `PairedData`
+    seed: int = 1  # of the poses: another than the pairs'
+    friction: float | None = None  # of all stimuli; None: that of each one's material
     ranges: Ranges = field(default_factory=Ranges)
     camera: Camera = field(default_factory=Camera)
     nuisance: Nuisance = DRIFTING
@@ -132,7 +132,7 @@ class Recorded:
     """
 
     tap_folder: str = ""  # none: there are no taps
-    slide_folder: str = ""
+    slide_folder: str = ""  # may be the same: labels say which is which
     digest: str = ""  # of what lies there; found when the recordings are named
     pairs: str = ""  # table of pairs, columns slide and tap, for pairing "file"
     # a slide's partner: "rendered", what a renderer, learnt from taps, draws at its pose; "nearest"; "pose_id"; "file"; or "simulated":
@@ -142,8 +142,8 @@ class Recorded:
     # training slides without a label; "read": posenet_sheared reads their poses
     unlabelled: Literal["left_out", "read"] = "left_out"
     test: float = 0.1  # share of the poses kept out, where no folder is
-    validation: float = 0.1
-    seed: int = 0
+    validation: float = 0.1  # likewise, for the choice of the best state
+    seed: int = 0  # of that draw
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     def rules(self) -> Iterator[Rule]:

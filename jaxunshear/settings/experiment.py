@@ -58,15 +58,15 @@ PINS = Training(
 class Experiment:
     """One run: `jaxunshear run FILE` reads the variable `experiment` of FILE. Results go to runs/<name>/."""
 
-    name: str
-    claim: str
-    seed: int = 0
+    name: str  # of the folder of its results
+    claim: str  # what it is to show
+    seed: int = 0  # of weights and batches
     networks: tuple[Network, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
     unseen: tuple[StimulusName, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
     other_jitters_mm: tuple[float, ...] = ()  # tests of their own, with taps that miss the slide's depth by up to this
     other_twists_deg: tuple[float, ...] = ()  # with slides that twist by up to this
     other_tilts_deg: tuple[float, ...] = ()  # with sensors that lean by up to this
-    sensor: Sensor = TACTIP_331
+    sensor: Sensor = TACTIP_331  # by name, see `jaxunshear sensors`
     targets: tuple[str, ...] = ()  # of a pose, as targets.py writes them; none: all usual ones that the data vary
     paired: PairedData | Recorded = field(default_factory=PairedData)
     pose: PoseData | RecordedTaps = field(default_factory=PoseData)

@@ -18,12 +18,11 @@ class Camera:
     a far pinhole does it without a lens model.
     """
 
-    frame_px: int = 256
-    mm_across: float = 33.5
+    frame_px: int = 256  # side of the frame
+    mm_across: float = 33.5  # that fill the frame, at the height of the undeformed apex pin
     distance_mm: float = 200.0  # pinhole above the undeformed apex
-    housing: float = (
-        1.22  # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
-    )
+    # radius of the dark disc within the lit housing over that of the outermost pins, in raw frames
+    housing: float = 1.22
 
     def rules(self) -> Iterator[Rule]:
         yield SMALLEST_PX <= self.frame_px <= LARGEST_PX, "frame_px", f"use {SMALLEST_PX} to {LARGEST_PX}"
@@ -41,7 +40,7 @@ FITTED_CAMERA = Camera(
 class Nuisance:
     """What a real frame has beside its pins; zero switches a term off. Grey levels are fractions of full scale."""
 
-    housing_ring: bool = True
+    housing_ring: bool = True  # the lit housing around the dome
     specks: int = 6  # mean number in a frame
     blur_px: float = 0.6  # standard deviation, frame pixels
     noise: float = 0.02  # standard deviation of each pixel
@@ -63,9 +62,8 @@ class Preprocess:
     block: float = 0.15  # side of the local mean's window, as a fraction of `size` (made odd)
     offset: float = 0.08  # a pixel is white if it exceeds the local mean by this fraction of full scale
     mask_radius: float = 0.48  # of the circular mask, as a fraction of `size`
-    outer_pins: float = (
-        0.375  # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
-    )
+    # automatic crop: distance of the outermost pins from the centre over `size`, as in `Camera`
+    outer_pins: float = 0.375
 
     def rules(self) -> Iterator[Rule]:
         yield SMALLEST_PX <= self.size <= LARGEST_PX, "size", f"use {SMALLEST_PX} to {LARGEST_PX} px"

@@ -17,11 +17,11 @@ class UnshearNet:
     more than their spacing.
     """
 
-    size: int = 128
-    widths: tuple[int, ...] = (32, 64, 64, 128, 256)
+    size: int = 128  # of the images, px
+    widths: tuple[int, ...] = (32, 64, 64, 128, 256)  # channels a stride-2 convolution
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
-    disentangled: bool = True
+    disentangled: bool = True  # of a network built from these settings; experiments leave it
     input: Literal["images", "pins"] = "images"  # "pins": networks over pins (`PinNet`) in the place of all of these
 
     def rules(self) -> Iterator[Rule]:
@@ -53,9 +53,9 @@ class UNet:
 class PoseNet:
     """Five convolutions, max pooling after the 2nd and 4th, two dense layers, sigmoid output (paper appendix A)."""
 
-    size: int = 128
-    widths: tuple[int, ...] = (16, 32, 64, 96, 128)
-    hidden: int = 128
+    size: int = 128  # of the images, px
+    widths: tuple[int, ...] = (16, 32, 64, 96, 128)  # channels a convolution
+    hidden: int = 128  # units of the dense layer before the last
 
     def rules(self) -> Iterator[Rule]:
         yield len(self.widths) == 5, "widths", "list five: PoseNet has five convolutions"
@@ -68,8 +68,8 @@ class PoseNet:
 class PinNet:
     """Networks over pins: dense layers over the motions of all pins."""
 
-    hidden: int = 256
-    layers: int = 3
+    hidden: int = 256  # units a dense layer
+    layers: int = 3  # dense layers
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
     # share of the examples that are turned about the sensor's axis: of recorded ones posenet_sheared's; of simulated ones all networks',
     # and these are dragged further or less, and seen by another camera, too

@@ -20,18 +20,18 @@ class Sensor:
     are those of Tango Black+ (Shore A 27, about 1 MPa) and a soft silicone gel; only their ratio moves a pin.
     """
 
-    name: str = "tactip331"
+    name: str = "tactip331"  # as which it is listed
     layout: Literal["rings", "hexagonal"] = "rings"  # 1 + 6 + 12 + ... pins; or a triangular lattice cut to a hexagon
-    rings: int = 10
+    rings: int = 10  # of pins, around the one at the apex
     pin_spacing_mm: float = 1.5  # between neighbouring rings, along the dome
-    pin_radius_mm: float = 0.45
+    pin_radius_mm: float = 0.45  # of a white tip
     pin_length_mm: float = 1.0  # from the skin's inner face to the white tip
-    dome_radius_mm: float = 20.0
-    skin_mm: float = 1.0
-    skin_modulus_mpa: float = 1.0
-    gel_modulus_mpa: float = 0.1
-    skin_poisson: float = 0.49
-    gel_poisson: float = 0.49
+    dome_radius_mm: float = 20.0  # outside
+    skin_mm: float = 1.0  # thickness
+    skin_modulus_mpa: float = 1.0  # Young's
+    gel_modulus_mpa: float = 0.1  # Young's
+    skin_poisson: float = 0.49  # ratio; 0.5 would be incompressible
+    gel_poisson: float = 0.49  # likewise
 
     @property
     def pins(self) -> int:

@@ -16,35 +16,32 @@ WEIGHTS = (  # of losses and of penalties
 class Training:
     """Losses, optimiser and schedule of one network (paper section 3.3, appendix B)."""
 
-    epochs: float = 6.0
-    batch: int = 16
+    epochs: float = 6.0  # times through the training examples
+    batch: int = 16  # examples a step
     # "adam": the paper's; "muon" takes the same learning rates and gets further with each image
     optimiser: Literal["adam", "muon"] = "adam"
-    learning_rate: float = 1e-3
+    learning_rate: float = 1e-3  # at the start
     schedule: Literal["cosine", "steps"] = "cosine"  # "cosine": to zero over the run; "steps": factors of `drops`
     drops: tuple[tuple[float, float], ...] = ()  # (epoch, factor on the first learning rate)
     beta1: float = 0.5  # of Adam, which with "muon" trains the first and last layers, biases and normalisation
-    beta2: float = 0.999
-    l1: float = 0.0  # of |w| and w^2 of convolution and dense kernels, as `kernels` says, added up over all of them
-    l2: float = 0.0
-    kernels: Literal["sum", "mean"] = (
-        "sum"  # over a kernel's weights, as Keras does; or their "mean", which no kernel's size changes
-    )
+    beta2: float = 0.999  # of Adam
+    l1: float = 0.0  # weight of |w| of convolution and dense kernels, as `kernels` says, added up over all of them
+    l2: float = 0.0  # weight of w^2, likewise
+    # "sum": over a kernel's weights, as Keras does; "mean": which no kernel's size changes
+    kernels: Literal["sum", "mean"] = "sum"
     patch_weight: float = 0.1  # lambda: L2 to L1-patch loss is 10:1
-    crops: int = 100
-    crop_px: int = 20
-    reconstruction_weight: float = 1.0
-    # of codes that do not leak, over pins: that the pose code of one slide with the shear code of another draws the contact of just that
-    # pose and slide, where poses share slides (`paired.poses_a_slide`); that equal poses, a slide's and its tap's too, and equal slides
-    # have equal codes
+    crops: int = 100  # random crops an image, of the patch loss
+    crop_px: int = 20  # their side
+    reconstruction_weight: float = 1.0  # of L_rec: DS draws the sheared image again
+    # over pins: the pose code of one slide with the shear code of another draws the contact of just that pose and slide, where poses
+    # share slides (`paired.poses_a_slide`)
     swap_weight: float = 0.0
+    # over pins: equal poses have equal codes, of slide and tap alike, and so have equal slides
     agreement_weight: float = 0.0
-    # of fewer pairs: the share of the simulated training poses, drawn by seed, whose slides have their tap, the other slides being left
-    # out; over pins, that taps without a slide, those that PoseNet learns from, come out as they went in; that two slides to one pose,
-    # whether they have a tap or not, are unsheared alike
+    # share of the simulated training poses, drawn by seed, whose slides have their tap; the other slides are left out
     paired_share: float = 1.0
-    tap_weight: float = 0.0
-    alike_weight: float = 0.0
+    tap_weight: float = 0.0  # over pins: taps without a slide, those that PoseNet learns from, come out as they went in
+    alike_weight: float = 0.0  # over pins: two slides to one pose, whether they have a tap or not, are unsheared alike
     pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
     pose_target: Literal["tap", "label"] = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
     label_weight: float = 0.0  # of the pose that a head reads off z_p, against the true one; 0 builds no head

@@ -20,7 +20,8 @@ from jaxunshear.storage import BROKEN_NPZ, os_error, write_bytes, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.engines import Engine, serial
 from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
-from jaxunshear.sweep.summary import Measured, summarise
+from jaxunshear.sweep.scores import Measured
+from jaxunshear.sweep.summary import summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, read_outcome
 
 SCORES = "scores.npz"  # of the evaluation, beside scores-<test>.npz

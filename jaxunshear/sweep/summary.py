@@ -1,7 +1,7 @@
 """From the rows of a sweep to one figure a cell, its interval, and its difference from a reference: pure functions."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,32 +13,11 @@ from jaxunshear.settings.stored import to_json
 from jaxunshear.settings.sweep import Sweep, base_of, names_of
 from jaxunshear.sweep.bootstrap import interval, resampled, spread_of
 from jaxunshear.sweep.rows import Cell, axis_values, name_of
+from jaxunshear.sweep.scores import Measured, called, metric_of, names_in, poses_of, same_contacts, shapes_of, stacked
 
 TABLES = ("pin_error", "half_width", "coverage")  # of a run's results: figures that are no means over contacts
-# of the paired data: names, how contacts appear, what is made of recorded ones
-NOT_CONTACTS = (
-    "config",
-    "camera",
-    "nuisance",
-    "preprocess",
-    "pairing",
-    "pairs",
-    "labelled",
-    "tap_folder",
-    "slide_folder",
-)
 TAPS = "taps"  # the test of recorded taps, which are no pairs of the slides
 COSTS = ("train_seconds", "images_per_second", "ms_per_image", "wall_seconds", "peak_memory_bytes", "device", "host")
-
-
-class Measured(NamedTuple):
-    """A row that has ended: its outcome, and the scores of every test contact where it did not fail.
-
-    `tests` is by test, "" for the main one: arrays (N,) by the names of the scores, which have a slash; `stimulus` and `pose_id`.
-    """
-
-    outcome: dict[str, Any]
-    tests: Mapping[str, Mapping[str, np.ndarray]]
 
 
 def summarise(
@@ -94,7 +73,7 @@ def _cell(
         "point": cell.point,
         "settings": {name: text for fields, value in cell.changes for name, text in _settings(fields, value)},
         "seeds": list(rows),
-        "metric": _metric(rows),
+        "metric": metric_of(rows),
         "metrics": metrics(rows),
         "difference": differences(rows, other) if cell.label != reference else {},
         "ablation": ablation(rows),
@@ -116,13 +95,11 @@ def metrics(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
     Those of further tests are called `<test>: <metric>`, likeness on one shape `<shape>: ms_ssim/<kind>`.
     """
     found = {}
-    for test, name in _names(rows):
-        values, poses = _stacked(rows, test, name), _poses(rows, test)
-        found[_called(test, name)] = _figure(rows, values, poses)
-        for shape, inside in _shapes(rows, test).items() if name.startswith("ms_ssim/") else ():
-            found[_called(f"{test}, {shape}" if test else shape, name)] = _figure(
-                rows, values[:, inside], poses[inside]
-            )
+    for test, name in names_in(rows):
+        values, poses = stacked(rows, test, name), poses_of(rows, test)
+        found[called(test, name)] = _figure(rows, values, poses)
+        for shape, inside in shapes_of(rows, test).items() if name.startswith("ms_ssim/") else ():
+            found[called(f"{test}, {shape}" if test else shape, name)] = _figure(rows, values[:, inside], poses[inside])
     found |= recoveries(rows)
     plain = {
         seed: _flat({table: row.outcome["results"].get(table, {}) for table in TABLES}) for seed, row in rows.items()
@@ -146,7 +123,7 @@ def recoveries(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
     Left out where the slide does no damage; without an interval where it does none in some of the resamples.
     """
     found: dict[str, dict[str, Any]] = {}
-    names = _names(rows)
+    names = names_in(rows)
     for test, name in names:
         table, kind, *quantity = name.split("/")
         if table != "pose" or kind in ("tap", "sheared"):
@@ -156,15 +133,15 @@ def recoveries(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
         if of_taps is None or (test, sheared) not in names:
             continue
         errors = [
-            (_stacked(rows, where, each), _poses(rows, where))
+            (stacked(rows, where, each), poses_of(rows, where))
             for where, each in ((of_taps, tap), (test, sheared), (test, name))
         ]
         own = f"pose_recovery/{kind}/{'/'.join(quantity)}"
         figure = _recovery(list(rows), errors)
-        found |= {_called(test, own): figure} if figure else {}
-        for shape, inside in _shapes(rows, test).items() if of_taps == test else ():
+        found |= {called(test, own): figure} if figure else {}
+        for shape, inside in shapes_of(rows, test).items() if of_taps == test else ():
             figure = _recovery(list(rows), [(values[:, inside], poses[inside]) for values, poses in errors])
-            found |= {_called(f"{test}, {shape}" if test else shape, own): figure} if figure else {}
+            found |= {called(f"{test}, {shape}" if test else shape, own): figure} if figure else {}
     return found
 
 
@@ -194,15 +171,15 @@ def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> 
     common = [seed for seed in rows if seed in other]
     rows, other = ({seed: cell[seed] for seed in common} for cell in (rows, other))
     found = {}
-    one_size = all(_metric(rows).get(name) == _metric(other).get(name) for name in ("ms_ssim", "image_px"))
-    for test, name in _names(rows):
+    one_size = all(metric_of(rows).get(name) == metric_of(other).get(name) for name in ("ms_ssim", "image_px"))
+    for test, name in names_in(rows):
         if ("ms_ssim" in name or name.startswith("swap/")) and not one_size:
             continue
-        if (test, name) in _names(other) and _same_contacts(rows, other, test):
-            values = _stacked(rows, test, name) - _stacked(other, test, name)
-            found[_called(test, name)] = {
+        if (test, name) in names_in(other) and same_contacts(rows, other, test):
+            values = stacked(rows, test, name) - stacked(other, test, name)
+            found[called(test, name)] = {
                 "mean": float(values.mean()),
-                "interval": interval(values, _poses(rows, test)),
+                "interval": interval(values, poses_of(rows, test)),
             }
     return found
 
@@ -251,60 +228,3 @@ def _flat(tree: Any, prefix: str = "") -> dict[str, float]:
 
 def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _names(rows: Mapping[int, Measured]) -> list[tuple[str, str]]:
-    """Tests and names of their scores, those that every row has: one measured by an earlier version may lack some."""
-    first, *others = [row.tests for row in rows.values()] or [{}]
-    return [
-        (test, name)
-        for test, scores in first.items()
-        for name in scores
-        if "/" in name and all(name in tests.get(test, {}) for tests in others)
-    ]
-
-
-def _metric(rows: Mapping[int, Measured]) -> dict[str, Any]:
-    """What exactly the evaluation calls MS-SSIM, and other such notes."""
-    return next(iter(rows.values())).outcome["results"]["metric"] if rows else {}
-
-
-def _called(test: str, name: str) -> str:
-    return f"{test}: {name}" if test else name
-
-
-def _stacked(rows: Mapping[int, Measured], test: str, name: str) -> np.ndarray:
-    """(seeds, N)"""
-    return np.stack([np.asarray(row.tests[test][name], np.float64) for row in rows.values()])
-
-
-def _shapes(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
-    """Which contacts (N,) of a test are with which shape."""
-    first = next(iter(rows.values()))
-    results = first.outcome["results"]
-    own = results["tests"].get(test, {}) if test else results["settings"]["paired"]
-    names = own.get("stimuli", ())  # of recordings none is known
-    stimulus = np.asarray(first.tests[test]["stimulus"])
-    return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
-
-
-def _same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], test: str) -> bool:
-    """Whether both were drawn from the same settings, and none was lost that the other has."""
-    return _drawn_from(rows, test) == _drawn_from(other, test) and np.array_equal(
-        _poses(rows, test), _poses(other, test)
-    )
-
-
-def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, Any]:
-    """The settings that decide the contacts of a test."""
-    results = next(iter(rows.values())).outcome["results"]
-    settings, own = results["settings"], results["tests"].get(test, {}) if test else {}
-    paired = {name: own.get(name, value) for name, value in settings["paired"].items() if name not in NOT_CONTACTS}
-    return paired | {"sensor": settings["sensor"]}
-
-
-def _poses(rows: Mapping[int, Measured], test: str) -> np.ndarray:
-    """(N,) which pose of which stimulus a contact belongs to."""
-    labels = next(iter(rows.values())).tests[test]
-    pairs = np.stack([labels["stimulus"], labels["pose_id"]], axis=1).astype(np.int64)
-    return pairs[:, 0] * (pairs[:, 1].max() + 1) + pairs[:, 1]

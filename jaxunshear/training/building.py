@@ -9,6 +9,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from jax import Array
 
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
@@ -44,7 +45,7 @@ from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.drawing import drawing_of
 from jaxunshear.training.examples import Examples, spread_of
 from jaxunshear.training.origin import check_origin
-from jaxunshear.training.tasks import Task
+from jaxunshear.training.tasks import Batch, Task, Tree
 from jaxunshear.training.turning import Turns, sense_of, turns_of
 
 
@@ -94,7 +95,7 @@ def _drawn(task: Task, examples: Examples, share: float) -> Task:
     """The same task on simulated pins that are drawn as another sensor would show them."""
     draw = drawing_of(examples.pins.rest, share)
 
-    def terms(variables, batch, key):
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         return task.terms(variables, draw(batch, jax.random.fold_in(key, 2)), key)
 
     return dataclasses.replace(task, terms=terms)

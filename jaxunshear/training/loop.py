@@ -15,16 +15,18 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+import optax
 from jax import Array
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.metrics.machine import machine
+from jaxunshear.model import kernels
 from jaxunshear.progress import Progress
 from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
@@ -32,7 +34,7 @@ from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
 from jaxunshear.training.start import Start, started
-from jaxunshear.training.step import fresh, make_step, optimiser_of
+from jaxunshear.training.step import State, fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Batch, Task, Tree
 
 Batches = Callable[[int], Iterator[Batch]]
@@ -56,6 +58,26 @@ class Summary:
 
 
 SUMMED = tuple(each.name for each in dataclasses.fields(Summary) if each.name != "trained_on")
+
+
+class _Length(NamedTuple):
+    """Of a training."""
+
+    steps: int
+    steps_per_epoch: float
+    batch: int  # images in a step
+
+
+@dataclass
+class _Reached:
+    """How far a training has come: what a checkpoint keeps beside its state."""
+
+    step: int = 0
+    history: list[dict[str, Any]] = field(default_factory=list)  # a line a checkpoint
+    best_step: int = 0
+    best_loss: float = math.inf
+    seconds: float = 0.0
+    compile_seconds: float = 0.0
 
 
 def train(
@@ -87,80 +109,117 @@ def train(
     if (folder / checkpoint.SUMMARY).exists():
         return _summary(folder / checkpoint.SUMMARY)
     keep_freed_memory()
-    batch_size, steps_per_epoch = training.batch, epoch_images / training.batch
-    steps = max(1, round(training.epochs * steps_per_epoch))
-    optimiser = optimiser_of(training, steps, steps_per_epoch)
+    steps_per_epoch = epoch_images / training.batch
+    length = _Length(max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch)
+    optimiser = optimiser_of(training, length.steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
+    state, reached = _restored(folder, _first_state(task, optimiser, key_init, start), task.rank)
+    _write_log(folder, reached.history)
+    step = make_step(task, training, optimiser, key_steps)
+    state = _run(step, state, reached, length, task, training, batches, validation, folder)
+    parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
+    return _ended(task, parameters, reached, length, folder)
 
-    def first(key, given):
+
+def _first_state(task: Task, optimiser: optax.GradientTransformation, key: Array, start: Start | None) -> State:
+    """Before the first step."""
+
+    def first(key: Array, given: Tree) -> State:
         variables = task.init(key)
         return fresh(started(variables, given) if start else variables, optimiser)
 
-    state = jax.jit(first, compiler_options=run_once())(key_init, start.variables if start else None)
-    history: list[dict[str, Any]] = []
-    best_step, best_loss, seconds, compile_seconds = 0, math.inf, 0.0, 0.0
-    reached = checkpoint.latest(folder) or 0
-    if reached:
-        state, record = checkpoint.restore(folder, reached, state)
-        history, best_step, seconds = record["history"], record["best_step"], record["train_seconds"]
-        compile_seconds = record["compile_seconds"]
-        best_loss = min(_ranked(line["validation"][task.rank]) for line in history)
-    _write_log(folder, history)
+    return jax.jit(first, compiler_options=run_once())(key, start.variables if start else None)
 
-    stream = iter(batches(reached))
+
+def _restored(folder: Path, state: State, rank: str) -> tuple[State, _Reached]:
+    """The latest checkpoint's; where there is none, `state` as it is and nothing reached."""
+    step = checkpoint.latest(folder)
+    if not step:
+        return state, _Reached()
+    state, record = checkpoint.restore(folder, step, state)
+    history, best_step = record["history"], record["best_step"]
+    best_loss = min(_ranked(line["validation"][rank]) for line in history)
+    return state, _Reached(step, history, best_step, best_loss, record["train_seconds"], record["compile_seconds"])
+
+
+def _run(
+    step: Callable[[State, Batch], tuple[State, dict[str, Array]]],
+    state: State,
+    reached: _Reached,
+    length: _Length,
+    task: Task,
+    training: Training,
+    batches: Batches,
+    validation: Validation,
+    folder: Path,
+) -> State:
+    """All steps that are left, with their checkpoints. Returns the last state; `reached` goes along."""
+    stream = iter(batches(reached.step))
     batch = jax.device_put(next(stream))
     began = time.perf_counter()
-    step = jax.jit(make_step(task, training, optimiser, key_steps), donate_argnums=0).lower(state, batch).compile()
+    compiled = jax.jit(step, donate_argnums=0).lower(state, batch).compile()
     validate, measure = jax.jit(task.validate), jax.jit(kernel_sizes)
-    compile_seconds += time.perf_counter() - began
+    reached.compile_seconds += time.perf_counter() - began
 
-    with Progress(f"train {folder.name}", steps * batch_size, done=reached * batch_size) as progress:
+    with Progress(f"train {folder.name}", length.steps * length.batch, done=reached.step * length.batch) as progress:
         began = time.perf_counter()
         waiting: list[tuple[int, dict[str, Array], Batch]] = []
-        for done in range(reached + 1, steps + 1):
-            state, metrics = step(state, batch)
+        for done in range(reached.step + 1, length.steps + 1):
+            state, metrics = compiled(state, batch)
             waiting.append((done, metrics, batch))
-            if done < steps:
+            if done < length.steps:
                 batch = jax.device_put(next(stream))  # read while the step runs
-            at_checkpoint = done % training.validate_every == 0 or done == steps
+            at_checkpoint = done % training.validate_every == 0 or done == length.steps
             while len(waiting) > (0 if at_checkpoint else 1):
                 ready = waiting.pop(0)
                 last = check_terms(*ready, folder)
-            progress.advance(batch_size)
+            progress.advance(length.batch)
             if not at_checkpoint:
                 continue
-            seconds += time.perf_counter() - began
+            reached.step, reached.seconds = done, reached.seconds + time.perf_counter() - began
             check_state(state, done, ready[2], folder)
             scores = _mean_terms(validate, state.average, validation())
-            if best_step == 0 or _ranked(scores[task.rank]) < best_loss:
-                best_step, best_loss = done, _ranked(scores[task.rank])
-            counts = {
-                "step": done,
-                "epoch": done / steps_per_epoch,
-                "images": done * batch_size,
-                "train_seconds": seconds,
-            }
             sizes = {name: float(size) for name, size in measure(state.params).items()}
-            history.append(counts | {"train": last, "validation": scores, "kernels": sizes})
-            times = {"train_seconds": seconds, "compile_seconds": compile_seconds}
-            checkpoint.save(folder, done, state, {"history": history, "best_step": best_step} | times)
-            _write_log(folder, history)
+            _keep(state, reached, length, {"train": last, "validation": scores, "kernels": sizes}, task.rank, folder)
             began = time.perf_counter()
+    return state
 
-    if math.isinf(best_loss):
+
+def _keep(state: State, reached: _Reached, length: _Length, scores: dict[str, Any], rank: str, folder: Path) -> None:
+    """A line of the history and a checkpoint that holds it."""
+    loss = _ranked(scores["validation"][rank])
+    if reached.best_step == 0 or loss < reached.best_loss:
+        reached.best_step, reached.best_loss = reached.step, loss
+    counts = {
+        "step": reached.step,
+        "epoch": reached.step / length.steps_per_epoch,
+        "images": reached.step * length.batch,
+        "train_seconds": reached.seconds,
+    }
+    reached.history.append(counts | scores)
+    times = {"train_seconds": reached.seconds, "compile_seconds": reached.compile_seconds}
+    record = {"history": reached.history, "best_step": reached.best_step} | times
+    checkpoint.save(folder, reached.step, state, record)
+    _write_log(folder, reached.history)
+
+
+def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, folder: Path) -> Summary:
+    """Raises UserError where no validation loss was finite."""
+    if math.isinf(reached.best_loss):
         hint = "check for broken data in the validation split, or lower learning_rate, and train in another folder"
         raise UserError(f"training {folder}: its validation loss ({task.rank}) was never finite; {hint}")
+    images = length.steps * length.batch
     summary = Summary(
         kind=task.kind,
-        steps=steps,
-        images=steps * batch_size,
-        parameters=sum(leaf.size for leaf in jax.tree.leaves(state.params)),
-        best_step=best_step,
-        best_loss=best_loss,
-        train_seconds=seconds,
-        compile_seconds=compile_seconds,
-        images_per_second=steps * batch_size / seconds,
-        trained_on=machine(),
+        steps=length.steps,
+        images=images,
+        parameters=parameters,
+        best_step=reached.best_step,
+        best_loss=reached.best_loss,
+        train_seconds=reached.seconds,
+        compile_seconds=reached.compile_seconds,
+        images_per_second=images / reached.seconds,
+        trained_on=machine() | {"kernels": kernels.described()},
     )
     storage.write_json(folder / checkpoint.SUMMARY, asdict(summary))
     return summary
@@ -172,7 +231,9 @@ def run_once() -> dict[str, int] | None:
     return {"xla_backend_optimization_level": 1} if jax.default_backend() == "cpu" else None
 
 
-def _mean_terms(validate, variables: Tree, batches: Iterator[Batch]) -> dict[str, float | None]:
+def _mean_terms(
+    validate: Callable[[Tree, Batch], dict[str, Array]], variables: Tree, batches: Iterator[Batch]
+) -> dict[str, float | None]:
     """Means over all validation examples, None where one is not finite (JSON has no NaN).
 
     A smaller last batch is filled up, so that nothing is compiled twice.

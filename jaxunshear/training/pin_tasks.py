@@ -20,7 +20,7 @@ from jaxunshear.settings.targets import Targets
 from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
-from jaxunshear.training.tasks import Task, pose_error_terms, weighed
+from jaxunshear.training.tasks import Batch, Task, Tree, pose_error_terms, weighed
 from jaxunshear.training.turning import ANGLES, Turns, turned, turned_outputs
 
 
@@ -43,16 +43,10 @@ def pin_unshear_task(
     if training.pose_weight and teacher is None:
         raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
 
-    def watched(canonical, batch):
-        if not training.pose_weight or teacher is None:
-            return {}
-        by_label = training.pose_target == "label"
-        wanted = posenet.pose_targets(batch, targets) if by_label else teacher(batch["canonical_pins"])
-        return {"pose": losses.absolute_pose(teacher(canonical), wanted, posenet.output_weights(targets))}
-
-    def named_of(variables, batch, found):
+    def named_of(variables: Tree, batch: Batch, found: pinnets.Decoded) -> dict[str, Array]:
         named = {"supervised": pinnets.distance(found.canonical, batch["canonical_pins"], variables)}
-        named |= watched(found.canonical, batch)
+        if training.pose_weight and teacher is not None:
+            named["pose"] = _watched(teacher, targets, training.pose_target, found.canonical, batch)
         if found.sheared is not None:
             named["reconstruction"] = pinnets.distance(found.sheared, batch["sheared_pins"], variables)
         if found.exchanged is not None:
@@ -61,15 +55,15 @@ def pin_unshear_task(
             named["agreement"] = found.disagreement
         return weighed(named, batch)
 
-    def decoded(variables, batch, key=None):
+    def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> pinnets.Decoded:
         tap = batch["canonical_pins"] if training.agreement_weight and net.shear_code else None
         partners = batch.get(SWAPPED, tap), batch.get(OTHER)
         return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, *partners)
 
-    def unsheared(variables, pins, key, number):
+    def unsheared(variables: Tree, pins: Array, key: Array, number: int) -> Array:
         return pinnets.unshear(net, variables, pinnets.spoilt(net, pins, jax.random.fold_in(key, number)))
 
-    def terms(variables, batch, key):
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         named = named_of(variables, batch, decoded(variables, batch, key))
         if TAPS in batch:
             named["tap"] = pinnets.distance(unsheared(variables, batch[TAPS], key, 2), batch[TAPS], variables)
@@ -78,7 +72,7 @@ def pin_unshear_task(
             named["alike"] = pinnets.distance(one, another, variables)
         return named, variables["batch_stats"]
 
-    def validate(variables, batch):
+    def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         return named_of(variables, batch, decoded(variables, batch))
 
     weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight, "pose": training.pose_weight}
@@ -86,6 +80,13 @@ def pin_unshear_task(
     weights |= {"tap": training.tap_weight, "alike": training.alike_weight}
     init = partial(pinnets.init, net, rest, spread)
     return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised")
+
+
+def _watched(teacher: Callable[[Array], Array], targets: Targets, target: str, canonical: Array, batch: Batch) -> Array:
+    """How far the pose that `teacher` reads off unsheared pins (B, P, 2) lies from the one it reads off the partner (B,).
+    With `target` "label", from the true one."""
+    wanted = posenet.pose_targets(batch, targets) if target == "label" else teacher(batch["canonical_pins"])
+    return losses.absolute_pose(teacher(canonical), wanted, posenet.output_weights(targets))
 
 
 def pin_posenet_task(
@@ -104,7 +105,7 @@ def pin_posenet_task(
     """
     weights = posenet.output_weights(targets)
 
-    def terms(variables, batch, key):
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         pins, wanted, angle = (
             pinnets.spoilt(net, batch["pins"], key),
             posenet.pose_targets(batch, targets),
@@ -121,7 +122,7 @@ def pin_posenet_task(
             named["rendered"] = losses.absolute_pose(pinnets.predict(net, variables, rendered), drawn, weights)
         return named, variables["batch_stats"]
 
-    def validate(variables, batch):
+    def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         outputs = pinnets.predict(net, variables, batch["pins"])
         loss = losses.absolute_pose(outputs, posenet.pose_targets(batch, targets), weights)
         return weighed({"pose": loss} | pose_error_terms(outputs, batch, targets), batch)
@@ -133,11 +134,11 @@ def pin_posenet_task(
 def renderer_task(net: PinRenderer, training: Training, targets: Targets, rest: ArrayLike, spread: float) -> Task:
     """Of PinRenderer; batches {"pins"} (B, P, 2) px of taps and the fields of the targets."""
 
-    def terms(variables, batch, key):
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets))
         return weighed({"pins": pinnets.distance(drawn, batch["pins"], variables)}, batch), variables["batch_stats"]
 
-    def validate(variables, batch):
+    def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets))
         return weighed({"pins": pinnets.distance(drawn, batch["pins"], variables)}, batch)
 

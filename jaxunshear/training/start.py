@@ -4,6 +4,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax.tree_util import KeyPath
+from jax.typing import ArrayLike
 
 from jaxunshear.errors import UserError
 
@@ -32,7 +34,7 @@ def started(fresh: Tree, start: Tree) -> Tree:
             part = ".".join(str(key.key) for key in path)
             raise UserError(f"start: {part} is there and has no place here: use that network's settings")
 
-    def chosen(path, own):
+    def chosen(path: KeyPath, own: ArrayLike) -> ArrayLike:
         name = jax.tree_util.keystr(path)
         if name not in given:
             return own

@@ -33,7 +33,7 @@ def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> Cal
     if training.schedule != "steps":
         raise UserError(f'schedule: "{training.schedule}" is unknown; use "cosine" or "steps"')
 
-    def drop(step):
+    def drop(step: Array) -> Array:
         rate = jnp.asarray(first)
         for epoch, factor in training.drops:
             rate = jnp.where(step >= epoch * steps_per_epoch, first * factor, rate)
@@ -57,10 +57,14 @@ def fresh(variables: Tree, optimiser: optax.GradientTransformation) -> State:
     return State(jnp.zeros((), jnp.int32), params, batch_stats, optimiser.init(params), average)
 
 
-def make_step(task: Task, training: Training, optimiser: optax.GradientTransformation, key: Array):
+def make_step(
+    task: Task, training: Training, optimiser: optax.GradientTransformation, key: Array
+) -> Callable[[State, Batch], tuple[State, dict[str, Array]]]:
     """The step: (state, batch) -> (state, mean terms, regularisation and gradient norm by name)."""
 
-    def loss(params, batch_stats, batch, step_key):
+    def loss(
+        params: Tree, batch_stats: Tree, batch: Batch, step_key: Array
+    ) -> tuple[Array, tuple[dict[str, Array], Tree]]:
         terms, batch_stats = task.terms({"params": params, "batch_stats": batch_stats}, batch, step_key)
         metrics = {name: jnp.mean(values) for name, values in terms.items()}
         kernels = losses.regularisation(params, training.l1, training.l2, training.kernels)

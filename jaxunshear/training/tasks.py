@@ -48,42 +48,22 @@ def unshear_task(
     batches. A field {"weight"} (B,) weighs the examples.
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
-    crop = training.crop_px
-    if not 0 < crop <= net.size:
-        raise UserError(f"crop_px: crops of {crop} px do not fit images of {net.size} px")
-    if training.patch_weight and training.crops < 1:
-        raise UserError(f"crops: {training.crops} of them leave no patch loss: use at least 1, or patch_weight 0")
-
-    watch = None
-    if training.pose_weight:
-        if teacher is None:
-            raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
-        if not targets:
-            raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
-        watch = partial(_watched, teacher, targets, training.pose_target)
-
+    _check_crops(net, training)
+    watch = _watcher(training, teacher, targets)
     kind = "unet" if isinstance(net, networks.UNet) else "unshear"
     module: Any = unet if kind == "unet" else unshearnet
     _checked(module.check, net)
     reconstruct = partial(module.reconstruct, net)
-    init, labelled = partial(module.init, net), None
-    if training.label_weight:
-        if isinstance(net, networks.UNet):
-            raise UserError(
-                "label_weight: a U-Net has no code to read the pose off: leave unet out, or use label_weight 0"
-            )
-        if not targets:
-            raise UserError("label_weight: no pose targets are known: give them, or use label_weight 0")
-        init, labelled = partial(_init_with_head, net, posenet.outputs_of(targets)), partial(_labelled, targets)
+    init, labelled = _head(net, targets) if training.label_weight else (partial(module.init, net), None)
 
-    def terms(variables, batch, key):
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
         logits, sheared_logits, code, batch_stats = reconstruct(variables, in_precision(sheared, training.precision))
         image = jax.nn.sigmoid(logits)
         named = {"supervised": losses.supervised(image, canonical)}
         if training.patch_weight:
-            corners = losses.random_corners(key, len(image), training.crops, net.size, crop)
-            named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, crop))
+            corners = losses.random_corners(key, len(image), training.crops, net.size, training.crop_px)
+            named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, training.crop_px))
         if watch:
             named["pose"] = watch(image, canonical, batch)
         if labelled:
@@ -92,7 +72,7 @@ def unshear_task(
             named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
         return weighed(named, batch), batch_stats
 
-    def validate(variables, batch):
+    def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
         images = in_precision(sheared, training.precision)  # as it will be put to use
         named = {}
@@ -110,14 +90,7 @@ def unshear_task(
             named["pose"] = watch(image, canonical, batch)
         return weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
 
-    weights = {
-        "supervised": 1.0,
-        "patch": training.patch_weight,
-        "pose": training.pose_weight,
-        "label": training.label_weight,
-        "reconstruction": training.reconstruction_weight,
-    }
-    return Task(kind, net, targets, init, terms, weights, validate, "supervised")
+    return Task(kind, net, targets, init, terms, _weights(training), validate, "supervised")
 
 
 def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
@@ -126,12 +99,12 @@ def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) ->
         raise UserError("targets: there is no pose to learn: name some, or record labels")
     weights = posenet.output_weights(targets)
 
-    def terms(variables, batch, key):
+    def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         images = in_precision(_unit(batch["image"]), training.precision)
         outputs, batch_stats = posenet.predict_training(net, variables, images)
         return {"pose": losses.pose(outputs, posenet.pose_targets(batch, targets), weights)}, batch_stats
 
-    def validate(variables, batch):
+    def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         outputs = posenet.predict(net, variables, _unit(batch["image"]))
         loss = losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
         return {"pose": loss} | pose_error_terms(outputs, batch, targets)
@@ -139,6 +112,49 @@ def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) ->
     _checked(posenet.check, net)
     init = partial(posenet.init, net, posenet.outputs_of(targets))
     return Task("posenet", net, targets, init, terms, {"pose": 1.0}, validate, "pose")
+
+
+def _weights(training: Training) -> dict[str, float]:
+    return {
+        "supervised": 1.0,
+        "patch": training.patch_weight,
+        "pose": training.pose_weight,
+        "label": training.label_weight,
+        "reconstruction": training.reconstruction_weight,
+    }
+
+
+def _check_crops(net: networks.UnshearNet | networks.UNet, training: Training) -> None:
+    if not 0 < training.crop_px <= net.size:
+        raise UserError(f"crop_px: crops of {training.crop_px} px do not fit images of {net.size} px")
+    if training.patch_weight and training.crops < 1:
+        raise UserError(f"crops: {training.crops} of them leave no patch loss: use at least 1, or patch_weight 0")
+
+
+def _watcher(
+    training: Training, teacher: Callable[[Array], Array] | None, targets: Targets
+) -> Callable[[Array, Array, Batch], Array] | None:
+    """The loss by the pose that `teacher` reads, of image, canonical image and batch; None where it has no weight. Raises
+    UserError."""
+    if not training.pose_weight:
+        return None
+    if teacher is None:
+        raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
+    if not targets:
+        raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
+    return partial(_watched, teacher, targets, training.pose_target)
+
+
+def _head(
+    net: networks.UnshearNet | networks.UNet, targets: Targets
+) -> tuple[Callable[[Array], Tree], Callable[[Tree, Array, Batch], dict[str, Array]]]:
+    """How a network with a head on the pose code begins, and the head's loss and errors. Raises UserError where it can
+    have none."""
+    if isinstance(net, networks.UNet):
+        raise UserError("label_weight: a U-Net has no code to read the pose off: leave unet out, or use label_weight 0")
+    if not targets:
+        raise UserError("label_weight: no pose targets are known: give them, or use label_weight 0")
+    return partial(_init_with_head, net, posenet.outputs_of(targets)), partial(_labelled, targets)
 
 
 def _watched(

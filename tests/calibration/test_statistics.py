@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.calibrate import _summaries
+from jaxunshear.calibration.comparison import _summaries
 from jaxunshear.calibration.labels import motions
 from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.rendering import render

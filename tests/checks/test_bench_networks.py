@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.checks import bench_networks
+from jaxunshear.checks.multiplications import multiplications, pose_multiplications
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.settings.networks import PoseNet, UnshearNet
@@ -40,14 +41,14 @@ def test_multiplications_are_those_of_plain_convolutions(net, training):
     for decoder in ["DC"] + (["DS"] if net.disentangled and training else []):
         names = [f"Up_{i}" for i in range(len(net.widths) - 1)] + ["Last_0"]
         expected += sum(params[decoder][name]["kernel"].size * (side * 2**i) ** 2 for i, name in enumerate(names))
-    assert bench_networks.multiplications(net, training) == expected
+    assert multiplications(net, training) == expected
 
 
 def test_posenet_s_multiplications_are_those_of_its_layers():
     params = jax.eval_shape(lambda: posenet.init(POSENET, 5, jax.random.key(0)))["params"]
     places = {"First_0": 16, "Down_0": 8, "Same_0": 4, "Same_1": 4, "Same_2": 2, "Dense_0": 1, "Dense_1": 1}
     expected = sum(params[name]["kernel"].size * side**2 for name, side in places.items())
-    assert bench_networks.pose_multiplications(POSENET) == expected
+    assert pose_multiplications(POSENET) == expected
 
 
 @pytest.mark.parametrize(

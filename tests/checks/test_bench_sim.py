@@ -13,7 +13,7 @@ from jaxunshear.checks.clock import laps
 from jaxunshear.checks.meshes import spaced
 from jaxunshear.checks.paper import NAMES, paper_scenes
 from jaxunshear.checks.px import pin_error
-from jaxunshear.contact.plan import LEVELS
+from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.reach import ring_spacing

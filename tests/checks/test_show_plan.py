@@ -8,7 +8,7 @@ from jaxunshear.checks import show_plan as module
 from jaxunshear.checks.cases import HALF_SIZE
 from jaxunshear.checks.paper import paper_scenes
 from jaxunshear.checks.show_plan import show_grouping, show_plan
-from jaxunshear.contact.plan import OMISSIONS
+from jaxunshear.contact.level import OMISSIONS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings import sensor as sensors

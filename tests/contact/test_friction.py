@@ -8,6 +8,7 @@ import pytest
 from jaxunshear.checks.half_space import HalfSpace, press, trace
 from jaxunshear.checks.normal import SPHERE_MM, depth
 from jaxunshear.checks.shear import FRICTION, slip_distance
+from jaxunshear.contact.frame import level_frame
 from jaxunshear.contact.friction import (
     BETWEEN_CHECKS,
     RHO,
@@ -15,7 +16,6 @@ from jaxunshear.contact.friction import (
     System,
     contact_state,
     follow_path,
-    level_frame,
     project,
     rest,
 )

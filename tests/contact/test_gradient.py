@@ -13,8 +13,9 @@ from jaxunshear.checks.shear import slip_distance
 from jaxunshear.contact.friction import RHO, System
 from jaxunshear.contact.gradient import SWITCH_MM, compliance, path_shares, pin_gradient, pin_model, pins
 from jaxunshear.contact.implicit import GOAL_MM, pin_state
+from jaxunshear.contact.level import LEVELS
 from jaxunshear.contact.obstacle import Obstacles
-from jaxunshear.contact.plan import LEVELS, increments
+from jaxunshear.contact.plan import increments
 from jaxunshear.contact.simulate import follow
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths

@@ -8,8 +8,9 @@ import pytest
 
 from jaxunshear.contact.dome import dome
 from jaxunshear.contact.elasticity import sixfold
+from jaxunshear.contact.level import LEVELS, unabridged
 from jaxunshear.contact.obstacle import REACH_MM, distance_at, sample
-from jaxunshear.contact.plan import LEVELS, increments, make_plan, padded, unabridged
+from jaxunshear.contact.plan import increments, make_plan, padded
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import draw_moves, draw_poses, make_scenes

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.contact.plan import LEVELS, unabridged
+from jaxunshear.contact.level import LEVELS, unabridged
 from jaxunshear.contact.simulate import follow, simulate
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths, path_of

@@ -14,7 +14,7 @@ from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_BOTH, LEARNT_CO
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UnshearNet
-from jaxunshear.settings.registry import NETWORKS, RIVALS
+from jaxunshear.settings.registry import ALL_NETWORKS, NETWORKS
 from jaxunshear.settings.targets import names_of, of_ranges
 from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
@@ -85,7 +85,7 @@ def test_a_missing_network_is_named(trained, tmp_path):
 
 
 def test_rivals_and_baselines_join_in(trained):
-    run = networks.load(trained, NETWORKS + RIVALS, taps=images(5))
+    run = networks.load(trained, ALL_NETWORKS, taps=images(5))
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
     assert set(outputs.poses) == {*POSE_KINDS} - {LEARNT_CODE, LEARNT_BOTH, PARTNER}  # no head was trained

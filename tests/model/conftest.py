@@ -6,7 +6,7 @@ import shutil
 
 import pytest
 
-from jaxunshear.model import native
+from jaxunshear.model.fast import native
 
 
 @pytest.fixture

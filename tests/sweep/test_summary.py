@@ -10,7 +10,8 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.sweep.bootstrap import interval
 from jaxunshear.sweep.rows import cells_of, reference_of
-from jaxunshear.sweep.summary import Measured, ablation, differences, metrics, reproducible, summarise
+from jaxunshear.sweep.scores import Measured
+from jaxunshear.sweep.summary import ablation, differences, metrics, reproducible, summarise
 from jaxunshear.sweep.table import table
 
 SWEEP = Sweep(

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.model import native, norm, outermost
+from jaxunshear.model.fast import native, norm, outermost
 
 LAYOUT = ("NHWC", "HWIO", "NHWC")
 compiled = pytest.mark.usefixtures("compiled")

@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from jaxunshear.model import native
+from jaxunshear.model.fast import native
 
 SLICE = 1100  # pixels of one step of a kernel's gradient (CPU): one MB at the widths of these networks
 _NHWC = ("NHWC", "HWIO", "NHWC")
@@ -119,11 +119,11 @@ def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
     wide = jnp.promote_types(x.dtype, jnp.float32)
     product = partial(jnp.matmul, preferred_element_type=wide)
 
-    def at(array, turn, i, j):
+    def at(array: Array, turn: Array, i: int, j: int) -> Array:
         part = lax.dynamic_slice(array, (turn * step, i, j, 0), (step, h, w, array.shape[-1]))
         return part.reshape(-1, array.shape[-1])
 
-    def add(turn, sums):
+    def add(turn: Array, sums: list[Array]) -> list[Array]:
         if inner:
             still = at(x, turn, border, border)
             pairs = [(still, at(dy, turn, i, j)) for i, j in shifts[::-1]]

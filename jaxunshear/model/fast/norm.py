@@ -17,10 +17,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jaxunshear.model import conv, native
+from jaxunshear.model.fast import conv, native
+from jaxunshear.model.layers import EPSILON
 
-EPSILON = 1e-5
 GROUP = 8  # images summed at once
+_Saved = tuple[Array, Array, Array, Array, Array]
 
 
 def relayout(x: Array, source: str, target: str) -> Array:
@@ -51,14 +52,18 @@ def norm_relu(x: Array, scale: Array, bias: Array, source: str, target: str) -> 
     return _forward(x, scale, bias, source, target)[0]
 
 
-def _forward(x, scale, bias, source, target):
+def _forward(
+    x: Array, scale: Array, bias: Array, source: str, target: str
+) -> tuple[tuple[Array, Array, Array], _Saved]:
     mean, variance = _moments(x, source=source)
     factor, shift = _line(scale, bias, mean, variance)
     y = _affine_relu(x, factor, shift, source=source, target=target)
     return (y, mean, variance), (x, scale, bias, mean, variance)
 
 
-def _backward(source, target, saved, cotangents):
+def _backward(
+    source: str, target: str, saved: _Saved, cotangents: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
     x, scale, bias, mean, variance = saved
     dy, count = cotangents[0], _count(x, source)
     inverse = lax.rsqrt(variance + EPSILON)
@@ -103,7 +108,7 @@ def _affine_relu_by_xla(x: Array, factor: Array, shift: Array, *, source: str, t
     return relayout(_inside(y, x, source).reshape(x.shape).astype(x.dtype), source, target)
 
 
-def _passed(x, dy, factor, shift, source, target):
+def _passed(x: Array, dy: Array, factor: Array, shift: Array, source: str, target: str) -> Array:
     """The gradient dy that ReLU lets through, as `_images`."""
     active = _images(x) * _wide(factor, source) + _wide(shift, source) > 0
     return jnp.where(active, _images(relayout(dy, target, source)), 0)

@@ -16,9 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from jaxunshear.model import native
-from jaxunshear.model.conv import conv_valid
-from jaxunshear.model.norm import relayout
+from jaxunshear.model.fast import native
+from jaxunshear.model.fast.conv import conv_valid
+from jaxunshear.model.fast.norm import relayout
 
 
 def first(x: Array, w: Array, compiled: bool = False) -> Array:
@@ -115,7 +115,7 @@ def _last_kernel(w: Array) -> Array:
     return big.reshape(1, 1, 4 * w.shape[2], 36 * w.shape[3])
 
 
-def _placement(tap, dtype) -> Array:
+def _placement(tap: Callable[[np.ndarray, np.ndarray], np.ndarray], dtype: np.dtype) -> Array:
     """1 where tap `tap(row of the window, row of the block)` of a kernel is k, else 0: (6, 2, 4)."""
     row, column = np.indices((6, 2))
     return jnp.asarray(tap(row, column)[..., None] == np.arange(4), dtype)

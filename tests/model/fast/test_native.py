@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.model import conv, native
+from jaxunshear.model.fast import conv, native
 
 compiled = pytest.mark.usefixtures("compiled")
 # k, border, C, N, images, H, W: tails of rows and of vectors, either array the wider, borders of every kind, several slabs
@@ -100,7 +100,7 @@ def test_other_numbers_and_few_channels_are_left_to_xla(kind):
 def reported(environment, code="print(native.available(), native.available())") -> tuple[str, str]:
     """What a process of its own says: whether there is a compiled form (in haste, not optimised), and its notes."""
     environment = {**os.environ, "PYTHONWARNINGS": "always", **environment}
-    command = [sys.executable, "-c", f"from jaxunshear.model import native; native.FLAGS += ('-O0',); {code}"]
+    command = [sys.executable, "-c", f"from jaxunshear.model.fast import native; native.FLAGS += ('-O0',); {code}"]
     process = subprocess.run(command, capture_output=True, text=True, env=environment)
     assert process.returncode == 0, process.stderr
     return process.stdout.split()[0], process.stderr

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from flax import linen as nn
 
-from jaxunshear.model import conv, layers, native, norm
+from jaxunshear.model import layers
+from jaxunshear.model.fast import conv, native, norm
 
 LAYOUTS = [(a, b) for a in ("plain", "blocks") for b in native.LAYOUTS]
 compiled = pytest.mark.usefixtures("compiled")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from flax import linen as nn
 
-from jaxunshear.model import conv
+from jaxunshear.model.fast import conv
 
 
 def normal(*shape: int, dtype=jnp.float32) -> jax.Array:

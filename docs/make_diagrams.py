@@ -1,0 +1,181 @@
+"""The drawings of the documents.
+
+python docs/make_diagrams.py          # writes docs/figures/*.svg
+"""
+
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch, Polygon, Wedge
+
+from jaxunshear.scene.pins import pin_levers, pin_tips
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.style import FAINT, INK, STYLE
+
+FIGURES = Path(__file__).with_name("figures")
+SKIN, GEL, OBJECT, BLUE, ORANGE, GREEN = "#444c5c", "#dfe6f1", "#e9dcc9", "#1f6feb", "#d9822b", "#2a9d6f"
+STEPS = (
+    ("your recordings", "taps and slides"),
+    ("scene", "shape, pose, slide"),
+    ("contact", "elastic dome, friction"),
+    ("image", "camera, threshold"),
+    ("dataset", "a tap for every slide"),
+    ("model", "sheared to tap"),
+    ("evaluation", "pose, MS-SSIM, pins"),
+    ("report", "one page"),
+)
+
+
+def blank(width: float, height: float, limits: tuple[float, float, float, float]) -> tuple[Figure, Axes]:
+    """A figure in inches without axes, over x and y in `limits`."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    axes = figure.subplots()
+    axes.set_axis_off()
+    axes.set_aspect("equal")
+    axes.set_xlim(limits[:2])
+    axes.set_ylim(limits[2:])
+    return figure, axes
+
+
+def arrow(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str = "", colour: str = INK) -> None:
+    axes.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": colour, "shrinkA": 0, "shrinkB": 0})
+    if text:
+        axes.annotate(text, end, xytext=(4, 2), textcoords="offset points", color=colour)
+
+
+def box(axes: Axes, middle: tuple[float, float], size: tuple[float, float], text: str, colour: str = GEL) -> None:
+    corner = (middle[0] - size[0] / 2, middle[1] - size[1] / 2)
+    axes.add_patch(FancyBboxPatch(corner, *size, boxstyle="round,pad=0.02,rounding_size=0.12", fc=colour, ec=FAINT))
+    axes.text(*middle, text, ha="center", va="center")
+
+
+def dome(axes: Axes, sensor: Sensor, x: float, lag: float = 0.0) -> None:
+    """A section with its apex at (x, 0) mm; `lag` is how far the lowest pins are held back."""
+    radius = sensor.dome_radius_mm
+    axes.add_patch(Wedge((x, radius), radius, 180, 360, fc=SKIN, ec="none"))
+    axes.add_patch(Wedge((x, radius), radius - sensor.skin_mm, 180, 360, fc=GEL, ec="none"))
+    tips = pin_tips(sensor)
+    roots = tips - pin_levers(sensor)
+    for tip, root in zip(tips, roots, strict=True):
+        if abs(tip[1]) < 0.1 * sensor.pin_spacing_mm:
+            held = lag * np.exp(-((root[0] / (0.3 * radius)) ** 2))
+            axes.plot([x + root[0] - held, x + tip[0] - held], [root[2], tip[2]], color=FAINT, linewidth=1.5)
+            axes.plot(x + tip[0] - held, tip[2], "o", color="white", markeredgecolor=INK, markersize=4)
+
+
+def sensor_section() -> Figure:
+    figure, axes = blank(6, 4.2, (-34, 46, -4, 52))
+    dome(axes, TACTIP_331, 0.0)
+    axes.add_patch(Polygon([(-4, 44), (4, 44), (4, 49), (-4, 49)], fc=SKIN, ec="none"))
+    for side in (-1, 1):
+        axes.plot([side * 1.5, side * 17], [44, 21], color=FAINT, linewidth=0.8, linestyle="--")
+    for text, at, to in (
+        ("camera", (10, 46.5), (4.5, 46.5)),
+        ("gel", (-33, 15), (-8, 14)),
+        ("skin", (26, 16), (19.4, 16)),
+        ("pins with white tips", (26, 8), (13, 6.9)),
+        ("apex", (10, -3), (0.4, -0.3)),
+    ):
+        axes.annotate(text, to, at, va="center", arrowprops={"arrowstyle": "-", "color": FAINT})
+    arrow(axes, (-28, 0), (-28, 10), "z")
+    arrow(axes, (-28, 0), (-18, 0), "x")
+    axes.text(-30, -3.4, "sensor frame", color=FAINT)
+    return figure
+
+
+def frames() -> Figure:
+    figure, axes = blank(6, 4, (-26, 24, -16, 17))
+    angle = np.linspace(-0.75, 0.75, 60)
+    outline = np.stack([-22 + 22 * np.cos(angle), 22 * np.sin(angle)], axis=1)
+    axes.add_patch(Polygon([*outline, (-26, outline[-1, 1]), (-26, outline[0, 1])], fc=OBJECT, ec=INK))
+    axes.text(-24, -1, "object")
+    arrow(axes, (0, 0), (13, 0), "x: outward normal")
+    arrow(axes, (0, 0), (0, 13), "y")
+    axes.plot(0, 0, "o", color=INK)
+    axes.text(-1.2, -1.8, "target point", ha="right", color=INK)
+    place, yaw = np.array([5.0, -8.0]), np.radians(25)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    ring = place + 4.5 * np.stack([np.cos(2 * np.pi * np.arange(60) / 60), np.sin(2 * np.pi * np.arange(60) / 60)], 1)
+    axes.add_patch(Polygon(ring, fc=GEL, ec=BLUE, alpha=0.8))
+    for direction in ((1.0, 0.0), (0.0, 1.0)):
+        arrow(axes, tuple(place), tuple(place + 7 * turn @ direction), colour=BLUE)
+    axes.plot([place[0], place[0] + 9], [place[1], place[1]], color=FAINT, linestyle=":")
+    axes.text(14.5, -6.8, "yaw", color=BLUE)
+    axes.text(5.0, -15, "sensor at (x, y)", ha="center", color=BLUE)
+    centre = np.array([-22.0, 0.0])
+    nearest = centre + 22 * (place - centre) / np.linalg.norm(place - centre)
+    axes.plot([nearest[0], place[0]], [nearest[1], place[1]], color=ORANGE)
+    axes.text(-2.5, -10.2, "edge distance", color=ORANGE, ha="right")
+    return figure
+
+
+def tap_slide() -> Figure:
+    figure, axes = blank(7, 3, (-28, 92, -12, 32))
+    for x, text, lag in ((0.0, "tap: canonical", 0.0), (58.0, "slide: sheared", 5.0)):
+        axes.add_patch(Polygon([(x - 26, -10), (x + 8, -10), (x + 8, 2.5), (x - 26, 2.5)], fc=OBJECT, ec="none"))
+        dome(axes, TACTIP_331, x, lag)
+        axes.text(x, 28, text, ha="center")
+    arrow(axes, (-24, 24), (-24, 12), colour=BLUE)
+    arrow(axes, (34, 24), (34, 14), colour=BLUE)
+    arrow(axes, (34, 12), (48, 12), colour=BLUE)
+    axes.text(49, -7, "friction holds the pins back", ha="center", color=ORANGE)
+    return figure
+
+
+def networks() -> Figure:
+    figure, axes = blank(8, 3, (-0.4, 10.2, -0.3, 3.3))
+    box(axes, (0.6, 1.5), (1.3, 0.8), "sheared\nimage")
+    box(axes, (2.6, 1.5), (1.1, 0.8), "E", "#cfe0fb")
+    box(axes, (4.7, 2.5), (1.5, 0.7), "pose code $z_p$", "#d5efe2")
+    box(axes, (4.7, 0.5), (1.5, 0.7), "shear code $z_s$", "#f6e3cc")
+    box(axes, (7.0, 2.5), (1.1, 0.7), "DC", "#cfe0fb")
+    box(axes, (7.0, 0.5), (1.1, 0.7), "DS", "#cfe0fb")
+    box(axes, (9.3, 2.5), (1.5, 0.7), "tap")
+    box(axes, (9.3, 0.5), (1.5, 0.7), "sheared\nimage")
+    for start, end in (
+        ((1.3, 1.5), (2.0, 1.5)),
+        ((3.2, 1.6), (3.9, 2.4)),
+        ((3.2, 1.4), (3.9, 0.6)),
+        ((5.5, 2.5), (6.4, 2.5)),
+        ((5.5, 0.5), (6.4, 0.5)),
+        ((5.5, 2.3), (6.5, 0.9)),
+        ((7.6, 2.5), (8.5, 2.5)),
+        ((7.6, 0.5), (8.5, 0.5)),
+    ):
+        arrow(axes, start, end)
+    return figure
+
+
+def flow() -> Figure:
+    figure, axes = blank(9, 3, (-0.2, 11.2, -0.4, 3.2))
+    places = [(0.9, 0.4), (0.9, 2.4), (3.2, 2.4), (5.5, 2.4), (5.5, 0.4), (7.8, 0.4), (7.8, 2.4), (10.1, 2.4)]
+    for (name, what), place in zip(STEPS, places, strict=True):
+        box(axes, place, (1.9, 0.9), "")
+        axes.text(place[0], place[1] + 0.13, name, ha="center", va="center", weight="bold")
+        axes.text(place[0], place[1] - 0.2, what, ha="center", va="center", fontsize=7.5, color=SKIN)
+    for start, end in ((1, 2), (2, 3), (3, 4), (0, 4), (4, 5), (5, 6), (6, 7)):
+        (ax, ay), (bx, by) = places[start], places[end]
+        along = ay == by
+        tail = (ax + 1.0, ay) if along else (ax, ay + (0.5 if by > ay else -0.5))
+        head = (bx - 1.0, by) if along else (bx, by - (0.5 if by > ay else -0.5))
+        arrow(axes, tail, head)
+    return figure
+
+
+DIAGRAMS = {
+    "sensor": sensor_section,
+    "frames": frames,
+    "tap_slide": tap_slide,
+    "networks": networks,
+    "flow": flow,
+}
+
+
+if __name__ == "__main__":
+    FIGURES.mkdir(exist_ok=True)
+    with mpl.rc_context(STYLE):
+        for name, draw in DIAGRAMS.items():
+            draw().savefig(FIGURES / f"{name}.svg", metadata={"Date": None})

@@ -1,0 +1,38 @@
+"""What `make docs` changes in the pages: README becomes the first one, files at the top of the repository are pages, too, and the flow
+that a forge draws is a picture."""
+
+import re
+from pathlib import Path
+
+from mkdocs.config.defaults import MkDocsConfig
+from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
+
+ROOT = Path(__file__).resolve().parents[1]
+TOP = {"README.md": "index.md", "CONTRIBUTING.md": "CONTRIBUTING.md", "CHANGELOG.md": "CHANGELOG.md"}
+FLOW = "![The way of the data](figures/flow.svg)"
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Adds the pages at the top of the repository, and the files that pages lead to."""
+    for source, page in TOP.items():
+        files.append(File.generated(config, page, content=(ROOT / source).read_text()))
+    for path in (
+        *ROOT.glob("experiments/*.py"),
+        *ROOT.glob("jaxunshear/weights/*/README.md"),
+        ROOT / "jaxunshear/api.py",
+    ):
+        name = path.relative_to(ROOT).as_posix()
+        if path.suffix == ".md":  # a model card is a page
+            files.append(File.generated(config, name, content=path.read_text()))
+        else:
+            files.append(File.generated(config, f"{name}.txt", content=path.read_text()))
+    return files
+
+
+def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) -> str:
+    """Links as they lead from the site's folder: all pages lie where docs/ does."""
+    text = re.sub(r"```mermaid\n.*?```", FLOW, text, flags=re.DOTALL)
+    text = text.replace("](../", "](").replace("](docs/", "](")
+    text = re.sub(r"\]\(((?:experiments|jaxunshear)/[\w/.]+\.py)\)", r"](\1.txt)", text)
+    return re.sub(r"\[([^\]]+)\]\((?:jaxunshear/model/fast/compiled|LICENSE|README\.md)\)", r"\1", text)

@@ -1,0 +1,35 @@
+"""Multiplications of the convolutions in one pass of an image through the networks."""
+
+from jaxunshear.model import posenet
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.targets import of_ranges
+
+TARGETS = of_ranges((), Ranges())
+
+
+def multiplications(net: UnshearNet, training: bool) -> int:
+    """Of one image's forward pass through all convolutions; with `training` False those of encoder, pose code and DC alone."""
+    widths, side, count = net.widths, net.size, 0
+    for before, width in zip((1, *widths), widths, strict=False):
+        side //= 2
+        count += 16 * before * width * side * side
+    shear = net.shear_channels if net.disentangled and training else 0
+    pose = net.pose_channels if net.disentangled else 0
+    count += 9 * widths[-1] * (pose + shear) * side * side
+    decoders = [pose or widths[-1]] + ([pose + shear] if shear else [])
+    for code in decoders:
+        here, outwards = side, (*reversed(widths[:-1]), 1)
+        for before, width in zip((code, *outwards), outwards, strict=False):
+            count += 16 * before * width * here * here
+            here *= 2
+    return count
+
+
+def pose_multiplications(net: PoseNet) -> int:
+    """Of one image's pass through PoseNet."""
+    first, second, *rest = net.widths
+    side = net.size // 4
+    count = 16 * first * (2 * side) ** 2 + 16 * first * second * side**2
+    count += 9 * (second * rest[0] + rest[0] * rest[1]) * (side // 2) ** 2 + 9 * rest[1] * rest[2] * (side // 4) ** 2
+    return count + (side // 4) ** 2 * rest[2] * net.hidden + net.hidden * posenet.outputs_of(TARGETS)

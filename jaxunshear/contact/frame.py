@@ -1,0 +1,30 @@
+"""Turns between the sensor frame, the level frame (the same with its tilt undone) and the target frame."""
+
+import jax
+import jax.numpy as jnp
+
+from jaxunshear.scene.paths import TILT_X
+
+
+def level_frame(pose: jax.Array) -> jax.Array:
+    """Rotations (B, 3, 3) from the sensor frame to the level frame of poses (B, 6): Rodrigues' formula."""
+    tilt = pose[:, TILT_X:]
+    squared = jnp.sum(tilt**2, axis=-1)[:, None, None]
+    angle = jnp.sqrt(jnp.maximum(squared, 1e-30))
+    zero = jnp.zeros_like(tilt[:, 0])
+    x, y = tilt[:, 0], tilt[:, 1]
+    rows = [jnp.stack(row, -1) for row in ((zero, zero, y), (zero, zero, -x), (-y, x, zero))]
+    cross = jnp.stack(rows, 1)
+    return (
+        jnp.eye(3, dtype=pose.dtype) + jnp.sin(angle) / angle * cross + (1 - jnp.cos(angle)) / angle**2 * cross @ cross
+    )
+
+
+def rotate(frame: jax.Array, vectors: jax.Array) -> jax.Array:
+    return jnp.einsum("bij,bnj->bni", frame, vectors)
+
+
+def turn(angle: jax.Array, xy: jax.Array) -> jax.Array:
+    """Rotate (B, N, 2) by angle (B,) rad."""
+    cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
+    return jnp.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)

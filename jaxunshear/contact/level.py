@@ -1,0 +1,50 @@
+"""How exactly a contact is solved, and what is left out of it, by the name of a level."""
+
+from dataclasses import dataclass, replace
+
+# What `auto` leaves out, in the words of the command that shows a plan.
+OMISSIONS = ("untouched", "friction", "nodes", "steps", "grouping")
+
+
+@dataclass(frozen=True)
+class Level:
+    """How exactly a path is followed, and what is left out of it.
+
+    A leg between two way points is cut into increments of at most `press_mm` in depth and `slide_mm` along the surface; a leg
+    has at least `press` or `slide` of them unless "steps" is among the omissions. An increment is solved to `tolerance` times
+    its own length, within `limit` iterations. `reference` leaves out only what provably changes nothing.
+    """
+
+    press: int
+    slide: int
+    press_mm: float
+    slide_mm: float
+    tolerance: float
+    limit: int
+    precision: str = "float32"
+    omit: tuple[str, ...] = OMISSIONS
+    wide: bool = False  # leave out fewer nodes
+
+
+LEVELS = {
+    "fast": Level(press=1, slide=4, press_mm=3.0, slide_mm=0.9, tolerance=0.25, limit=300),
+    "default": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600, omit=()),
+    "auto": Level(press=2, slide=8, press_mm=3.0, slide_mm=0.45, tolerance=0.15, limit=600),
+    "reference": Level(
+        press=6,
+        slide=24,
+        press_mm=1.0,
+        slide_mm=0.15,
+        tolerance=0.02,
+        limit=8000,
+        precision="float64",
+        omit=("untouched", "nodes", "grouping"),
+        wide=True,
+    ),
+}
+STRONGER = {"fast": "auto", "default": "reference", "auto": "reference"}  # where to try again
+
+
+def unabridged(level: Level) -> Level:
+    """The same level with nothing left out."""
+    return replace(level, omit=())

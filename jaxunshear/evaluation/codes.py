@@ -1,0 +1,48 @@
+"""Pose code and shear code of a disentangled network, over images or pins, a row for each input."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.model import pinnets, unshearnet
+from jaxunshear.settings.networks import PinUnshear, UnshearNet
+
+AT_ONCE = 64
+
+Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F) by name
+
+
+def encoder_of(net: Any, variables: Any) -> Encode | None:
+    """Inputs -> codes (N, F) by name; None without a shear code."""
+    if isinstance(net, PinUnshear):
+        run = jax.jit(lambda weights, pins: pinnets.encode(net, weights, pins))
+        held = bool(net.shear_code)
+    elif isinstance(net, UnshearNet) and net.disentangled:
+        run = jax.jit(lambda weights, images: unshearnet.encode(net, weights, images.astype(jnp.float32) / 255))
+        held = bool(net.shear_channels)
+    else:
+        return None
+    if not held:
+        return None
+
+    def encode(seen: np.ndarray) -> dict[str, np.ndarray]:
+        parts = []
+        for start in range(0, len(seen), AT_ONCE):
+            rows = np.arange(start, start + AT_ONCE) % len(seen)
+            parts.append(jax.device_get(run(variables, seen[rows])))
+        joined = [np.concatenate(part)[: len(seen)] for part in zip(*parts, strict=True)]
+        return {name: code.reshape(len(seen), -1) for name, code in zip(("z_p", "z_s"), joined, strict=True)}
+
+    return encode
+
+
+def untrained(net: Any, variables: Any, seed: int) -> Any:
+    """Fresh variables of the network."""
+    key = jax.random.key(seed)
+    if isinstance(net, PinUnshear):
+        constants = variables["batch_stats"]
+        return pinnets.init(net, constants["rest"], constants["spread"], key)
+    return unshearnet.init(net, key)

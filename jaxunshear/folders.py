@@ -1,0 +1,30 @@
+"""The folder of a model, by its path or by the name of released weights, and the settings in it."""
+
+from pathlib import Path
+
+from jaxunshear.errors import UserError
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.stored import from_json
+from jaxunshear.storage import read_json
+
+RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card
+
+
+def model_folder(model: Path) -> Path:
+    """`model` itself where it is a folder, else that of the released weights of this name. Raises `UserError`."""
+    released = {folder.name: folder for folder in sorted(RELEASED.glob("*")) if (folder / "experiment.json").is_file()}
+    if model.exists() or str(model) not in released:
+        return model
+    return released[str(model)]
+
+
+def load_settings(model: Path) -> Experiment:
+    """The experiment that the folder of a run was made with. Raises `UserError`."""
+    file = model / "experiment.json"
+    if not file.is_file():
+        names = ", ".join(sorted(folder.name for folder in RELEASED.glob("*") if folder.is_dir()))
+        raise UserError(
+            f"--model {model} holds no experiment.json: name the folder of a finished run, such as runs/demo, "
+            f"or released weights{f' ({names})' if names else ''}"
+        )
+    return from_json(read_json(file), str(file))

@@ -1,0 +1,51 @@
+"""Which layers networks are built of: those of `layers.py`, as a reader of the paper expects them, or those of `fast/`, which a CPU
+computes faster. Parameters are the same, values and gradients equal to rounding.
+
+JAXUNSHEAR_KERNELS=plain or fast chooses for a process and for those that it starts; auto, the default, takes fast ones on a CPU.
+"""
+
+import contextlib
+import contextvars
+import os
+from collections.abc import Iterator
+from typing import TypeVar
+
+import jax
+
+from jaxunshear.errors import UserError
+from jaxunshear.model.fast import native
+
+VARIABLE = "JAXUNSHEAR_KERNELS"
+AUTO, PLAIN, FAST = WAYS = ("auto", "plain", "fast")
+T = TypeVar("T")
+_asked: contextvars.ContextVar[str | None] = contextvars.ContextVar("kernels", default=None)
+
+
+def chosen() -> str:
+    """PLAIN or FAST. Raises UserError for another value of the variable."""
+    way = _asked.get() or os.environ.get(VARIABLE) or AUTO
+    if way not in WAYS:
+        raise UserError(f"{VARIABLE}={way} is unknown: use one of {', '.join(WAYS)}")
+    if way != AUTO:
+        return way
+    return FAST if jax.default_backend() == "cpu" else PLAIN
+
+
+@contextlib.contextmanager
+def using(way: str) -> Iterator[None]:
+    """What is traced herein is of these layers."""
+    token = _asked.set(way)
+    try:
+        yield
+    finally:
+        _asked.reset(token)
+
+
+def described() -> str:
+    """For results: which layers, and whether those of a training were compiled for this processor."""
+    return f"{FAST}, compiled" if chosen() == FAST and native.available() else chosen()
+
+
+def pick(plain: T, fast: T) -> T:
+    """The one to build a network of."""
+    return fast if chosen() == FAST else plain

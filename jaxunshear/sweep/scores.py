@@ -1,0 +1,86 @@
+"""Scores of a cell's rows, one for each seed: by test and name, with the poses and the shapes of their contacts."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+# of the paired data: names, how contacts appear, what is made of recorded ones
+NOT_CONTACTS = (
+    "config",
+    "camera",
+    "nuisance",
+    "preprocess",
+    "pairing",
+    "pairs",
+    "labelled",
+    "tap_folder",
+    "slide_folder",
+)
+
+
+class Measured(NamedTuple):
+    """A row that has ended: its outcome, and the scores of every test contact where it did not fail.
+
+    `tests` is by test, "" for the main one: arrays (N,) by the names of the scores, which have a slash; `stimulus` and `pose_id`.
+    """
+
+    outcome: dict[str, Any]
+    tests: Mapping[str, Mapping[str, np.ndarray]]
+
+
+def names_in(rows: Mapping[int, Measured]) -> list[tuple[str, str]]:
+    """Tests and names of their scores, those that every row has: one measured by an earlier version may lack some."""
+    first, *others = [row.tests for row in rows.values()] or [{}]
+    return [
+        (test, name)
+        for test, scores in first.items()
+        for name in scores
+        if "/" in name and all(name in tests.get(test, {}) for tests in others)
+    ]
+
+
+def metric_of(rows: Mapping[int, Measured]) -> dict[str, Any]:
+    """What exactly the evaluation calls MS-SSIM, and other such notes."""
+    return next(iter(rows.values())).outcome["results"]["metric"] if rows else {}
+
+
+def called(test: str, name: str) -> str:
+    return f"{test}: {name}" if test else name
+
+
+def stacked(rows: Mapping[int, Measured], test: str, name: str) -> np.ndarray:
+    """(seeds, N)"""
+    return np.stack([np.asarray(row.tests[test][name], np.float64) for row in rows.values()])
+
+
+def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
+    """Which contacts (N,) of a test are with which shape."""
+    first = next(iter(rows.values()))
+    results = first.outcome["results"]
+    own = results["tests"].get(test, {}) if test else results["settings"]["paired"]
+    names = own.get("stimuli", ())  # of recordings none is known
+    stimulus = np.asarray(first.tests[test]["stimulus"])
+    return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
+
+
+def same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], test: str) -> bool:
+    """Whether both were drawn from the same settings, and none was lost that the other has."""
+    return _drawn_from(rows, test) == _drawn_from(other, test) and np.array_equal(
+        poses_of(rows, test), poses_of(other, test)
+    )
+
+
+def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, Any]:
+    """The settings that decide the contacts of a test."""
+    results = next(iter(rows.values())).outcome["results"]
+    settings, own = results["settings"], results["tests"].get(test, {}) if test else {}
+    paired = {name: own.get(name, value) for name, value in settings["paired"].items() if name not in NOT_CONTACTS}
+    return paired | {"sensor": settings["sensor"]}
+
+
+def poses_of(rows: Mapping[int, Measured], test: str) -> np.ndarray:
+    """(N,) which pose of which stimulus a contact belongs to."""
+    labels = next(iter(rows.values())).tests[test]
+    pairs = np.stack([labels["stimulus"], labels["pose_id"]], axis=1).astype(np.int64)
+    return pairs[:, 0] * (pairs[:, 1].max() + 1) + pairs[:, 1]
