@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from flax import linen as nn
 
-from jaxunshear.model import layers
-from jaxunshear.model.fast import conv, native, norm
+from jaxunshear.model.fast import conv, layers, native, norm
 
 LAYOUTS = [(a, b) for a in ("plain", "blocks") for b in native.LAYOUTS]
 compiled = pytest.mark.usefixtures("compiled")
