@@ -353,6 +353,53 @@ def _grid(numbers: Callable[[dict[str, Any]], list[str]]) -> str:
     return "\n".join([_line("lambda", splits), "|---|" + "---|" * len(splits), *starmap(_line, table.items())])
 
 
+def frontier() -> str:
+    """Errors and what they cost: seconds of training and milliseconds an image are medians over seeds."""
+    names = ("MS-SSIM", "pins, mm", "edge distance, mm", "of sheared", "edge angle, deg", "training, s", "ms")
+    lines = [_line("", names), "|---" * (len(names) + 1) + "|"]
+    for cell in _cells("frontier"):
+        metrics = cell["metrics"]
+        edge, sheared = (metrics[f"pose/{kind}/edge_mm"] for kind in ("disentangled", "sheared"))
+        numbers = [
+            _cell(metrics["ms_ssim/disentangled"], 3),
+            f"{metrics['pin_error/disentangled/rms_mm']['mean']:.3f}",
+            _cell(edge, 2),
+            f"{edge['mean'] / sheared['mean']:.2f}",
+            _cell(metrics["pose/disentangled/edge_deg"], 1),
+            f"{_train_seconds(cell):.0f}",
+            f"{_ms(cell, 'disentangled'):.1f}",
+        ]
+        lines.append(_line(cell["label"], numbers))
+    return "\n".join(lines)
+
+
+def perception() -> str:
+    """Milliseconds an image to unshear it and read its pose, and the errors left."""
+    lines = [_line("", ("ms", "edge distance, mm", "edge angle, deg")), "|---|---|---|---|"]
+    for cell in _cells("frontier"):
+        if not cell["label"].startswith("Adam"):
+            spent = sum(_ms(cell, name) for name in ("disentangled", "posenet"))
+            errors = (cell["metrics"][f"pose/disentangled/{name}"] for name in ("edge_mm", "edge_deg"))
+            shown = [f"{error['mean']:.{digits}f}" for error, digits in zip(errors, (2, 1), strict=True)]
+            lines.append(_line(cell["label"], [f"{spent:.1f}", *shown]))
+    return "\n".join(lines)
+
+
+def _train_seconds(cell: dict[str, Any]) -> float:
+    """The median over seeds."""
+    return median(costs["train_seconds"]["disentangled"] for costs in cell["costs"].values())
+
+
+def _ms(cell: dict[str, Any], network: str) -> float:
+    """The median over seeds and over all cells of this network: how long it was trained changes nothing."""
+
+    def built(one: dict[str, Any]) -> dict[str, Any]:
+        return {name: value for name, value in one["settings"].items() if not name.startswith("train.")}
+
+    alike = [one for one in _cells("frontier") if built(one) == built(cell)]
+    return median(costs["ms_per_image"][network]["median"] for one in alike for costs in one["costs"].values())
+
+
 def parted() -> str:
     """What each code holds of the other's, and what that costs, by what is left out: means over seeds, the leaks with least and most."""
     leaks = {"pose from z_s": "pose from z_s (mlp)/r2", "slide from z_p": "slide from z_p (mlp)/r2"}
@@ -560,9 +607,18 @@ TABLES = {
     "README.md": (real_skin, demo, standard_first),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides, transfer),
     "docs/calibration.md": (refit,),
-    "docs/applications.md": (geometry, servo, servo_pins, objects),
+    "docs/applications.md": (geometry, servo, servo_pins, objects, perception),
     "docs/codes.md": (parted, parted_pins, found_pins, parted_slide, joint, parted_skin, parted_skin_slide),
-    "docs/experiments.md": (standard, recoveries, other_readers, lambda_split, lambda_split_leaks, readings, tenth),
+    "docs/experiments.md": (
+        standard,
+        recoveries,
+        other_readers,
+        lambda_split,
+        lambda_split_leaks,
+        readings,
+        tenth,
+        frontier,
+    ),
     "docs/limits.md": (few_pairs, twisted, tilted),
 }
 
