@@ -18,6 +18,8 @@ HEEDED = (
 DEVICES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "XLA_FLAGS")
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 PROBE = "import jax; jax.devices()"
+KERNELS = "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `model/kernels.py`
+KERNEL_WAYS = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
 SECONDS = 120  # a GPU on a busy machine needs some
 
 
@@ -47,8 +49,9 @@ def settle() -> None:
 
 def check_environment() -> None:
     """Raises UserError, before there is work to lose, where the environment names no place for a cache, devices that are not there, or
-    flags of XLA that round otherwise."""
+    flags of XLA that round otherwise, or layers that there are not."""
     cache_folder()
+    kernels_asked()
     flags = os.environ.get("XLA_FLAGS", "").split()
     for flag in flags:
         if any(word in flag for word in ROUNDING):
@@ -57,6 +60,14 @@ def check_environment() -> None:
     if asked and not _starts():
         reported = ", ".join(f"{name}={value}" for name, value in asked.items())
         raise UserError(f"{reported}: JAX cannot start with that on this machine; unset it, or name what is there")
+
+
+def kernels_asked() -> str:
+    """Of KERNEL_WAYS. Raises UserError."""
+    way = os.environ.get(KERNELS) or AUTO
+    if way not in KERNEL_WAYS:
+        raise UserError(f"{KERNELS}={way} is unknown: use one of {', '.join(KERNEL_WAYS)}")
+    return way
 
 
 def _starts() -> bool:

@@ -4,7 +4,7 @@
 
 Both sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
 the convolutions' multiplications over the product's. Compile time stands apart. Without the extra `torch` only our rows come.
-Where parts of the training are compiled for the processor (`model/native.py`), training without them has a row of its own.
+Where parts of the training are compiled for the processor (`model/fast/native.py`), training without them has a row of its own.
 """
 
 import statistics

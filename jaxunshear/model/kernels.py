@@ -6,26 +6,21 @@ JAXUNSHEAR_KERNELS=plain or fast chooses for a process and for those that it sta
 
 import contextlib
 import contextvars
-import os
 from collections.abc import Iterator
 from typing import TypeVar
 
 import jax
 
-from jaxunshear.errors import UserError
+from jaxunshear.environment import AUTO, FAST, PLAIN, kernels_asked
 from jaxunshear.model.fast import native
 
-VARIABLE = "JAXUNSHEAR_KERNELS"
-AUTO, PLAIN, FAST = WAYS = ("auto", "plain", "fast")
 T = TypeVar("T")
 _asked: contextvars.ContextVar[str | None] = contextvars.ContextVar("kernels", default=None)
 
 
 def chosen() -> str:
     """PLAIN or FAST. Raises UserError for another value of the variable."""
-    way = _asked.get() or os.environ.get(VARIABLE) or AUTO
-    if way not in WAYS:
-        raise UserError(f"{VARIABLE}={way} is unknown: use one of {', '.join(WAYS)}")
+    way = _asked.get() or kernels_asked()
     if way != AUTO:
         return way
     return FAST if jax.default_backend() == "cpu" else PLAIN

@@ -3,7 +3,7 @@
 >>> run = ready(lambda variables, images: unshearnet.unshear(net, variables, images), variables)
 >>> run(images)
 
-The weights are constants of the compiled program: what depends on them alone (kernels rearranged for `conv.py`, the norm's
+The weights are constants of the compiled program: what depends on them alone (kernels rearranged for `fast/conv.py`, the norm's
 factors) is computed once, by the compiler, where it would cost a single image up to a third of its time.
 """
 

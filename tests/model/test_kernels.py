@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.environment import KERNELS, check_environment
 from jaxunshear.errors import UserError
 from jaxunshear.model import kernels, posenet, unet, unshearnet
 from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
@@ -82,10 +83,12 @@ def test_they_are_the_same_function_in_double_precision(name):
 
 
 def test_the_switch_is_one_variable(monkeypatch):
-    monkeypatch.delenv(kernels.VARIABLE, raising=False)
+    monkeypatch.delenv(KERNELS, raising=False)
     assert kernels.chosen() == (kernels.FAST if jax.default_backend() == "cpu" else kernels.PLAIN)
-    monkeypatch.setenv(kernels.VARIABLE, "plain")
+    monkeypatch.setenv(KERNELS, "plain")
     assert kernels.chosen() == kernels.PLAIN and kernels.pick(1, 2) == 1
-    monkeypatch.setenv(kernels.VARIABLE, "quick")
+    monkeypatch.setenv(KERNELS, "quick")
     with pytest.raises(UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of auto, plain, fast"):
         kernels.chosen()
+    with pytest.raises(UserError, match=KERNELS):
+        check_environment()
