@@ -209,14 +209,22 @@ def _print_summary(results: dict[str, Any], folder: Path) -> None:
         _print_recorded(results, folder)
         return
     from jaxunshear.evaluation.measurements import measurements
+    from jaxunshear.evaluation.score import BASELINES
+    from jaxunshear.report import words
+    from jaxunshear.table import plain_table
 
-    for row in measurements(results | {"tests": {}})["rows"]:  # those of further tests fill pages: see the report
-        bar = (
-            ""
-            if row["bar"] is None
-            else f"  (bar {row.get('sense', '')} {row['bar']}: {'met' if row['ok'] else 'MISSED'})"
-        )
-        print(f"{row['name']:<40} {row['value']} {row['unit']}{bar}")
+    likeness, errors, name = results["ms_ssim"], results["pose_mae"], results["metric"]["ms_ssim"]
+    rows = [
+        {"": words.kind_of(results, kind), name: likeness.get(kind, {}).get("overall"), **errors.get(kind, {})}
+        for kind in words.KINDS
+        if kind in (*likeness, *errors) and kind not in BASELINES
+    ]
+    print(plain_table(rows, ("", name, *words.targets(results))))
+    for row in measurements(results | {"tests": {}})["rows"]:
+        if row["bar"] is not None:
+            met = "met" if row["ok"] else "MISSED"
+            print(f"{row['name']} {row['value']} {row['unit']} (bar {row['sense']} {row['bar']}: {met})")
+    print(f"results: {folder / 'results.json'}")
 
 
 def _print_recorded(results: dict[str, Any], folder: Path) -> None:

@@ -46,6 +46,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, light: dict[str, str]) ->
     words = run_command(folder, "--json", str(folder / "rows.json"))
     done = subprocess.run(words, capture_output=True, text=True, env=os.environ | light)
     assert done.returncode == 0, done.stderr
+    (folder / "printed.txt").write_text(done.stdout)
     return folder
 
 
@@ -71,6 +72,19 @@ def test_results_bear_the_names_that_others_rely_on(finished):
     measured = json.loads((finished / "rows.json").read_text())
     assert {"rows", "machine", "versions"} <= set(measured)
     assert {"name", "value", "unit", "bar", "ok"} <= set(measured["rows"][0])
+
+
+def test_a_run_ends_with_what_fits_a_screen(finished):
+    lines = (finished / "printed.txt").read_text().splitlines()
+    (start,) = (place for place, line in enumerate(lines) if line.split()[:1] == ["ms_ssim@4"])
+    shown = lines[start:]
+    assert len(shown) <= 12 and shown[-1].endswith("report.html") and "results.json" in shown[-2]
+    found = results(finished)
+    (unsheared,) = (line for line in shown if line.startswith("unsheared, disentangled"))
+    errors = found["pose_mae"]["disentangled"]
+    assert unsheared.split()[2:] == [
+        f"{value:.3g}" for value in (found["ms_ssim"]["disentangled"]["overall"], *errors.values())
+    ]
 
 
 def test_the_report_stands_alone(finished):
