@@ -10,28 +10,29 @@ reading begins to learn. `docs/make_curves.py` draws the rows' kernels and losse
 """
 
 from dataclasses import replace
-from pathlib import Path
+
+import paper
 
 from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
-from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.sweep import Sweep
 
-PAPER = load_experiment(Path(__file__).with_name("paper.py"))
 WEIGHTS = ("train.l1", "train.l2")
 
 sweep = Sweep(
     name="appendix_b",
     claim="Of what appendix B's regularization can mean, the mean over each kernel trains best.",
     base=replace(
-        PAPER,
+        paper.experiment,
         networks=("disentangled",),
         other_jitters_mm=(),
         sensor=sensor_of("calibrated"),
         paired=PAIRED["calibrated"],
         pose=POSE["calibrated"],
-        unshear=replace(PAPER.unshear, size=128),
-        posenet=replace(PAPER.posenet, size=128),
-        train=replace(PAPER.train, epochs=5, batch=8, validate_every=75, validation_images=64),  # 1,350 steps
+        unshear=replace(paper.experiment.unshear, size=128),
+        posenet=replace(paper.experiment.posenet, size=128),
+        train=replace(
+            paper.experiment.train, epochs=5, batch=8, validate_every=75, validation_images=64
+        ),  # 1,350 steps
     ),
     grid=(
         (WEIGHTS, ((1e-4, 1e-4), (1e-3, 1e-3))),

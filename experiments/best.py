@@ -9,21 +9,19 @@ is evaluated five times as many images.
 """
 
 from dataclasses import replace
-from pathlib import Path
+
+import standard
 
 from jaxunshear.settings.configs import PAIRED, POSE
-from jaxunshear.settings.load import load_experiment
-
-STANDARD = load_experiment(Path(__file__).with_name("standard.py"))
 
 experiment = replace(
-    STANDARD,
+    standard.experiment,
     name="best",
     claim="More poses, and a loss seen through a PoseNet leave little of the slide in the pose, at 128 px.",
     networks=("disentangled", "posenet"),
     paired=PAIRED["best"],
     pose=POSE["best"],
-    train=replace(STANDARD.train, epochs=16, pose_weight=0.1),
-    train_posenet=replace(STANDARD.train_posenet, epochs=10),
-    train_teacher=replace(STANDARD.train_teacher, epochs=4),
+    train=replace(standard.experiment.train, epochs=16, pose_weight=0.1),
+    train_posenet=replace(standard.experiment.train_posenet, epochs=10),
+    train_teacher=replace(standard.experiment.train_teacher, epochs=4),
 )

@@ -8,15 +8,13 @@ sensor, is. The page compares it with the demo's bars and says where it misses.
 """
 
 from dataclasses import replace
-from pathlib import Path
+
+import demo
 
 from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
-from jaxunshear.settings.load import load_experiment
-
-DEMO = load_experiment(Path(__file__).with_name("demo.py"))
 
 experiment = replace(
-    DEMO,
+    demo.experiment,
     name="calibrated",
     claim="A network takes the slide out of images of a sensor that was fitted to real ones.",
     sensor=sensor_of("calibrated"),

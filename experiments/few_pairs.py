@@ -12,13 +12,12 @@ Expected: docs/results/few_pairs.json; three quarters of an hour on a core. With
 """
 
 from dataclasses import replace
-from pathlib import Path
+
+import parted
 
 from jaxunshear.settings.experiment import PINS
-from jaxunshear.settings.load import load_variable
 from jaxunshear.settings.sweep import Sweep
 
-PARTED = load_variable(Path(__file__).with_name("parted.py"), sweep=Sweep).base
 FIELDS = ("train_pins.tap_weight", "train_pins.alike_weight")
 WAYS = {"pairs alone": (0.0, 0.0), "and taps": (0.5, 0.0), "and slides": (0.5, 1.0)}
 SHARES = {1.0: tuple(WAYS)[:2], 0.1: tuple(WAYS), 0.01: tuple(WAYS)}
@@ -27,7 +26,7 @@ sweep = Sweep(
     name="few_pairs",
     claim="Errors over the share of poses whose slides have their tap, without and with taps that have no slide.",
     base=replace(
-        PARTED,
+        parted.sweep.base,
         name="few_pairs",
         claim="With taps that no slide belongs to, a tenth of the pairs is enough.",
         train_pins=replace(PINS, epochs=13, pose_weight=0.0),

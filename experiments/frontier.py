@@ -9,12 +9,11 @@ against seconds of training and against milliseconds an image, and names the set
 """
 
 from dataclasses import replace
-from pathlib import Path
 
-from jaxunshear.settings.load import load_experiment
+import demo
+
 from jaxunshear.settings.sweep import Sweep
 
-DEMO = load_experiment(Path(__file__).with_name("demo.py"))
 IMAGES = [f"{group}.{field}" for group in ("paired", "pose") for field in ("preprocess.size", "camera.frame_px")]
 SIZES = (*IMAGES, "unshear.size", "posenet.size", "train.crop_px")
 
@@ -35,9 +34,9 @@ sweep = Sweep(
     name="frontier",
     claim="Longer training buys more than a wider network, and than larger images in all but the pins; Muon more than Adam.",
     base=replace(
-        DEMO,
-        train=replace(DEMO.train, epochs=4, validate_every=270),
-        train_posenet=replace(DEMO.train_posenet, epochs=6),
+        demo.experiment,
+        train=replace(demo.experiment.train, epochs=4, validate_every=270),
+        train_posenet=replace(demo.experiment.train_posenet, epochs=6),
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),

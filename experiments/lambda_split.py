@@ -10,21 +10,19 @@ Measured (docs/results/lambda_split.json): it holds for lambda. Of the split it 
 """
 
 from dataclasses import replace
-from pathlib import Path
 
-from jaxunshear.settings.load import load_experiment
+import demo
+
 from jaxunshear.settings.sweep import Sweep
-
-DEMO = load_experiment(Path(__file__).with_name("demo.py"))
 
 sweep = Sweep(
     name="lambda_split",
     claim="The paper's weight of the patch loss and its even split of the channels are a fair choice.",
     base=replace(
-        DEMO,
-        unshear=replace(DEMO.unshear, pose_channels=64, shear_channels=64),
-        train=replace(DEMO.train, epochs=4, validate_every=270),
-        train_posenet=replace(DEMO.train_posenet, epochs=6),
+        demo.experiment,
+        unshear=replace(demo.experiment.unshear, pose_channels=64, shear_channels=64),
+        train=replace(demo.experiment.train, epochs=4, validate_every=270),
+        train_posenet=replace(demo.experiment.train_posenet, epochs=6),
     ),
     grid=(
         ("train.patch_weight", (0.0, 0.01, 0.1, 1.0, 10.0)),

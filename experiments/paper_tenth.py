@@ -9,20 +9,18 @@ taps that miss it by up to 1 mm, as the paper pairs them. Five minutes on an H10
 """
 
 from dataclasses import replace
-from pathlib import Path
+
+import paper
 
 from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
-from jaxunshear.settings.load import load_experiment
-
-PAPER = load_experiment(Path(__file__).with_name("paper.py"))
 
 experiment = replace(
-    PAPER,
+    paper.experiment,
     name="paper_tenth",
     networks=("disentangled",),
     claim="Appendix B learns to unshear from a tenth of the paper's taps and slides.",
     sensor=sensor_of("paper_tenth"),
     paired=PAIRED["paper_tenth"],
     pose=POSE["paper_tenth"],
-    train=replace(PAPER.train, validate_every=845, validation_images=10_000),  # five epochs; the entire set
+    train=replace(paper.experiment.train, validate_every=845, validation_images=10_000),  # five epochs; the entire set
 )

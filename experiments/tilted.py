@@ -10,22 +10,21 @@ Expected: docs/results/tilted.json; a quarter of an hour on one core.
 """
 
 from dataclasses import replace
-from pathlib import Path
+
+import parted
 
 from jaxunshear.settings.configs import PAIRED, POSE
 from jaxunshear.settings.experiment import PINS
-from jaxunshear.settings.load import load_variable
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
-PARTED = load_variable(Path(__file__).with_name("parted.py"), sweep=Sweep).base
 ROWS = {"an upright sensor": (("paired.ranges.tilt_deg", 0.0),), "a sensor that leans": ()}
 
 sweep = Sweep(
     name="tilted",
     claim="Networks that have seen the sensor lean unshear it leaning.",
     base=replace(
-        PARTED,
+        parted.sweep.base,
         name="tilted",
         claim="A slide of a leaning sensor is learnt like one of an upright one.",
         other_tilts_deg=(0.0, 25.0),

@@ -10,15 +10,14 @@ Expected: docs/results/twisted.json; a quarter of an hour on one core.
 """
 
 from dataclasses import replace
-from pathlib import Path
+
+import parted
 
 from jaxunshear.settings.configs import PAIRED
 from jaxunshear.settings.experiment import PINS
-from jaxunshear.settings.load import load_variable
 from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
-PARTED = load_variable(Path(__file__).with_name("parted.py"), sweep=Sweep).base
 ROWS = {
     "slides that do not twist": (("paired.ranges.twist_deg", 0.0),),
     "slides that twist by 5 deg": (),
@@ -29,7 +28,7 @@ sweep = Sweep(
     name="twisted",
     claim="Networks that have seen slides twist take the twist out of pins.",
     base=replace(
-        PARTED,
+        parted.sweep.base,
         name="twisted",
         claim="The twist of a slide is learnt like its shift.",
         other_twists_deg=(0.0, 5.0, 20.0),

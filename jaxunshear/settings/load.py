@@ -1,7 +1,10 @@
 """Experiments and sweeps as Python files."""
 
+import contextlib
 import runpy
+import sys
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +22,17 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def load_variable(path: str | Path, **kinds: type) -> Any:
-    """The first variable named in `kinds` that the Python file `path` defines, of that type. Raises `UserError`."""
+    """The first variable named in `kinds` that the Python file `path` defines, of that type. The file may import those beside it.
+    Raises `UserError`.
+    """
     path = Path(path)
     if not path.is_file():
         raise UserError(
             f"experiment file {path} {'is a folder' if path.is_dir() else 'does not exist'}: name a Python file"
         )
     try:
-        variables = runpy.run_path(str(path), run_name="jaxunshear_experiment")
+        with _neighbours(path):
+            variables = runpy.run_path(str(path), run_name="jaxunshear_experiment")
     except (Exception, SystemExit) as error:
         raise UserError(f"experiment file {path} {_failure(path, error)}") from error
     for name, kind in kinds.items():
@@ -39,6 +45,20 @@ def load_variable(path: str | Path, **kinds: type) -> Any:
         raise UserError(f"experiment file {path} defines a sweep: run it with `jaxunshear sweep {path}`")
     name, kind = next(iter(kinds.items()))
     raise UserError(f"experiment file {path} defines no variable `{name}`: add {name} = {kind.__name__}(...)")
+
+
+@contextlib.contextmanager
+def _neighbours(path: Path) -> Iterator[None]:
+    """Files beside `path` are modules; afterwards, files of the same names in other folders can be."""
+    folder, before, places = str(path.resolve().parent), set(sys.modules), list(sys.path)
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path[:] = places
+        for name in set(sys.modules) - before:
+            if Path(getattr(sys.modules[name], "__file__", None) or "/").parent == Path(folder):
+                del sys.modules[name]
 
 
 def _failure(path: Path, error: BaseException) -> str:

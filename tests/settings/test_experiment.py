@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import sys
 from typing import get_args
 
 import pytest
@@ -186,6 +187,26 @@ def test_a_bad_file_is_refused_in_one_line(tmp_path, text, line):
     assert line in str(refusal.value)
     assert "bad.py" in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_file_builds_on_its_own_neighbour(tmp_path):
+    for folder, seed in (("one", 1), ("two", 2)):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "base.py").write_text(f"seed = {seed}")
+        (tmp_path / folder / "built.py").write_text(
+            "import base\nfrom jaxunshear.settings.experiment import Experiment\n"
+            "experiment = Experiment(name='built', claim='', seed=base.seed)"
+        )
+    before = list(sys.path)
+    assert [load_experiment(tmp_path / folder / "built.py").seed for folder in ("one", "two")] == [1, 2]
+    assert sys.path == before and "base" not in sys.modules
+
+
+def test_a_fault_of_a_neighbour_is_refused_in_one_line(tmp_path):
+    (tmp_path / "base.py").write_text("1 / 0")
+    (tmp_path / "built.py").write_text("import base")
+    with pytest.raises(UserError, match=r"built\.py fails in line 1: ZeroDivisionError"):
+        load_experiment(tmp_path / "built.py")
 
 
 def test_a_binary_file_a_folder_and_a_missing_file(tmp_path):
