@@ -226,7 +226,7 @@ def test_an_interrupt_says_how_to_go_on(monkeypatch, command):
 )
 def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, command, name, module):
     monkeypatch.setattr(f"jaxunshear.{module}", fails_with(KeyboardInterrupt()))
-    answer = command(name)
+    answer = command("check", name)
     assert (answer.code, answer.err) == (130, f"stopped; {cli.AGAIN}\n")
 
 
@@ -235,7 +235,7 @@ def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, comman
     [
         ("pins", "IMAGE", "--out", "/proc/new"),
         ("pins", "IMAGE", "--json", "/proc/new/a.json"),
-        ("identify", "--out", "/proc/new"),
+        ("check", "identify", "--out", "/proc/new"),
         ("servo", "--out", "/proc/new"),
         ("stream", "IMAGE", "--images", "/proc/new"),
         ("stream", "IMAGE", "--lines", "/proc/new/a"),
@@ -334,3 +334,18 @@ def test_every_field_has_its_meaning_in_help(command):
     answer = command("run", "--help-fields", "trains")
     is_one_line(answer)
     assert "name one of sensor, paired," in answer.err
+
+
+def test_help_names_each_command_once(command):
+    shown = command("--help").out
+    for module in cli.MODULES:
+        for name in module.COMMANDS:
+            assert len(re.findall(rf"^  {name} ", shown, re.M)) == 1, name
+    for name in cli.checks.COMMANDS:
+        assert f"  check {name} " in shown and f"  {name} " in command("check", "--help").out
+
+
+def test_a_check_without_its_word_is_refused_with_it(command):
+    answer = command("verify")
+    is_one_line(answer)
+    assert "write `jaxunshear check verify`" in answer.err

@@ -15,26 +15,26 @@ def test_values_that_begin_with_a_minus_are_values():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("plan --pose 1,2,3", "give 4 numbers"),
-        ("plan --move a,b", "give 2 numbers"),
-        ("plan --twist far", "not a number"),
-        ("plan --stimulus pyramid", "stimulus 'pyramid' is unknown"),
-        ("plan --sensor finger", "sensor 'finger' is unknown"),
-        ("plan --level best", "--level"),
-        ("plan --pose nan,0,0,2", "not finite"),
-        ("plan --friction -1", "friction -1"),
-        ("plan --pose 0,0,0,15", "cannot be reached"),
-        ("plan --scenes 0", "--scenes 0"),
+        ("check plan --pose 1,2,3", "give 4 numbers"),
+        ("check plan --move a,b", "give 2 numbers"),
+        ("check plan --twist far", "not a number"),
+        ("check plan --stimulus pyramid", "stimulus 'pyramid' is unknown"),
+        ("check plan --sensor finger", "sensor 'finger' is unknown"),
+        ("check plan --level best", "--level"),
+        ("check plan --pose nan,0,0,2", "not finite"),
+        ("check plan --friction -1", "friction -1"),
+        ("check plan --pose 0,0,0,15", "cannot be reached"),
+        ("check plan --scenes 0", "--scenes 0"),
         (
-            "plan --scenes 10 --pose -1,0,0,3",
+            "check plan --scenes 10 --pose -1,0,0,3",
             "--pose: plan --scenes draws its own contacts; it takes --level, --sensor and --json",
         ),
-        ("bench", "what"),
-        ("bench sim --batch 0", "--batch 0"),
-        ("bench sim --size 128", "--size: bench sim has no use for it"),
-        ("bench stream --batch 8", "--batch: bench stream has no use for it; it takes --size and --json"),
-        ("bench train --out .", "--out: bench train has no use for it"),
-        ("stability --only nothing_like_this", "no case's name"),
+        ("check bench", "what"),
+        ("check bench sim --batch 0", "--batch 0"),
+        ("check bench sim --size 128", "--size: bench sim has no use for it"),
+        ("check bench stream --batch 8", "--batch: bench stream has no use for it; it takes --size and --json"),
+        ("check bench train --out .", "--out: bench train has no use for it"),
+        ("check stability --only nothing_like_this", "no case's name"),
         ("calibrate nowhere", "nowhere"),
     ],
 )
@@ -47,9 +47,12 @@ def test_what_cannot_be_is_refused_in_one_line(words, said, capsys):
 @pytest.mark.long
 def test_rows_are_written_with_command_and_machine(tmp_path, capsys):
     file = tmp_path / "plan.json"
-    assert main(["plan", "--stimulus", "disk", "--pose", "-5,0,10,1.5", "--move", "0.5,0", "--json", str(file)]) == 0
+    assert (
+        main(["check", "plan", "--stimulus", "disk", "--pose", "-5,0,10,1.5", "--move", "0.5,0", "--json", str(file)])
+        == 0
+    )
     written = json.loads(file.read_text())
-    assert written["command"].startswith("jaxunshear plan") and written["rows"] and written["machine"]["cores"]
+    assert written["command"].startswith("jaxunshear check plan") and written["rows"] and written["machine"]["cores"]
     assert "nodes" in capsys.readouterr().out
 
 
@@ -62,16 +65,22 @@ def test_a_calibration_writes_statistics_and_parameters(tmp_path, monkeypatch):
 
 
 def test_a_folder_cannot_be_the_file_of_rows(tmp_path, capsys):
-    assert main(["verify", "--json", str(tmp_path)]) == 2
+    assert main(["check", "verify", "--json", str(tmp_path)]) == 2
     assert "is a folder" in capsys.readouterr().err
     (tmp_path / "file").touch()
-    assert main(["verify", "--json", str(tmp_path / "file" / "deeper" / "rows.json")]) == 2
+    assert main(["check", "verify", "--json", str(tmp_path / "file" / "deeper" / "rows.json")]) == 2
     assert f"{tmp_path / 'file'} is a file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "words",
-    [("calibrate", "recordings"), ("identify",), ("bench", "sim"), ("run", "experiments/tiny.py"), ("servo",)],
+    [
+        ("calibrate", "recordings"),
+        ("check", "identify"),
+        ("check", "bench", "sim"),
+        ("run", "experiments/tiny.py"),
+        ("servo",),
+    ],
 )
 def test_a_file_cannot_be_the_folder_of_results(tmp_path, capsys, words):
     (tmp_path / "file").touch()

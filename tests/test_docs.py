@@ -48,8 +48,8 @@ def test_links_lead_somewhere(page):
 def test_commands_exist(page, capsys):
     with contextlib.suppress(SystemExit):
         main(["--help"])
-    known = set(re.findall(r"^    ([a-z]+)(?: |$)", capsys.readouterr().out, re.MULTILINE))
-    named = set(re.findall(r"(?:^    |`)jaxunshear ([a-z]+)", (ROOT / page).read_text(), re.MULTILINE))
+    known = set(re.findall(r"^  (check [a-z]+|[a-z]+) ", capsys.readouterr().out, re.MULTILINE))
+    named = set(re.findall(r"(?:^    |`)jaxunshear (check [a-z]+|[a-z]+)", (ROOT / page).read_text(), re.MULTILINE))
     assert named <= known, f"{page}: {named - known}"
 
 

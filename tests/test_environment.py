@@ -74,7 +74,9 @@ def test_no_home_is_reported_in_one_line(command, monkeypatch):
     assert "set HOME, or JAXUNSHEAR_CACHE" in answer.err
 
 
-@pytest.mark.parametrize("words", [("run", "tiny.py", "--out", "a"), ("calibrate", "a/b"), ("verify", "--json", "a/x")])
+@pytest.mark.parametrize(
+    "words", [("run", "tiny.py", "--out", "a"), ("calibrate", "a/b"), ("check", "verify", "--json", "a/x")]
+)
 def test_a_loop_of_links_is_reported_in_one_line(command, tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)
     Path("a").symlink_to("b")

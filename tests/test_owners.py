@@ -39,7 +39,7 @@ def test_owners_are_known_by_what_they_hold(tmp_path, run):
     [
         ("evaluate", "RUN", "--json", "RUN/results.json"),
         ("ablate", "RUN", "--json", "RUN/new/rows.json"),
-        ("verify", "--json", "RUN/experiment.json"),
+        ("check", "verify", "--json", "RUN/experiment.json"),
         ("stream", "RUN", "--lines", "RUN/times.json"),
         ("stream", "camera:9", "--images", "RUN"),
         ("unshear", "RUN", "--out", "RUN"),
@@ -66,11 +66,11 @@ def test_only_what_a_command_measured_is_written_anew(command, tmp_path, monkeyp
     file = tmp_path / "rows.json"
     for held in ('{"name": "package"}', "{", "[1, 2]", "7"):
         file.write_text(held)
-        answer = command("verify", "--json", file)
+        answer = command("check", "verify", "--json", file)
         assert answer.code == 2 and "holds something else" in answer.err
         assert file.read_text() == held
     file.write_text(json.dumps(ROWS, indent=2))
-    assert command("verify", "--json", file).code == 0
-    assert command("verify", "--json", file).code == 0
+    assert command("check", "verify", "--json", file).code == 0
+    assert command("check", "verify", "--json", file).code == 0
     answer = command("validate", tmp_path, "--calibration", file, "--json", tmp_path / "a" / ".." / "rows.json")
     assert answer.code == 2 and "also what this command reads" in answer.err

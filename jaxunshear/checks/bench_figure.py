@@ -1,4 +1,4 @@
-"""The work-precision diagram of `bench sim`: how far off against how long, a panel for slides and one for taps."""
+"""The work-precision diagram of `check bench sim`: how far off against how long, a panel for slides and one for taps."""
 
 import io
 from collections.abc import Sequence

@@ -190,7 +190,7 @@ def _table(rows: Sequence[Row]) -> str:
         for row in some:
             lines += [
                 f"\n{title}: {row.case}: {row.outcome}",
-                f"  again: jaxunshear stability --only {row.case!r}",
+                f"  again: jaxunshear check stability --only {row.case!r}",
                 f"  scene: {row.scene}",
             ]
     counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)

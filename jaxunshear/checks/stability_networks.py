@@ -151,7 +151,7 @@ def table(rows: Sequence[NetworkRow]) -> str:
             lines.append(f"{'':{width}}  {row.said}")
     for row in rows:
         if not row.holds:
-            again = f"jaxunshear stability --only {row.case!r}"
+            again = f"jaxunshear check stability --only {row.case!r}"
             lines += [f"\nFAILED: {row.case}: {row.outcome}", f"  again: {again}", f"  scene: {row.scene}"]
     counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)
     lines.append(f"\n{len(rows)} cases of networks: {counted}; {sum(not row.holds for row in rows)} break the promise")

@@ -13,6 +13,7 @@ from jaxunshear import __version__
 from jaxunshear.cli import (
     ablate,
     applications,
+    calibration,
     catalogue,
     checks,
     doctor,
@@ -21,7 +22,6 @@ from jaxunshear.cli import (
     stages,
     sweep,
     unshear,
-    validate,
 )
 from jaxunshear.cli.fields import asked_for, help_on
 from jaxunshear.environment import check_environment, check_links, settle
@@ -30,7 +30,7 @@ from jaxunshear.owners import check_apart
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
 _usual = warnings.formatwarning
-# in the order of `jaxunshear --help`
+# of all commands but `check`'s
 MODULES: tuple[Any, ...] = (
     stages,
     report,
@@ -40,10 +40,17 @@ MODULES: tuple[Any, ...] = (
     applications,
     doctor,
     sweep,
-    checks,
-    validate,
+    calibration,
     catalogue,
 )
+GROUPS = {  # of `jaxunshear --help`
+    "use": (
+        *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "unshear", "pose", "pins"),
+        *("stream", "geometry", "servo", "reconstruct", "sensors", "stimuli"),
+    ),
+    "study": ("sweep", "ablate", "validate", "calibrate"),
+}
+CHECK = "check"  # the word before `checks`' commands
 CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
 AGAIN = "the same command begins anew"
 FIELDS_HELP = """
@@ -115,11 +122,34 @@ class _Parser(argparse.ArgumentParser):
         return super().format_help() + FIELDS_HELP + "\n".join(lines) + "\n"
 
 
-def _parser() -> _Parser:
-    parser = _Parser(prog="jaxunshear", description="From a touch to an unsheared tactile image, in simulation.")
+class _Commands(_Parser):
+    """A line a command, in groups."""
+
+    def format_help(self) -> str:
+        (commands,) = (action for action in self._actions if isinstance(action, argparse._SubParsersAction))
+        texts = {choice.dest: choice.help or "" for choice in commands._choices_actions}
+        if self.prog.endswith(CHECK):
+            groups = {"commands": texts}
+        else:
+            groups = {group: {name: texts[name] for name in names} for group, names in GROUPS.items()}
+            groups[CHECK] = {f"{CHECK} {name}": text for name, text in checks.COMMANDS.items()}
+        lines = [f"usage: {self.prog} COMMAND ...", "", self.description or "", "`COMMAND --help` says more."]
+        for group, rows in groups.items():
+            lines += ["", group]
+            for name, text in rows.items():
+                lines += wrap(text, 100, initial_indent=f"  {name:<16}", subsequent_indent=" " * 18)
+        return "\n".join(lines) + "\n"
+
+
+def _parser(check: bool) -> _Parser:
+    """Of the commands behind `jaxunshear check`, or of the others."""
+    parser = _Commands(
+        prog=f"jaxunshear {CHECK}" if check else "jaxunshear",
+        description="Examines the simulator and the networks." if check else "Takes the shear out of touch.",
+    )
     parser.add_argument("--version", action="version", version=f"jaxunshear {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
-    for module in MODULES:
+    for module in (checks,) if check else MODULES:
         module.add_parsers(commands)
     return parser
 
@@ -137,8 +167,11 @@ def _run(argv: list[str]) -> int:
             argv, (stages if argv[0] in stages.COMMANDS else sweep).OWN_OPTIONS, sweep.FLAGS
         )
         parse_overrides(fields)  # before anything is read: a typo is refused at once
+    check = words[:1] == [CHECK]
+    if words and words[0] in checks.COMMANDS:
+        raise UserError(f"write `jaxunshear {CHECK} {words[0]}`")
     try:
-        arguments = _parser().parse_args(checks.joined(list(words)))
+        arguments = _parser(check).parse_args(checks.joined(words[1:]) if check else words)
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
     check_links(vars(arguments).values())
@@ -146,7 +179,7 @@ def _run(argv: list[str]) -> int:
     if arguments.command not in (*catalogue.COMMANDS, *report.COMMANDS):
         check_environment()
     arguments.fields = fields
-    (module,) = (module for module in MODULES if arguments.command in module.COMMANDS)
+    (module,) = (module for module in (*MODULES, checks) if arguments.command in module.COMMANDS)
     return module.run(arguments, shlex.join(["jaxunshear", *argv]))
 
 

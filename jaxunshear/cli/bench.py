@@ -1,4 +1,4 @@
-"""`bench`: error against run time, of the simulator and of the networks."""
+"""`check bench`: error against run time, of the simulator and of the networks."""
 
 import argparse
 from collections.abc import Callable

@@ -11,6 +11,13 @@ from jaxunshear.cli.bench import Keep
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 
+COMMANDS = {
+    "verify": "compare the simulator with closed forms, conservation laws and independent solvers",
+    "stability": "run stiff, extreme and senseless contacts, and networks and trainings at their extremes",
+    "bench": "error against run time",
+    "plan": "show what a contact needs, and what leaving out the rest saves and costs",
+    "identify": "find friction and stiffness from simulated pins by gradient descent",
+}
 _CONTACT: dict[str, Any] = {
     "stimulus": "disk",
     "pose": "0,0,0,3",
@@ -21,10 +28,10 @@ _CONTACT: dict[str, Any] = {
 
 
 def add_parsers(commands: Any) -> None:
-    """Adds `plan`, `verify`, `stability`, `bench`, `calibrate` and `identify` to an argparse subparsers object."""
+    """Adds COMMANDS to an argparse subparsers object."""
 
-    def command(name: str, text: str, out: str | None = None) -> argparse.ArgumentParser:
-        parser = commands.add_parser(name, help=text, description=text)
+    def command(name: str, out: str | None = None) -> argparse.ArgumentParser:
+        parser = commands.add_parser(name, help=COMMANDS[name], description=COMMANDS[name])
         parser.add_argument(
             "--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions"
         )
@@ -32,7 +39,7 @@ def add_parsers(commands: Any) -> None:
             parser.add_argument("--out", metavar="DIR", type=Path, help=out)
         return parser
 
-    parser = command("plan", "show what a contact needs, and what leaving out the rest saves and costs")
+    parser = command("plan")
     parser.add_argument("--stimulus", metavar="NAME", help="what is touched (disk)")
     parser.add_argument("--pose", metavar="X,Y,YAW,DEPTH", help="mm, mm, deg, mm (0,0,0,3)")
     parser.add_argument("--move", metavar="DX,DY", help="slide that ends at the pose, mm (0,0)")
@@ -43,14 +50,12 @@ def add_parsers(commands: Any) -> None:
     parser.add_argument("--sensor", metavar="NAME", default="tactip331", help="(tactip331)")
     parser.add_argument("--scenes", metavar="N", type=int, help="instead: how N random scenes of the paper are grouped")
 
-    command("verify", "hold the simulator against closed forms, conservation laws and independent solvers")
+    command("verify")
 
-    parser = command(
-        "stability", "run stiff, extreme and senseless contacts, and networks and trainings at their extremes"
-    )
+    parser = command("stability")
     parser.add_argument("--only", metavar="NAME", help="only the cases whose name contains this")
 
-    parser = command("bench", "error against run time", "sim: folder for the figure")
+    parser = command("bench", "sim: folder for the figure")
     parser.add_argument(
         "what",
         choices=("sim", "train", "infer", "needs", "pins", "stream", "strangers"),
@@ -70,10 +75,7 @@ def add_parsers(commands: Any) -> None:
         help="strangers: of 331 pins, beside simulated ones; repeat it",
     )
 
-    parser = command("calibrate", "fit camera, pins, friction and stiffness to recordings", "folder for figures")
-    parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
-
-    command("identify", "find friction and stiffness from simulated pins by gradient descent", "folder for the figure")
+    command("identify", "folder for the figure")
 
 
 def joined(argv: list[str]) -> list[str]:
@@ -89,7 +91,7 @@ def joined(argv: list[str]) -> list[str]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of `add_parsers`' commands. Returns 0, or 1 where a check does not hold."""
-    return _COMMANDS[arguments.command](arguments, _writer(arguments.json, command, RIVALS.get(arguments.command, ())))
+    return _RUN[arguments.command](arguments, _writer(arguments.json, command, RIVALS.get(arguments.command, ())))
 
 
 RIVALS = {"bench": ("torch",)}  # packages that are timed beside ours
@@ -177,17 +179,6 @@ def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
     return 0
 
 
-def _calibrate(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.calibration.calibrate import calibrate
-    from jaxunshear.storage import check_beside
-
-    if arguments.out is not None:
-        check_beside(arguments.recordings, arguments.out, "--out")
-    found = calibrate(arguments.recordings, arguments.out)
-    keep(found["rows"] + found["parameters"])
-    return 0
-
-
 def _identify(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.calibration import identify
 
@@ -197,12 +188,10 @@ def _identify(arguments: argparse.Namespace, keep: Keep) -> int:
     return 0
 
 
-_COMMANDS: dict[str, Callable[[argparse.Namespace, Keep], int]] = {
+_RUN: dict[str, Callable[[argparse.Namespace, Keep], int]] = {
     "verify": _verify,
     "stability": _stability,
     "bench": bench.run,
     "plan": _plan,
-    "calibrate": _calibrate,
     "identify": _identify,
 }
-COMMANDS = tuple(_COMMANDS)

@@ -44,12 +44,12 @@ def test_rows(observed):
 @pytest.mark.long
 def test_the_command_keeps_its_rows(command, monkeypatch, tmp_path):
     monkeypatch.setattr(confidence, "COUNT", 4)
-    answer = command("bench", "strangers", "--seed", "3", "--json", tmp_path / "rows.json")
+    answer = command("check", "bench", "strangers", "--seed", "3", "--json", tmp_path / "rows.json")
     assert answer.code == 0, answer.err
     rows = {row["name"]: row for row in json.loads((tmp_path / "rows.json").read_text())["rows"]}
     assert rows["simulated, tactip331"]["images"] == rows["white noise"]["images"] / 2 == 4
     assert rows["all known"]["refused"] == 0 and rows["white noise"]["accepted"] == 0 and "white noise" in answer.out
-    assert command("bench", "strangers", "--size", "128").code == 2
+    assert command("check", "bench", "strangers", "--size", "128").code == 2
 
 
 def test_auc():

@@ -249,5 +249,5 @@ def test_images_are_what_their_names_say():
 def test_the_command_ends_with_1_where_a_promise_is_broken(monkeypatch, command, found, code):
     row = judge.examine(made_up(lambda folder: found))
     monkeypatch.setattr(stability, "stability", lambda only: [row])
-    answer = command("stability", "--only", "network made up")
+    answer = command("check", "stability", "--only", "network made up")
     assert answer.code == code and "network made up" in answer.out

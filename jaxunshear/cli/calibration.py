@@ -1,4 +1,4 @@
-"""The command that compares the simulator with recordings, pin by pin. Everything heavy is imported when it is needed."""
+"""The commands that fit the simulator to recordings and compare the two. Everything heavy is imported when it is needed."""
 
 import argparse
 from pathlib import Path
@@ -6,11 +6,17 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 
-COMMANDS = ("validate",)
+COMMANDS = ("calibrate", "validate")
 
 
 def add_parsers(commands: Any) -> None:
-    """Adds `validate` to an argparse subparsers object."""
+    """Adds COMMANDS to an argparse subparsers object."""
+    text = "fit camera, pins, friction and stiffness to recordings"
+    parser = commands.add_parser("calibrate", help=text, description=text)
+    parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
+    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for figures")
+    parser.add_argument("--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions")
+
     text = "simulate recorded contacts from their labels and compare the motion of every pin"
     parser = commands.add_parser("validate", help=text, description=text)
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of labelled recordings")
@@ -35,19 +41,34 @@ def add_parsers(commands: Any) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    """Runs `validate`. Returns 0."""
+    """Runs one of COMMANDS. Returns 0."""
+    from jaxunshear.metrics.machine import machine, versions
+    from jaxunshear.storage import check_beside, write_json
+
+    if arguments.out is not None:
+        check_beside(arguments.recordings, arguments.out, "--out")
+    found = _validate(arguments) if arguments.command == "validate" else _calibrate(arguments)
+    if arguments.json is not None:
+        write_json(arguments.json, {"command": command, "machine": machine(), "versions": versions(), **found})
+    return 0
+
+
+def _calibrate(arguments: argparse.Namespace) -> dict[str, Any]:
+    from jaxunshear.calibration.calibrate import calibrate
+
+    found = calibrate(arguments.recordings, arguments.out)
+    return {"rows": found["rows"] + found["parameters"]}
+
+
+def _validate(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.contacts < 0:
         raise UserError(f"--contacts {arguments.contacts}: use 1 or more, or 0 for all")
     if arguments.seed < 0:
         raise UserError(f"--seed {arguments.seed}: use 0 or more")
     from jaxunshear.calibration.calibrated import SHIPPED, read_calibration
     from jaxunshear.calibration.validate import validate
-    from jaxunshear.metrics.machine import machine, versions
-    from jaxunshear.storage import check_beside, check_new_file, write_json
+    from jaxunshear.storage import check_new_file
 
-    if arguments.out is not None:
-        check_beside(arguments.recordings, arguments.out, "--out")
-    check_new_file(arguments.json)
     check_new_file(arguments.refit, "--refit")
     if arguments.refit is not None and arguments.refit.resolve().is_relative_to(arguments.recordings.resolve()):
         raise UserError(
@@ -63,7 +84,4 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         as_labelled=arguments.as_labelled,
         refit=arguments.refit,
     )
-    if arguments.json is not None:
-        reported = {"command": command, "machine": machine(), "versions": versions(), "seed": arguments.seed, **found}
-        write_json(arguments.json, reported)
-    return 0
+    return {"seed": arguments.seed, **found}
