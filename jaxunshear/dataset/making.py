@@ -66,16 +66,16 @@ def _make(settings: configs.Settings, sensor: Sensor, data_dir: Path, engine: En
     import absl.logging
     import tensorflow_datasets as tfds
 
-    from data_specs import stored_set, tactip_paired, tactip_pose, tactip_recorded
+    from jaxunshear.dataset.builders import paired, pose, recorded, stored
 
     name = configs.config_name(settings, sensor)
     builders = {
-        configs.PAIRED_SET: tactip_paired.Builder,
-        configs.POSE_SET: tactip_pose.Builder,
-        configs.RECORDED_SET: tactip_recorded.Builder,
+        configs.PAIRED_SET: paired.TactipPaired,
+        configs.POSE_SET: pose.TactipPose,
+        configs.RECORDED_SET: recorded.TactipRecorded,
     }
     standard = name in configs.CONFIGS.get(configs.set_name(settings), {})
-    config = name if standard else stored_set.SetConfig(name=name, settings=settings, sensor=sensor)
+    config = name if standard else stored.SetConfig(name=name, settings=settings, sensor=sensor)
     absl.logging.set_verbosity(absl.logging.ERROR)  # TFDS warns of each configuration that it does not know
     tfds.disable_progress_bar()
     builder = builders[configs.set_name(settings)](config=config, data_dir=data_dir)

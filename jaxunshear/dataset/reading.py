@@ -186,7 +186,7 @@ def _remedy(folder: Path) -> str:
 
 def _check_shards(folder: Path, split: str) -> None:
     """Compares every shard of a split with its checksum from when it was written."""
-    from data_specs.stored_set import MANIFEST, sha256
+    from jaxunshear.dataset.builders.stored import MANIFEST, sha256
 
     remedy = _remedy(folder)
     try:

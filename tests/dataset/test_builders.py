@@ -16,7 +16,7 @@ import tensorflow_datasets as tfds
 
 import data_specs.tactip_paired
 import data_specs.tactip_pose
-from data_specs.stored_set import SetConfig, sha256
+from jaxunshear.dataset.builders.stored import SetConfig, sha256
 from jaxunshear.dataset.chunks import load_chunk
 from jaxunshear.dataset.making import make_set, make_sets
 from jaxunshear.dataset.shots import draw
