@@ -25,21 +25,18 @@ class State(NamedTuple):
     average: dict[str, Tree]  # moving averages of both: the variables that are validated, kept and used
 
 
-def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> Callable[[Array], Array]:
+def learning_rate(training: Training, steps: int, steps_per_epoch: float) -> optax.Schedule:
     """Step -> learning rate. Raises UserError for an unknown schedule."""
     first = training.learning_rate
     if training.schedule == "cosine":
         return optax.cosine_decay_schedule(first, steps)
     if training.schedule != "steps":
         raise UserError(f'schedule: "{training.schedule}" is unknown; use "cosine" or "steps"')
-
-    def drop(step: Array) -> Array:
-        rate = jnp.asarray(first)
-        for epoch, factor in training.drops:
-            rate = jnp.where(step >= epoch * steps_per_epoch, first * factor, rate)
-        return rate
-
-    return drop
+    factors = (1.0, *(factor for _, factor in training.drops))
+    return optax.join_schedules(
+        [optax.constant_schedule(first * factor) for factor in factors],
+        [epoch * steps_per_epoch for epoch, _ in training.drops],  # may lie between two steps
+    )
 
 
 def optimiser_of(training: Training, steps: int, steps_per_epoch: float) -> optax.GradientTransformation:
@@ -81,7 +78,7 @@ def make_step(
         decay = jnp.minimum(training.averaging, (1.0 + state.step) / (10.0 + state.step))
         new = {"params": params, "batch_stats": batch_stats}
         average = jax.tree.map(lambda old, now: decay * old + (1 - decay) * now, state.average, new)
-        metrics["gradient"] = jnp.sqrt(sum(jnp.sum(leaf**2) for leaf in jax.tree.leaves(gradient)))
+        metrics["gradient"] = optax.tree.norm(gradient)
         return State(state.step + 1, params, batch_stats, moments, average), metrics
 
     return step
