@@ -23,8 +23,10 @@ def cache_folder() -> Path:
     """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder. Raises `UserError` where none is known."""
     if os.environ.get("JAXUNSHEAR_CACHE"):
         return Path(os.environ["JAXUNSHEAR_CACHE"])
+    from platformdirs import user_cache_path  # only for this: help must be quick
+
     try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxunshear"
+        return user_cache_path("jaxunshear")
     except RuntimeError:  # a user without a name, as in a container
         raise UserError(
             "no home folder is known to keep a cache in: set HOME, or JAXUNSHEAR_CACHE, to a folder"

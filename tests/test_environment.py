@@ -1,6 +1,7 @@
 """What a shell, a notebook or a container leaves in the environment changes no result, and what cannot work is told in one line."""
 
 import os
+import pwd
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.environment import settled
+from jaxunshear.storage import cache_folder
 from jaxunshear.sweep import tasks
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -63,15 +65,27 @@ def test_devices_and_flags_that_cannot_be_are_reported_before_any_work(tmp_path,
 
 
 def test_no_home_is_reported_in_one_line(command, monkeypatch):
-    def home():
-        raise RuntimeError("Could not determine home directory.")
+    def nobody(uid):  # a user without a name, as in a container
+        raise KeyError(uid)
 
-    monkeypatch.setattr(Path, "home", home)
-    for name in ("JAXUNSHEAR_CACHE", "XDG_CACHE_HOME"):
+    monkeypatch.setattr(pwd, "getpwuid", nobody)
+    for name in ("JAXUNSHEAR_CACHE", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)
     answer = command("run", ROOT / "experiments" / "tiny.py")
     assert (answer.code, answer.err.count("\n")) == (2, 1)
     assert "set HOME, or JAXUNSHEAR_CACHE" in answer.err
+
+
+def test_caches_lie_in_the_users_folder_unless_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("JAXUNSHEAR_CACHE", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    if sys.platform == "linux":
+        assert cache_folder() == tmp_path / ".cache" / "jaxunshear"
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+        assert cache_folder() == tmp_path / "xdg" / "jaxunshear"
+    monkeypatch.setenv("JAXUNSHEAR_CACHE", str(tmp_path / "ours"))
+    assert cache_folder() == tmp_path / "ours"
 
 
 @pytest.mark.parametrize(
