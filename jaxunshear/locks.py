@@ -1,9 +1,10 @@
 """Locks on folders, so that never two processes write into one. Imports no JAX."""
 
 import contextlib
-import fcntl
 from collections.abc import Iterator
 from pathlib import Path
+
+from filelock import FileLock, Timeout
 
 from jaxunshear.storage import os_error
 
@@ -15,17 +16,13 @@ def locked(path: Path, wait: bool) -> Iterator[bool]:
     `wait`: until it can. The system frees it when the process dies, however it dies; the empty file stays.
     Raises `UserError` where the file cannot be written or locked.
     """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.open("a")
-    except OSError as error:
-        raise os_error(path, error) from error
-    with file:
-        free = True
+    with contextlib.ExitStack() as held:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        except BlockingIOError:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            held.enter_context(FileLock(path, blocking=wait, fallback_to_soft=False))
+            free = True
+        except Timeout:
             free = False
         except OSError as error:
-            raise os_error(path, error, "lock") from error
+            raise os_error(path, error) from error
         yield free
