@@ -1,17 +1,30 @@
-"""Rows of figures as plain text."""
+"""Rows of figures as text, laid out by rich."""
 
+import sys
 from collections.abc import Sequence
 from typing import Any
 
+from rich.console import Console
+from rich.table import Table
+
+WIDE = 10_000  # columns where nobody watches: lines of a file or a pipe are never broken
+
 
 def plain_table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
-    """A heading, then a line a row: numbers to three digits, `-` for what a row does not have."""
-    cells = [list(columns)] + [[_text(row.get(name)) for name in columns] for row in rows]
-    widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
-    return "\n".join(
-        "  ".join([line[0].ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(line[1:], widths[1:], strict=True))])
-        for line in cells
-    )
+    """A heading, then a line a row: numbers to three digits, `-` for what a row does not have.
+
+    In a terminal cells that do not fit are folded; elsewhere a row is one line, without colours or frames.
+    """
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for place, name in enumerate(columns):
+        table.add_column(name, justify="right" if place else "left", overflow="fold")
+    for row in rows:
+        table.add_row(*(_text(row.get(name)) for name in columns))
+    seen = sys.stdout.isatty()
+    console = Console(width=None if seen else WIDE, force_terminal=seen, markup=False, emoji=False)
+    with console.capture() as text:
+        console.print(table)
+    return text.get().removesuffix("\n")
 
 
 def _text(value: Any) -> str:

@@ -4,6 +4,7 @@ from typing import Any
 
 from jaxunshear.report.frontier_figure import ranked
 from jaxunshear.settings.registry import POSENET_SHEARED
+from jaxunshear.table import plain_table
 
 LEARNT_SHEARED = "sheared_learnt"  # as evaluation calls what `posenet_sheared` reads
 
@@ -15,15 +16,13 @@ def table(summary: dict[str, Any]) -> str:
     and what no other setting beats."""
     cells = summary["cells"]
     names = main_metrics(summary)
-    lines = [["", "seeds", *names, "training", "memory"]]
+    head, rows = ("", "seeds", *names, "training", "memory"), []
     for cell in cells:
         mark = " *" if cell["label"] == summary["reference"] else ""
         figures = [_figure(cell["metrics"].get(name)) for name in names]
-        lines.append(
-            [cell["label"] + mark, f"{len(cell['seeds'])} of {len(summary['seeds'])}", *figures, *_costs(cell)]
-        )
-    widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
-    text = ["  ".join(word.ljust(width) for word, width in zip(line, widths, strict=True)).rstrip() for line in lines]
+        line = [cell["label"] + mark, f"{len(cell['seeds'])} of {len(summary['seeds'])}", *figures, *_costs(cell)]
+        rows.append(dict(zip(head, line, strict=True)))
+    text = [plain_table(rows, head)]
     text.append(f"brackets: 95 % intervals over {summary['spread']['over']}")
     if summary["reference"]:
         text.append("* what sweep.json has the differences from")
