@@ -5,10 +5,15 @@
 ...         progress.advance(len(batch))
 """
 
+import os
 import sys
 import time
 from collections.abc import Callable
+from functools import cache
 from typing import Self, TextIO
+
+from rich import progress
+from rich.console import Console
 
 TERMINAL_SECONDS = 0.2
 LOG_SECONDS = 10.0
@@ -17,7 +22,7 @@ LOG_SECONDS = 10.0
 class Progress:
     """Counts `done` of `total` units. The rate is that of this process: `done` at the start (resumed work) is left out.
 
-    On a terminal one line is drawn over and over; in a log a full line is written about every ten seconds.
+    On a terminal a bar is drawn over and over; in a log a full line is written about every ten seconds.
     """
 
     def __init__(
@@ -31,22 +36,27 @@ class Progress:
     ) -> None:
         self.label, self.total, self.unit, self.done = label, total, unit, done
         self._stream = sys.stderr if stream is None else stream
-        self._terminal = self._stream.isatty()
         self._clock = clock
-        self._from, self._width = done, 0
+        self._from = done
         self._start = self._shown = clock()
+        self._bar: progress.Progress | None = None
+        if self._stream.isatty() and os.environ.get("TERM") not in ("dumb", "unknown"):
+            self._bar = _bar(self._stream)
+            self._bar.add_task(label, total=total, completed=int(done))
 
     def __enter__(self) -> Self:
         self._start = self._shown = self._clock()
+        if self._bar:
+            self._bar.start()
         return self
 
     def advance(self, n: float = 1) -> None:
         """Counts `n` more; draws if the last drawing is long enough ago."""
         self.done += n
         now = self._clock()
-        if now - self._shown >= (TERMINAL_SECONDS if self._terminal else LOG_SECONDS):
+        if now - self._shown >= (TERMINAL_SECONDS if self._bar else LOG_SECONDS):
             self._shown = now
-            self._draw(self.line(now), end="" if self._terminal else "\n")
+            self._draw(now)
 
     def line(self, now: float) -> str:
         """For example `train: 3200/9600 images, 41.3 images/s, 2 min 35 s left`."""
@@ -60,14 +70,34 @@ class Progress:
         return text
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._terminal or kind is None:  # an interrupted line must end before the error's
-            self._draw(self.line(self._clock()), end="\n")
+        if self._bar or kind is None:
+            self._draw(self._clock())
+        if self._bar:
+            self._bar.stop()  # an interrupted line must end before the error's
 
-    def _draw(self, text: str, end: str) -> None:
-        if self._terminal:
-            text, self._width = "\r" + text.ljust(self._width), len(text)
-        self._stream.write(text + end)
-        self._stream.flush()
+    def _draw(self, now: float) -> None:
+        if not self._bar:
+            print(self.line(now), file=self._stream, flush=True)
+            return
+        (task,) = self._bar.task_ids
+        self._bar.update(task, description=self.line(now), completed=self.done, refresh=True)
+
+
+def _bar(stream: TextIO) -> progress.Progress:
+    return progress.Progress(
+        progress.TextColumn("{task.description}", markup=False),
+        progress.BarColumn(bar_width=None),  # what the text leaves of the line
+        console=_console(stream),
+        auto_refresh=False,
+        redirect_stdout=sys.stdout.isatty(),  # what goes into a file stays out of the terminal
+        expand=True,
+    )
+
+
+@cache
+def _console(stream: TextIO) -> Console:
+    """One for all bars on a stream, so that a bar may be drawn within a bar."""
+    return Console(file=stream, force_terminal=True)
 
 
 def duration(seconds: float) -> str:

@@ -1,6 +1,8 @@
 """The rate, the time left, and not too many lines."""
 
 import io
+import re
+import sys
 
 import pytest
 
@@ -12,6 +14,11 @@ class Clock:
 
     def __call__(self) -> float:
         return self.now
+
+
+@pytest.fixture(autouse=True)
+def able(monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
 
 
 class Terminal(io.StringIO):
@@ -35,13 +42,41 @@ def test_a_log_gets_a_line_every_ten_seconds_and_a_last_one():
     assert lines[-1] == "train: 1000/1000 images, 20 images/s, done in 50 s"
 
 
-def test_a_terminal_gets_one_line_redrawn_at_most_five_times_a_second():
+def plain(text: str) -> str:
+    """Without colours and movements of the cursor."""
+    return re.sub(r"\x1b\[[?\d;]*[a-zA-Z]", "", text)
+
+
+@pytest.mark.parametrize("columns", [50, 80])
+def test_a_terminal_gets_one_line_redrawn_at_most_five_times_a_second(columns, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
     text = work(Terminal(), steps=100, seconds=0.1)
-    assert text.count("\r") <= 51
+    assert 30 <= text.count("\r\x1b[2K") <= 51, "each drawing erases the one before"
     assert text.count("\n") == 1
-    widths = [len(line.rstrip()) for line in text.rstrip().split("\r")[1:]]
-    padded = [len(line) for line in text.rstrip("\n").split("\r")[1:]]
-    assert all(after >= before for before, after in zip(widths, padded[1:], strict=False)), "leftovers of a longer line"
+    drawings = plain(text).splitlines()
+    assert max(map(len, drawings)) <= columns
+    assert drawings[1].startswith("train: 20/1000 images, 100 images/s, 10 s left ")
+    assert drawings[-1].startswith("train: 1000/1000 images, 100 images/s, done in 1")
+    assert columns < 80 or re.search(" ━+$", drawings[-1])
+
+
+def test_a_terminal_that_cannot_move_its_cursor_gets_lines(monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    assert work(Terminal(), steps=100, seconds=0.5) == work(io.StringIO(), steps=100, seconds=0.5)
+
+
+def test_a_bar_in_a_bar_and_a_line_between_leave_lines_in_their_order(monkeypatch):
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    clock = Clock()
+    with Progress("out [red]", total=2, clock=clock) as outer:
+        print("said", file=sys.stderr)
+        with Progress("in", total=1, clock=clock) as inner:
+            clock.now += 1
+            inner.advance()
+        outer.advance(2)
+    left = [line.split("\r")[-1] for line in plain(stream.getvalue()).split("\n")]
+    assert [line.split(",")[0] for line in left] == ["said", "in: 1/1 images", "out [red]: 2/2 images", ""]
 
 
 def test_resumed_work_does_not_count_towards_the_rate():
@@ -53,7 +88,7 @@ def test_an_interrupted_line_is_ended():
     stream = Terminal()
     with pytest.raises(KeyboardInterrupt), Progress("train", total=10, stream=stream):
         raise KeyboardInterrupt
-    assert stream.getvalue().endswith("\n")
+    assert plain(stream.getvalue()).endswith("\n")
 
 
 @pytest.mark.parametrize(
