@@ -1,14 +1,15 @@
 """What the networks were put to: sections of a run's page, for those of the commands whose results lie in the run's folder."""
 
-from html import escape
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup, escape
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
 from jaxunshear.report import page
 from jaxunshear.report.object_figure import PICTURES
-from jaxunshear.report.page import number
+from jaxunshear.report.page import number, spanned
 from jaxunshear.report.pictures import address_of
 from jaxunshear.report.walk_figure import WORDS
 from jaxunshear.storage import read_json
@@ -18,7 +19,7 @@ KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} 
 }
 
 
-def sections(run_dir: Path) -> list[str]:
+def sections(run_dir: Path) -> list[Markup]:
     """HTML, in the order geometry, walks, objects, stream; nothing for a command that has not been run. Raises `UserError`."""
     found = []
     for name, part in (("geometry", _geometry), ("servo", _walks), ("reconstruct", _objects), ("stream", _stream)):
@@ -33,11 +34,11 @@ def sections(run_dir: Path) -> list[str]:
     return found
 
 
-def _geometry(results: dict[str, Any], folder: Path) -> str:
+def _geometry(results: dict[str, Any], folder: Path) -> Markup:
     rows = [
         [
-            KINDS.get(row["kind"], escape(row["kind"])),
-            escape(row["way"]),
+            KINDS.get(row["kind"], row["kind"]),
+            row["way"],
             _spanned(row, "correlation"),
             _spanned(row, "rmse_mm"),
             f"{row['unmatched']} of {row['contacts']}",
@@ -57,12 +58,10 @@ def _geometry(results: dict[str, Any], folder: Path) -> str:
     )
 
 
-def _walks(results: dict[str, Any], folder: Path) -> str:
+def _walks(results: dict[str, Any], folder: Path) -> Markup:
     def cell(row: dict[str, Any]) -> str:
-        return (
-            f"{row['closed']} of {row['starts']}"
-            f"<small>{number(row['mean_mm'])} / {number(row['p95_mm'])} / {number(row['largest_mm'])}</small>"
-        )
+        distances = (number(row[name]) for name in ("mean_mm", "p95_mm", "largest_mm"))
+        return Markup("{} of {}<small>{} / {} / {}</small>").format(row["closed"], row["starts"], *distances)
 
     lead = (
         "The sensor follows outlines in the simulator, steered by what each way of perceiving reports. Walks that closed the outline; "
@@ -75,15 +74,16 @@ def _walks(results: dict[str, Any], folder: Path) -> str:
         "Around objects by touch",
         lead,
         _by_way(results["rows"], cell),
-        f"<p class=soft>Perceiving takes, a step: {escape(times)}.</p>",
+        page.soft(f"Perceiving takes, a step: {times}."),
         *(_picture(folder / f"{name}.png") for name in names),
         _command(results),
     )
 
 
-def _objects(results: dict[str, Any], folder: Path) -> str:
+def _objects(results: dict[str, Any], folder: Path) -> Markup:
     def cell(row: dict[str, Any]) -> str:
-        return f"{number(row['iou'], 3)}<small>{number(row['mean_mm'])} / {number(row['hausdorff_mm'], 1)}</small>"
+        distances = number(row["mean_mm"]), number(row["hausdorff_mm"], 1)
+        return Markup("{}<small>{} / {}</small>").format(number(row["iou"], 3), *distances)
 
     lead = (
         "The shape that each walk's images enclose, against the true one: area shared over area of either, mean of the walks; below, "
@@ -96,7 +96,7 @@ def _objects(results: dict[str, Any], folder: Path) -> str:
     return page.section("Complete objects", lead, _by_way(lines, cell), *pictures, _command(results))
 
 
-def _stream(results: dict[str, Any], folder: Path) -> str:
+def _stream(results: dict[str, Any], folder: Path) -> Markup:
     latency = results["latency_ms"] or {}
     rows = [[name, str(results[name])] for name in ("used", "skipped", "dropped")]
     rows += [[f"{name}, ms", number(value, 1)] for name, value in latency.items()]
@@ -104,29 +104,24 @@ def _stream(results: dict[str, Any], folder: Path) -> str:
     return page.section("As a stream", lead, page.table(("frames", ""), rows), _command(results))
 
 
-def _by_way(rows: list[dict[str, Any]], cell: Any) -> str:
+def _by_way(rows: list[dict[str, Any]], cell: Any) -> Markup:
     """A line an object, a column a way of perceiving."""
     ways = list(dict.fromkeys(row["way"] for row in rows))
     found = {(row["stimulus"], row["way"]): cell(row) for row in rows}
     names = list(dict.fromkeys(row["stimulus"] for row in rows))
-    lines = [[escape(name), *(found.get((name, way), "") for way in ways)] for name in names]
-    return page.table(["object", *(escape(WORDS.get(way, way)).replace(", ", ",<br>") for way in ways)], lines)
+    lines = [[name, *(found.get((name, way), "") for way in ways)] for name in names]
+    return page.table(["object", *(escape(WORDS.get(way, way)).replace(", ", Markup(",<br>")) for way in ways)], lines)
 
 
 def _spanned(row: dict[str, Any], name: str) -> str:
     if name not in row:
         return number(None)
-    low, high = row[f"{name}_interval"]
-    return f"{number(row[name], 3)} <small>[{low:.3f}, {high:.3f}]</small>"
+    return spanned(row[name], row[f"{name}_interval"], 3)
 
 
-def _picture(file: Path) -> str:
-    return (
-        f'<figure><img src="{address_of(file.read_bytes())}" alt="{escape(file.stem)}"></figure>'
-        if file.is_file()
-        else ""
-    )
+def _picture(file: Path) -> Markup:
+    return page.figure(address_of(file.read_bytes()), file.stem) if file.is_file() else Markup()
 
 
-def _command(results: dict[str, Any]) -> str:
-    return f"<pre>{escape(results['command'])}</pre>"
+def _command(results: dict[str, Any]) -> Markup:
+    return page.code(results["command"])

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from markupsafe import Markup
+
 from jaxunshear.evaluation.measurements import measurements
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.progress import duration
@@ -16,12 +18,12 @@ READ = (
 )  # of a recorded run: the first of these that it has is what it is about
 
 
-def headlines(results: dict[str, Any]) -> str:
+def headlines(results: dict[str, Any]) -> Markup:
     shown = _simulated(results) if words.simulated(results) else _recorded(results)
     return page.cards(*shown, _run_total(results))
 
 
-def _simulated(results: dict[str, Any]) -> list[str]:
+def _simulated(results: dict[str, Any]) -> list[Markup]:
     rows = {row["name"]: row for row in measurements(results)["rows"]}
     similar, pose, pins = results["ms_ssim"], results["pose_mae"], results["pin_error"]
     name, kind = results["metric"]["ms_ssim"], shown_kind(similar)
@@ -46,7 +48,7 @@ def _simulated(results: dict[str, Any]) -> list[str]:
     return [*shown, moved]
 
 
-def _recorded(results: dict[str, Any]) -> list[str]:
+def _recorded(results: dict[str, Any]) -> list[Markup]:
     pose, similar, chief = results["pose_mae"], results["ms_ssim"], words.chief(results)
     shown = [_read(pose, quantity) for quantity in chief if pose]
     if similar:
@@ -65,7 +67,7 @@ def _recorded(results: dict[str, Any]) -> list[str]:
     return shown
 
 
-def _read(pose: dict[str, dict[str, float | None]], quantity: str) -> str:
+def _read(pose: dict[str, dict[str, float | None]], quantity: str) -> Markup:
     """The error in one quantity: of slides before and after, of taps and of the direct way beside it."""
     kind = next(kind for kind in READ if kind in pose)
     before = _error(pose["sheared"][quantity], quantity) if kind in READ[:2] and "sheared" in pose else ""
@@ -83,7 +85,7 @@ def _error(value: float | None, quantity: str) -> str:
     return number(value, 2 if words.unit(quantity) == "mm" else 1)
 
 
-def _run_total(results: dict[str, Any]) -> str:
+def _run_total(results: dict[str, Any]) -> Markup:
     machine, total = results["machine"], duration(sum(results["time_s"].values()))
     return page.card(
         "Entire run", "", total, f"sum of its stages; {machine['cores']} cores, {machine['device'].split(':')[0]}"

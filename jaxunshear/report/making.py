@@ -1,8 +1,9 @@
 """Sections of a run's report: how it was made. Training, times, the contacts behind the images, how to get it again."""
 
 import json
-from html import escape
 from typing import Any
+
+from markupsafe import Markup
 
 from jaxunshear.progress import duration
 from jaxunshear.report import figures, page, words
@@ -11,7 +12,7 @@ from jaxunshear.report.history import History
 SHOWN = ("parameters", "steps", "images_per_second", "train_seconds", "best_step")  # of a training's summary
 
 
-def training(histories: dict[str, History], summaries: dict[str, dict]) -> str:
+def training(histories: dict[str, History], summaries: dict[str, dict]) -> Markup:
     if not histories:
         return page.section("Training", "This run has no training logs.")
     rows = [
@@ -31,7 +32,7 @@ def training(histories: dict[str, History], summaries: dict[str, dict]) -> str:
     return page.section("Training", lead, page.drawing(figures.loss_curves(histories), text), page.table(head, rows))
 
 
-def times(results: dict[str, Any], histories: dict[str, History]) -> str:
+def times(results: dict[str, Any], histories: dict[str, History]) -> Markup:
     stages = {name: value for name, value in results["time_s"].items() if value is not None}
     drawn = []
     if stages:
@@ -50,8 +51,8 @@ def times(results: dict[str, Any], histories: dict[str, History]) -> str:
         f"{name} {_short(times['median'])} ms (95th percentile {_short(times['p95'])})"
         for name, times in results["ms_per_image"].items()
     )
-    note = f"<p class=soft>One image at a time, compilation apart: {waits}.</p>" if waits else ""
-    return page.section("Error against run time", lead, f"<div class=row>{''.join(drawn)}</div>", note)
+    note = page.soft(f"One image at a time, compilation apart: {waits}.") if waits else ""
+    return page.section("Error against run time", lead, page.row(*drawn), note)
 
 
 def _short(milliseconds: float) -> str:
@@ -66,10 +67,10 @@ def _over_time(results: dict[str, Any]) -> dict[str, str]:
     return {"supervised": f"unsheared {what}, MSE"} | chief
 
 
-def contacts(results: dict[str, Any]) -> str:
+def contacts(results: dict[str, Any]) -> Markup:
     """Nothing of recorded contacts, which no solver has solved."""
     if not words.simulated(results):
-        return ""
+        return Markup()
     names = {
         "residual_mm": "solver residual, mm",
         "iterations": "solver iterations",
@@ -79,7 +80,7 @@ def contacts(results: dict[str, Any]) -> str:
     }
     head = ["sheared test contacts", "mean", "median", "95th percentile", "largest"]
     rows = [
-        [names.get(field, escape(field)), *(f"{entry[q]:.3g}" for q in ("mean", "median", "p95", "max"))]
+        [names.get(field, field), *(f"{entry[q]:.3g}" for q in ("mean", "median", "p95", "max"))]
         for field, entry in results["contact"].items()
     ]
     counts = results["counts"]
@@ -93,18 +94,16 @@ def contacts(results: dict[str, Any]) -> str:
     )
     poses = f"{counts['test_poses']} test poses. {counts['pin_images']} images had their pins found."
     lead = "How well the simulated contacts behind the test images were solved."
-    return page.section("Contact quality", lead, page.table(head, rows), f"<p class=soft>{tried} {pairs}; {poses}</p>")
+    return page.section("Contact quality", lead, page.table(head, rows), page.soft(f"{tried} {pairs}; {poses}"))
 
 
-def provenance(results: dict[str, Any]) -> str:
-    def lines(entries: dict[str, Any]) -> str:
-        return page.table(("", ""), [[escape(str(k)), escape(str(v))] for k, v in entries.items()])
-
-    settings = escape(json.dumps(results["settings"], indent=2))
+def provenance(results: dict[str, Any]) -> Markup:
+    parts = (page.table(("", ""), list(results[part].items())) for part in ("seeds", "machine", "versions"))
+    settings = page.code(json.dumps(results["settings"], indent=2))
     return page.section(
         "How to get this again",
         "The same command, seeds and versions on the same machine give the same numbers.",
-        f"<pre>{escape(results['command'])}</pre>",
-        f"<div class=row>{lines(results['seeds'])}{lines(results['machine'])}{lines(results['versions'])}</div>",
-        f"<details><summary>All settings</summary><pre>{settings}</pre></details>",
+        page.code(results["command"]),
+        page.row(*parts),
+        page.folded("All settings", settings),
     )

@@ -1,11 +1,11 @@
 """Sheared, unsheared and tapped images side by side: for the report, and as one picture."""
 
 import io
-from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from jaxunshear.errors import UserError
@@ -44,21 +44,15 @@ def terms(results: dict[str, Any]) -> Terms:
     return Terms(heads, "depth" if words.simulated(results) else "z", truth)
 
 
-def section(shown: Shown, results: dict[str, Any]) -> str:
+def section(shown: Shown, results: dict[str, Any]) -> Markup:
     """Of the report: one typical contact of each stimulus, and folded away those that went badly and well."""
     middle, others = _typical(shown)
     said = terms(results)
-    key = "".join(
-        f'<span class=key style="background: rgb{colour}"></span>{text}'
-        for colour, text in ((pictures.MISSING, "missing from the image"), (pictures.SURPLUS, "should not be there"))
-    )
-    body = [
-        _table(shown, middle, said),
-        f"<figcaption>In the differences:{key}. Numbers are likeness to the {said.truth}.</figcaption>",
-    ]
+    colours = ((pictures.MISSING, "missing from the image"), (pictures.SURPLUS, "should not be there"))
+    body = [_table(shown, middle, said), page.caption(colours, said.truth)]
     if others:
         summary = "Contacts that went badly, and well (10th and 90th percentile)"
-        body.append(f"<details><summary>{summary}</summary>{_table(shown, others, said)}</details>")
+        body.append(page.folded(summary, _table(shown, others, said)))
     lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
     if not words.simulated(results):
         lead = f"A held-out slide that is typical: what was felt, what the network made of it, and its {said.truth}."
@@ -116,18 +110,10 @@ def _words(shown: Shown, row: int, said: Terms) -> list[str]:
     return [str(shown["stimulus"][row]), *(text for text, value in known if np.isfinite(value))]
 
 
-def _strong(text: str, title: str) -> str:
-    return f"<b>{text}</b>" if title == "unsheared" else text
-
-
-def _table(shown: Shown, rows: list[int], said: Terms) -> str:
+def _table(shown: Shown, rows: list[int], said: Terms) -> Markup:
     lines = []
     for row in rows:
-        name, *words = map(escape, _words(shown, row, said))
-        pixels = "".join(
-            f'<td><img src="{pictures.png_address(image)}" alt="{escape(title)}">{_strong(text, title)}</td>'
-            for (image, text), title in zip(_cells(shown, row), said.heads, strict=True)
-        )
-        lines.append(f"<tr><th><b>{name}</b><br>{'<br>'.join(words)}</th>{pixels}</tr>")
-    top = "".join(f"<th>{title}</th>" for title in ("", *said.heads))
-    return f'<div class=wide><table class="montage"><tr>{top}</tr>\n' + "\n".join(lines) + "</table></div>"
+        name, *about = _words(shown, row, said)
+        cells = zip(_cells(shown, row), said.heads, strict=True)
+        lines.append((name, about, [(pictures.png_address(image), head, text) for (image, text), head in cells]))
+    return page.montage(said.heads, lines)

@@ -1,7 +1,8 @@
 """The section on poses: what a PoseNet reads of every kind of contact, and how much of the slide's damage is undone."""
 
-from html import escape
 from typing import Any
+
+from markupsafe import Markup
 
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, scores, words
@@ -12,14 +13,14 @@ TITLE = "What a pose network reads"
 ALIAS = "unsheared"  # in recorded results: the network that the run is about, once more
 
 
-def poses(results: dict[str, Any]) -> str:
+def poses(results: dict[str, Any]) -> Markup:
     ours, spread = results["pose_mae"], results["spread"]["pose_mae"]
     if not ours:
         return page.section(TITLE, "This run has no PoseNet.")
     names, paper = words.targets(results), results["paper"]["pose_mae"]
     known = [name for name in paper["tap"] if name in names and words.simulated(results)]
     given = "what PoseNet is given" if words.over_pins(results) else "image given to PoseNet"
-    head = [given, *map(words.heading, names), *(f"{words.heading(q)}<br>paper" for q in known)]
+    head = [given, *map(words.heading, names), *(Markup("{}<br>paper").format(words.heading(q)) for q in known)]
     rows = [
         [
             words.kind_of(results, kind),
@@ -32,7 +33,7 @@ def poses(results: dict[str, Any]) -> str:
     strong, chance = [len(rows) - 1], results["baselines"]["pose_chance"]
     rows.append(
         [
-            f"<i>one answer to every {'image' if words.simulated(results) else 'contact'}</i>",
+            Markup("<i>one answer to every {}</i>").format("image" if words.simulated(results) else "contact"),
             *(number(chance.get(q), words.digits(results, q)) for q in names),
             *("" for _ in known),
         ]
@@ -75,23 +76,21 @@ def _brackets(results: dict[str, Any]) -> str:
     return reported[0].upper() + reported[1:]
 
 
-def _recovery(results: dict[str, Any]) -> str:
+def _recovery(results: dict[str, Any]) -> Markup:
     """The sentence; nothing where no network unshears, or nothing is known of taps."""
     kind = shown_kind(results["pose_recovery"])
     if kind == "sheared":
-        return ""
+        return Markup()
     found, spread = results["pose_recovery"][kind], results["spread"]["pose_recovery"][kind]
     if words.simulated(results):
         undone = [f"{words.word(q)} {x:.0%}{_span(spread[q], '.0%')}" for q, x in found.items() if x is not None]
-        return (
-            f"<p class=soft>Recovery, the part of the slide's damage that is undone, by the {kind} network: "
-            f"{', '.join(undone) or 'none'}.</p>"
-        )
+        text = f"Recovery, the part of the slide's damage that is undone, by the {kind} network: "
+        return page.soft(f"{text}{', '.join(undone) or 'none'}.")
     reported = "; ".join(f"{words.word(q)} {_recovered(found[q], spread[q])}" for q in words.targets(results))
-    return (
-        f"<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {kind} network: {reported}. 1 is as good as taps, "
-        f"0 as bad as slides as felt.</p><p class=soft>{_of_paper(results)}</p>"
-    )
+    return Markup(
+        "<p>Recovery, (as felt - unsheared) / (as felt - taps), by the {} network: {}. 1 is as good as taps, "
+        "0 as bad as slides as felt.</p>{}"
+    ).format(kind, reported, page.soft(_of_paper(results)))
 
 
 def _recovered(value: float | None, interval: list[float] | None) -> str:
@@ -112,7 +111,7 @@ def _span(interval: list[float] | None, form: str) -> str:
     return "" if interval is None else f" [{interval[0]:{form}}, {interval[1]:{form}}]"
 
 
-def _by_part(results: dict[str, Any], table: str, by: str) -> str:
+def _by_part(results: dict[str, Any], table: str, by: str) -> Markup:
     """Each part of `table`, for the network that `poses` names; folded away. Recovery, or where nothing is known of
     taps errors. Nothing of runs evaluated by an earlier version."""
     names, kind = words.targets(results), shown_kind(results["pose_mae"])
@@ -123,31 +122,29 @@ def _by_part(results: dict[str, Any], table: str, by: str) -> str:
             continue
         if kind in found["pose_recovery"] and kind != "sheared":
             recovered, spread = True, found["spread"]["pose_recovery"][kind]
-            rows.append(
-                [escape(part), *(spanned(found["pose_recovery"][kind].get(q), spread.get(q), 2) for q in names)]
-            )
+            rows.append([part, *(spanned(found["pose_recovery"][kind].get(q), spread.get(q), 2) for q in names)])
         elif not words.simulated(results) and {"sheared", kind} <= set(found["pose_mae"]) and kind != "sheared":
             felt, unsheared = found["pose_mae"]["sheared"], found["pose_mae"][kind]
             rows.append(
                 [
-                    escape(part),
+                    part,
                     *(
-                        f"{number(felt[q], d)} &rarr; {number(unsheared[q], d)}"
+                        f"{number(felt[q], d)} \u2192 {number(unsheared[q], d)}"
                         for q, d in zip(names, digits, strict=True)
                     ),
                 ]
             )
     if not rows:
-        return ""
+        return Markup()
     head = (
         [f"recovery, by {by}", *map(words.word, names)]
         if recovered
-        else [f"as felt &rarr; unsheared, by {by}", *map(words.heading, names)]
+        else [f"as felt \u2192 unsheared, by {by}", *map(words.heading, names)]
     )
-    return f"<details><summary>By {by}</summary>{page.table(head, rows)}</details>"
+    return page.folded(f"By {by}", page.table(head, rows))
 
 
-def _apart(results: dict[str, Any]) -> list[str]:
+def _apart(results: dict[str, Any]) -> list[Markup]:
     """The disentangled network less each other one, contact by contact, a sentence each."""
     if words.simulated(results):
         units = {
@@ -159,7 +156,7 @@ def _apart(results: dict[str, Any]) -> list[str]:
     return [_against(results, kind) for kind, columns in results["difference"].items() if set(columns) != {"ms_ssim"}]
 
 
-def _against(results: dict[str, Any], kind: str) -> str:
+def _against(results: dict[str, Any], kind: str) -> Markup:
     found, spread = results["difference"][kind], results["spread"]["difference"][kind]
     reported = []
     for name in words.targets(results):
@@ -167,10 +164,8 @@ def _against(results: dict[str, Any], kind: str) -> str:
         verdict = "within chance" if low <= 0 <= high else "better" if high < 0 else "worse"
         form = f"+.{words.digits(results, name)}f"
         figure = f"{found[name]:{form}}{_span(spread[name], form)} {words.unit(name)}"
-        reported.append(f"{words.word(name)} <b>{verdict}</b> ({figure})")
-    other = (
-        "a PoseNet that learnt from slides directly"
-        if kind == "sheared_learnt"
-        else escape(words.kind_of(results, kind))
+        reported.append(Markup("{} <b>{}</b> ({})").format(words.word(name), verdict, figure))
+    other = "a PoseNet that learnt from slides directly" if kind == "sheared_learnt" else words.kind_of(results, kind)
+    return Markup("<p>Slide by slide, the disentangled network's slides against {}: {}.</p>").format(
+        other, Markup("; ").join(reported)
     )
-    return f"<p>Slide by slide, the disentangled network's slides against {other}: {'; '.join(reported)}.</p>"

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from markupsafe import Markup
+
 from jaxunshear.report import page, words
 from jaxunshear.report.page import spanned
 
@@ -9,11 +11,11 @@ TITLE = "Read by readers of another make"
 NAMES = {"pixels": "kernel ridge on pixels", "pins": "kernel ridge on pins"}
 
 
-def readers(results: dict[str, Any]) -> str:
+def readers(results: dict[str, Any]) -> Markup:
     """Nothing of runs without, or evaluated by an earlier version."""
     ours = results.get("readers", {})
     if not ours:
-        return ""
+        return Markup()
     names, spread = words.targets(results), results["spread"]["readers"]
     head = ["reader", "given", "images", *map(words.heading, names)]
     rows = [
@@ -38,9 +40,10 @@ def readers(results: dict[str, Any]) -> str:
         if "pins" in ours and words.simulated(results) and not words.over_pins(results)
         else ""
     )
-    return page.section(TITLE, lead, page.table(head, rows), f"<p class=soft>{found}</p>" if found else "")
+    return page.section(TITLE, lead, page.table(head, rows), page.soft(found) if found else "")
 
 
 def _counted(images: dict[str, int]) -> str:
-    left_out = f" <small>{images['left_out']} left out</small>" if images["left_out"] else ""
-    return f"{images['read']}{left_out}"
+    if not images["left_out"]:
+        return str(images["read"])
+    return Markup("{} <small>{} left out</small>").format(images["read"], images["left_out"])

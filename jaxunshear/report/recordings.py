@@ -1,7 +1,8 @@
 """Sections of a recorded run's page: what it learnt from and was scored on, and how its slides are paired."""
 
-from html import escape
 from typing import Any
+
+from markupsafe import Markup
 
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
@@ -19,7 +20,7 @@ WAYS = {
 }
 
 
-def recordings(results: dict[str, Any]) -> str:
+def recordings(results: dict[str, Any]) -> Markup:
     reported = results["recordings"]
     rows = [
         [kind, *(str(reported[kind][split]) for split in SPLITS)]
@@ -27,9 +28,9 @@ def recordings(results: dict[str, Any]) -> str:
         if any(reported[kind].values())
     ]
     folders = dict.fromkeys(results["settings"]["paired"][kind] for kind in ("tap_folder", "slide_folder"))
-    named = ", ".join(f"<code>{escape(folder)}</code>" for folder in folders if folder)
+    named = Markup(", ").join(Markup("<code>{}</code>").format(folder) for folder in folders if folder)
     facts = [
-        f"Folder: {named} (digest {escape(reported['digest'])}); sensor {escape(reported['sensor'])}, {reported['pins']} pins.",
+        Markup("Folder: {} (digest {digest}); sensor {sensor}, {pins} pins.").format(named, **reported),
         f"Contacts: {reported['contacts']}, {reported['dropped']} of them left out. Pins are followed for sure in "
         f"{reported['pins_sure']:.1%} of the others, in {reported['unsure']} they are not.",
         f"Labels used, by their range in training: {'; '.join(map(_range, results['targets'])) or 'none'}.",
@@ -37,19 +38,21 @@ def recordings(results: dict[str, Any]) -> str:
     if reported["labelled"] < 1:
         facts.append(f"Labels of {reported['labelled']:.0%} of the training slides teach.")
     if results["settings"]["paired"].get("unlabelled") == "read":
-        facts.append("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
+        facts.append(
+            Markup("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
+        )
     lead = "Frames of a real sensor: networks learn from train, their best step is chosen on validation, all figures of test."
     return page.section(
         "The recordings",
         lead,
         page.table(["contacts", *SPLITS], rows),
-        *(f"<p class=soft>{fact}</p>" for fact in facts),
+        *map(page.soft, facts),
         _listed(f"Frames left out ({reported['dropped']})", reported["dropped_frames"], reported["dropped"]),
         _listed("Notes from reading them", reported["notes"], len(reported["notes"])),
     )
 
 
-def intervals(results: dict[str, Any]) -> str:
+def intervals(results: dict[str, Any]) -> Markup:
     """Nothing of runs evaluated by an earlier version, or with few validation contacts."""
     widths, held = results.get("half_width", {}), results.get("coverage", {})
     names = [name for name in words.targets(results) if any(name in reported for reported in held.values())]
@@ -59,7 +62,7 @@ def intervals(results: dict[str, Any]) -> str:
         if way in widths
     ]
     if not rows:
-        return ""
+        return Markup()
     lead = "Half-widths that hold 95 % of the errors on validation contacts; in brackets the share of test contacts that they hold."
     return page.section(
         "How far an answer may be off", lead, page.table(["pose read from", *map(words.heading, names)], rows)
@@ -74,24 +77,22 @@ def _range(target: dict[str, Any]) -> str:
     return f"{words.word(name)} {low:.2f} to {high:.2f} {words.unit(name)}"
 
 
-def _listed(heading: str, lines: list[str], count: int) -> str:
+def _listed(heading: str, lines: list[str], count: int) -> Markup:
     """Folded away; nothing of no lines."""
     if not lines:
-        return ""
-    more = f"<li>and {count - len(lines)} more</li>" if count > len(lines) else ""
-    items = "".join(f"<li>{escape(line)}</li>" for line in lines)
-    return f"<details><summary>{escape(heading)}</summary><ul>{items}{more}</ul></details>"
+        return Markup()
+    return page.folded(heading, page.listed(lines, count - len(lines)))
 
 
-def pairing(results: dict[str, Any]) -> str:
+def pairing(results: dict[str, Any]) -> Markup:
     """Nothing where there are no pairs."""
     way, gaps = results["pairing"]["way"], results["pairing"]["gaps"]
     if way not in WAYS:
-        return ""
+        return Markup()
     names = words.targets(results)
     rows = [[split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)] for split, gap in gaps.items()]
     head = ["pose of the partner off by", "pairs", *map(words.heading, names)]
-    note = "<p class=soft>Median, and in brackets the 95th percentile.</p>"
+    note = page.soft("Median, and in brackets the 95th percentile.")
     return page.section("How slides are paired", WAYS[way], page.table(head, rows), note)
 
 

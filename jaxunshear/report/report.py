@@ -3,15 +3,28 @@
 Read `write_report` for the order of the page.
 """
 
-from html import escape
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup
 
 from jaxunshear.errors import UserError
 from jaxunshear.report import applications, headlines, making, montage, page, poses, readers, recordings, scores, words
 from jaxunshear.report.history import read_history
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write_text
+
+SIMULATED = Markup(
+    "A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "
+    "this run turn such an image into the one a plain tap would have given. Every figure of ours is measured on "
+    "<b>simulated</b> contacts at poses kept out of training; the paper's, in "
+    "<span class=real>tinted columns</span>, are from a <b>real</b> sensor."
+)
+RECORDED = Markup(
+    "A soft dome that slides feels its own shear on top of what it touches. {} Every figure is measured on "
+    "<b>recorded</b> contacts of a <b>real</b> sensor that were kept out of training: {}.{}"
+)
+OF_PAPER = Markup(" The paper's, in <span class=real>tinted columns</span>, are from another real sensor.")
 
 
 def write_report(run_dir: Path) -> Path:
@@ -71,21 +84,12 @@ def _ending(path: Path) -> dict[str, Any]:
     return stored
 
 
-def _heading(results: dict[str, Any]) -> str:
-    top = (
-        f"<h1>Taking the slide out of touch: {escape(results['experiment'])}</h1>\n<p>{escape(results['claim'])}</p>\n"
-    )
-    if not words.simulated(results):
-        return f"{top}<p class=soft>{_of_recordings(results)}</p>"
-    return (
-        f"{top}<p class=soft>A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "
-        "this run turn such an image into the one a plain tap would have given. Every figure of ours is measured on "
-        "<b>simulated</b> contacts at poses kept out of training; the paper's, in "
-        "<span class=real>tinted columns</span>, are from a <b>real</b> sensor.</p>"
-    )
+def _heading(results: dict[str, Any]) -> Markup:
+    lead = SIMULATED if words.simulated(results) else _of_recordings(results)
+    return page.opening(results["experiment"], results["claim"], lead)
 
 
-def _of_recordings(results: dict[str, Any]) -> str:
+def _of_recordings(results: dict[str, Any]) -> Markup:
     counts = results["counts"]
     if results["ms_ssim"]:
         what = "pins" if words.over_pins(results) else "an image"
@@ -95,12 +99,5 @@ def _of_recordings(results: dict[str, Any]) -> str:
     counted = " and ".join(
         f"{count} {kind}" for kind, count in (("taps", counts["test_taps"]), ("slides", counts["test_poses"])) if count
     )
-    paper = (
-        " The paper's, in <span class=real>tinted columns</span>, are from another real sensor."
-        if results["ms_ssim"] and words.comparable(results)
-        else ""
-    )
-    return (
-        f"A soft dome that slides feels its own shear on top of what it touches. {about} Every figure is measured on "
-        f"<b>recorded</b> contacts of a <b>real</b> sensor that were kept out of training: {counted}.{paper}"
-    )
+    paper = OF_PAPER if results["ms_ssim"] and words.comparable(results) else ""
+    return RECORDED.format(about, counted, paper)

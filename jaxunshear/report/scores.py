@@ -1,7 +1,8 @@
 """Sections of a run's report: what was measured, image by image, with the paper's figures beside."""
 
-from html import escape
 from typing import Any
+
+from markupsafe import Markup
 
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number, spanned
@@ -14,14 +15,18 @@ PIN_COLUMNS = (  # heading, name, digits
 )
 
 
-def similarity(results: dict[str, Any]) -> str:
+def similarity(results: dict[str, Any]) -> Markup:
     """Nothing where nothing is unsheared."""
     ours, spread, paper = results["ms_ssim"], results["spread"]["ms_ssim"], results["paper"]["ms_ssim"]
     if not ours:
-        return ""
+        return Markup()
     groups = list(next(iter(ours.values())))
     known = [group for group in groups if group in paper["sheared"] and words.comparable(results)]
-    head = [f"image compared with its {words.truth(results)}", *groups, *(f"{group}<br>paper" for group in known)]
+    head = [
+        f"image compared with its {words.truth(results)}",
+        *groups,
+        *(Markup("{}<br>paper").format(group) for group in known),
+    ]
     rows = [
         [
             words.kind_of(results, kind),
@@ -44,7 +49,7 @@ def similarity(results: dict[str, Any]) -> str:
     )
 
 
-def apart(results: dict[str, Any], column: str, what: str, digits: int, better: int) -> str:
+def apart(results: dict[str, Any], column: str, what: str, digits: int, better: int) -> Markup:
     """The disentangled network less each other one, contact by contact; `better` is the sign of a gain."""
     said = []
     for kind, columns in results["difference"].items():
@@ -54,14 +59,12 @@ def apart(results: dict[str, Any], column: str, what: str, digits: int, better: 
         verdict = "not distinguishable" if low <= 0 <= high else "better" if low * better > 0 else "worse"
         name = words.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
         said.append(f"{name} {columns[column]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}] ({verdict})")
-    return (
-        f"<p class=soft>Contact by contact, disentangled less other networks, {what}: {'; '.join(said)}.</p>"
-        if said
-        else ""
-    )
+    if not said:
+        return Markup()
+    return page.soft(f"Contact by contact, disentangled less other networks, {what}: {'; '.join(said)}.")
 
 
-def further(results: dict[str, Any]) -> str:
+def further(results: dict[str, Any]) -> Markup:
     """The tests of their own: shapes that no network has seen, taps at other depths."""
     parts, names = [], words.targets(results)
     for name, test in results["tests"].items():
@@ -90,10 +93,8 @@ def further(results: dict[str, Any]) -> str:
         wide = {reported: size for field, reported in ways.items() if (size := test.get("ranges", {}).get(field))}
         depth += "".join(f", {reported} by up to {size:g} deg" for reported, size in wide.items())
         lead = f"{test['contacts']} slides over {what}, {depth}: likeness of the images, then errors of pose; {words.spread(test)}"
-        parts.append(
-            page.section(f"Test of its own: {escape(name)}", lead, page.table(head, rows, (), [len(rows) - 1]))
-        )
-    return "".join(parts)
+        parts.append(page.section(f"Test of its own: {name}", lead, page.table(head, rows, (), [len(rows) - 1])))
+    return Markup().join(parts)
 
 
 def _followed(pins: dict[str, Any]) -> str:
@@ -104,11 +105,11 @@ def _followed(pins: dict[str, Any]) -> str:
     return "; ".join(said)
 
 
-def pins(results: dict[str, Any]) -> str:
+def pins(results: dict[str, Any]) -> Markup:
     """Columns that nothing is known for are left out, and so is all of it where there are no pairs."""
     errors = results["pin_error"]
     if not errors:
-        return ""
+        return Markup()
     shown = [
         (head, name, digits)
         for head, name, digits in PIN_COLUMNS
@@ -134,15 +135,15 @@ def _pinned(results: dict[str, Any], kind: str) -> str:
     return words.truth(results) if kind == "tap" and not words.simulated(results) else words.kind_of(results, kind)
 
 
-def swap(results: dict[str, Any]) -> str:
+def swap(results: dict[str, Any]) -> Markup:
     """Nothing of networks without two codes."""
     paper, name = results["paper"]["swap"], results["metric"]["ms_ssim"]
     if not results["swap"]:
-        return ""
+        return Markup()
     known = ("mse", "ms_ssim") if words.comparable(results) else ()
     rows = [
         [
-            escape(cell),
+            cell,
             words.truth(results) if entry["target"] == "tap" else entry["target"],
             *(number(entry[m], 3) for m in ("mse", "ssim", "ms_ssim")),
             *(number(paper[cell][m], 3) for m in known),
@@ -156,5 +157,12 @@ def swap(results: dict[str, Any]) -> str:
         if both
         else "Each decoder fed the codes it was trained on (z_p: pose code, z_s: shear code), its pins drawn."
     )
-    head = ["decoder(codes)", "should draw", "MSE", "SSIM", name, *(("MSE<br>paper", "SSIM<br>paper") if known else ())]
+    head = [
+        "decoder(codes)",
+        "should draw",
+        "MSE",
+        "SSIM",
+        name,
+        *(Markup(f"{metric}<br>paper") for metric in ("MSE", "SSIM") if known),
+    ]
     return page.section("Swapped codes" if both else "The two decoders", lead, page.table(head, rows, (5, 6)))

@@ -1,7 +1,8 @@
 """What the page of a run calls things, determined from its `results.json`: kinds of contacts, quantities, partners."""
 
-from html import escape
 from typing import Any
+
+from markupsafe import Markup
 
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.settings.targets import RECORDED
@@ -86,17 +87,17 @@ def chief(results: dict[str, Any]) -> list[str]:
 
 
 def word(name: str) -> str:
-    """A quantity without its unit, as HTML."""
-    return escape(QUANTITIES.get(name, name.rpartition("_")[0]))
+    """A quantity without its unit."""
+    return QUANTITIES.get(name, name.rpartition("_")[0])
 
 
 def unit(name: str) -> str:
-    return escape(name.rpartition("_")[2])
+    return name.rpartition("_")[2]
 
 
-def heading(name: str) -> str:
-    """Of a column, as HTML."""
-    return f"{word(name)}<br>{unit(name)}"
+def heading(name: str) -> Markup:
+    """Of a column."""
+    return Markup("{}<br>{}").format(word(name), unit(name))
 
 
 def digits(results: dict[str, Any], name: str) -> int:

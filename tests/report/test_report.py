@@ -111,6 +111,24 @@ def test_text_is_escaped(made_up_run):
     assert "<b>numbers" not in html
 
 
+def test_names_from_files_are_escaped_wherever_they_stand(made_up_run, read_page):
+    folder, results = made_up_run
+    name = "<script>\"'&</script>"
+    shown = dict(np.load(folder / "montage.npz"))
+    shown["stimulus"] = np.where(shown["stimulus"] == "disk", name, shown["stimulus"])
+    np.savez(folder / "montage.npz", **shown)
+    results |= {"experiment": name, "command": name}
+    results["machine"]["processor"] = results["versions"][name] = results["metric"]["ms_ssim"] = name
+    results["settings"]["name"] = name
+    for part in (results["pose_by_stimulus"], results["contact"]):
+        part[name] = part.pop(next(iter(part)))
+    (folder / "results.json").write_text(json.dumps(results))
+    (folder / "servo").mkdir()
+    row = {"stimulus": name, "way": name, "starts": 1, "closed": 1, "mean_mm": 0, "p95_mm": 0, "largest_mm": 0}
+    (folder / "servo" / "servo.json").write_text(json.dumps({"rows": [row | {"perceive_ms": 1}], "command": name}))
+    assert read_page(write_report(folder)).count(name) >= 12  # which also refuses a script
+
+
 def test_the_same_run_gives_the_same_bytes(made_up_run):
     folder, _ = made_up_run
     first = write_report(folder).read_bytes()
