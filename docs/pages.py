@@ -19,7 +19,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, page, content=(ROOT / source).read_text()))
     for path in (
         *ROOT.glob("experiments/*.py"),
-        *ROOT.glob("examples/*"),
+        *ROOT.glob("examples/*.*"),
         *ROOT.glob("jaxunshear/weights/*/README.md"),
         ROOT / "jaxunshear/api.py",
     ):
