@@ -19,6 +19,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, page, content=(ROOT / source).read_text()))
     for path in (
         *ROOT.glob("experiments/*.py"),
+        *ROOT.glob("examples/*.*"),
         *ROOT.glob("jaxunshear/weights/*/README.md"),
         ROOT / "jaxunshear/api.py",
     ):
@@ -34,5 +35,5 @@ def on_page_markdown(text: str, page: Page, config: MkDocsConfig, files: Files) 
     """Links as they lead from the site's folder: all pages lie where docs/ does."""
     text = re.sub(r"```mermaid\n.*?```", FLOW, text, flags=re.DOTALL)
     text = text.replace("](../", "](").replace("](docs/", "](")
-    text = re.sub(r"\]\(((?:experiments|jaxunshear)/[\w/.]+\.py)\)", r"](\1.txt)", text)
+    text = re.sub(r"\]\(((?:examples|experiments|jaxunshear)/[\w/.]+\.(?:py|cpp))\)", r"](\1.txt)", text)
     return re.sub(r"\[([^\]]+)\]\((?:jaxunshear/model/fast/compiled|LICENSE|README\.md)\)", r"\1", text)

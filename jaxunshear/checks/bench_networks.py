@@ -2,19 +2,22 @@
 
     rows = bench_train(size=128, batch=32)
 
-Both sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
-the convolutions' multiplications over the product's. Compile time stands apart. Without the extra `torch` only our rows come.
+The sides take turns, a few steps at a time, and a 2048 x 2048 float32 matrix product is timed in between: `share` is the rate of
+the convolutions' multiplications over the product's. Compile time stands apart. Without the extras `torch` and `onnx` only our rows come.
 Where parts of the training are compiled for the processor (`model/fast/native.py`), training without them has a row of its own.
 """
 
 import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
 
+from jaxunshear.applications.exported.parts import Part, Parts
+from jaxunshear.applications.perceiver import UNSHEARED
 from jaxunshear.applications.perception import forward_of
 from jaxunshear.applications.stream import perceive_of
 from jaxunshear.checks.clock import SIZE, matrix_product, seconds
@@ -170,17 +173,25 @@ def _stream_sides(size: int, batch: int) -> Sides:
     net, pose_net = _network(size, batch), PoseNet(size=size)
     image = _images(size, batch)[1][0, ..., 0]
 
+    def fresh_variables() -> dict[str, Any]:
+        first, key = partial(jax.jit, compiler_options=run_once()), jax.random.key(0)
+        reader = first(posenet.init, static_argnums=(0, 1))(pose_net, posenet.outputs_of(TARGETS), key)
+        return {DISENTANGLED: first(unshearnet.init, static_argnums=0)(net, key), POSENET: reader}
+
     def ours() -> Work:
-        key = jax.random.key(0)
-        variables = {
-            DISENTANGLED: jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())(net, key),
-            POSENET: jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())(
-                pose_net, posenet.outputs_of(TARGETS), key
-            ),
-        }
         forward = forward_of({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})
-        run = ready(perceive_of(forward, names_of(TARGETS)), variables)
+        run = ready(perceive_of(forward, names_of(TARGETS)), fresh_variables())
         return lambda: jax.device_get(run(image)) is None
+
+    def exported() -> Work:
+        from jaxunshear.applications.exported.onnx_file import onnx_of, runner
+
+        _check_cpu("onnxruntime")
+        known = jax.device_get(fresh_variables())
+        reads = Part(pose_net, known[POSENET])
+        parts = Parts(Part(net, known[DISENTANGLED]), reads, TARGETS, UNSHEARED, None, size)
+        run = runner(onnx_of(parts, 1, None, {}), parts)
+        return lambda: run(image[None]) is None
 
     def theirs(compiled: bool) -> Work:
         torch, torch_twin = _twins()
@@ -202,6 +213,7 @@ def _stream_sides(size: int, batch: int) -> Sides:
         return work
 
     yield "jaxunshear", ours
+    yield "onnxruntime", exported
     yield "pytorch", lambda: theirs(False)
     yield "pytorch, compiled", lambda: theirs(True)
 
@@ -213,9 +225,13 @@ def _twins() -> tuple[Any, Any]:
 
     from jaxunshear.checks import torch_twin
 
-    if jax.default_backend() != "cpu":
-        raise RuntimeError(f"PyTorch is timed on the CPU alone, and JAX is on {jax.default_backend()}")
+    _check_cpu("PyTorch")
     return torch, torch_twin
+
+
+def _check_cpu(other: str) -> None:
+    if jax.default_backend() != "cpu":
+        raise RuntimeError(f"{other} is timed on the CPU alone, and JAX is on {jax.default_backend()}")
 
 
 def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int) -> list[dict[str, Any]]:
@@ -234,7 +250,8 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int)
         except ModuleNotFoundError as missing:
             if name == "jaxunshear":
                 raise
-            rows[name]["failed"] = f"{missing.name} {ABSENT}: pip install -c constraints.txt '.[torch]'"
+            extra = "torch" if missing.name == "torch" else "onnx"
+            rows[name]["failed"] = f"{missing.name} {ABSENT}: pip install -c constraints.txt '.[{extra}]'"
         except Exception as crash:
             if name == "jaxunshear":
                 raise

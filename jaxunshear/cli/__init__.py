@@ -17,6 +17,7 @@ from jaxunshear.cli import (
     catalogue,
     checks,
     doctor,
+    export,
     release,
     report,
     stages,
@@ -36,6 +37,7 @@ MODULES: tuple[Any, ...] = (
     report,
     ablate,
     release,
+    export,
     unshear,
     applications,
     doctor,
@@ -45,8 +47,8 @@ MODULES: tuple[Any, ...] = (
 )
 GROUPS = {  # of `jaxunshear --help`
     "use": (
-        *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "unshear", "pose", "pins"),
-        *("stream", "geometry", "servo", "reconstruct", "sensors", "stimuli"),
+        *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "export", "unshear", "pose"),
+        *("pins", "stream", "geometry", "servo", "reconstruct", "sensors", "stimuli"),
     ),
     "study": ("sweep", "ablate", "validate", "calibrate"),
 }

@@ -41,9 +41,9 @@ def binarise(preprocess: Preprocess, grey: Array) -> Array:
 
 
 def _binarise(xp: ModuleType, matmul: Callable[[Grey, np.ndarray], Grey], preprocess: Preprocess, grey: Grey) -> Grey:
-    small = _both_sides(matmul, _area_matrix(grey.shape[-1], preprocess.size), grey)
-    mean = _both_sides(matmul, _mean_matrix(preprocess.size, _block_px(preprocess)), small)
-    mask = _mask(preprocess)
+    small = _both_sides(matmul, area_matrix(grey.shape[-1], preprocess.size), grey)
+    mean = _both_sides(matmul, mean_matrix(preprocess), small)
+    mask = mask_of(preprocess)
     white = (small > mean + preprocess.offset) & mask.reshape((1,) * (grey.ndim - 2) + mask.shape)
     return white.astype(xp.uint8) * np.uint8(255)
 
@@ -63,12 +63,8 @@ def _check_square(shape: tuple[int, ...]) -> None:
         raise ValueError(f"binarise takes square crops (..., H, H), got shape {shape}")
 
 
-def _block_px(preprocess: Preprocess) -> int:
-    return max(3, 2 * round(preprocess.block * preprocess.size / 2) + 1)
-
-
 @lru_cache
-def _area_matrix(before: int, after: int) -> np.ndarray:
+def area_matrix(before: int, after: int) -> np.ndarray:
     """(after, before): the share of each old pixel in each new one, rows summing to 1."""
     edges = np.arange(after + 1) * (before / after)
     old = np.arange(before)
@@ -77,13 +73,16 @@ def _area_matrix(before: int, after: int) -> np.ndarray:
 
 
 @lru_cache
-def _mean_matrix(size: int, block: int) -> np.ndarray:
-    """(size, size): the mean over `block` pixels around each, mirrored at the border as scipy's mode 'reflect'."""
+def mean_matrix(preprocess: Preprocess) -> np.ndarray:
+    """(size, size): the mean over the block of pixels around each, mirrored at the border as scipy's mode 'reflect'."""
+    size = preprocess.size
+    block = max(3, 2 * round(preprocess.block * size / 2) + 1)
     return ndimage.uniform_filter1d(np.eye(size), block, axis=0, mode="reflect").astype(np.float32)
 
 
 @lru_cache
-def _mask(preprocess: Preprocess) -> np.ndarray:
+def mask_of(preprocess: Preprocess) -> np.ndarray:
+    """(size, size) bool: the circle within which pins are."""
     across = np.arange(preprocess.size) - (preprocess.size - 1) / 2
     return np.hypot(across[:, None], across) <= preprocess.mask_radius * preprocess.size
 
@@ -110,12 +109,12 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) 
         check_seen(grey)
     square = crop(grey, view.box or _box(preprocess, grey))
     if square.dtype == bool and len(square) == preprocess.size:
-        return (square & _mask(preprocess)).view(np.uint8) * np.uint8(255)
+        return (square & mask_of(preprocess)).view(np.uint8) * np.uint8(255)
     with _one_thread():
         if not is_binary(grey):
             return _binarise(np, np.matmul, preprocess, square)
-        small = _both_sides(np.matmul, _area_matrix(len(square), preprocess.size), square)
-    return ((small >= middle_level(grey)) & _mask(preprocess)).astype(np.uint8) * np.uint8(255)
+        small = _both_sides(np.matmul, area_matrix(len(square), preprocess.size), square)
+    return ((small >= middle_level(grey)) & mask_of(preprocess)).astype(np.uint8) * np.uint8(255)
 
 
 def _one_thread() -> AbstractContextManager[object]:

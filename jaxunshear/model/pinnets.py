@@ -169,7 +169,7 @@ def predict(net: PinPoseNet, variables: Variables, pins: Array, radians: ArrayLi
     motions = _motions(variables, pins)
     if net.turned:
         turn = jnp.stack([jnp.cos(radians), jnp.sin(radians)]).astype(motions.dtype)
-        motions = jnp.concatenate([motions, jnp.broadcast_to(turn, (len(motions), 2))], -1)
+        motions = jnp.concatenate([motions, jnp.broadcast_to(turn, (motions.shape[0], 2))], -1)
     return _dense(net, variables, motions)
 
 
@@ -210,9 +210,9 @@ def _motions(variables: Variables, pins: Array) -> Array:
     """(B, 2 P) in units of `spread`; 0 for pins that are not seen."""
     constants = variables["batch_stats"]
     motion = (pins - constants["rest"]) / constants["spread"]
-    return jnp.where(jnp.isfinite(motion), motion, 0).reshape(len(pins), -1)
+    return jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
 
 
 def _places(variables: Variables, motions: Array) -> Array:
     constants = variables["batch_stats"]
-    return constants["rest"] + constants["spread"] * motions.reshape(len(motions), *constants["rest"].shape)
+    return constants["rest"] + constants["spread"] * motions.reshape(motions.shape[0], *constants["rest"].shape)

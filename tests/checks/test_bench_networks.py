@@ -68,8 +68,9 @@ def test_rows(bench, monkeypatch):
     assert ours["name"] == "jaxunshear" and ours["images_per_s"] > 0 and ours["share"] > 0
     assert ours["images_per_s"] == pytest.approx(1e3 / ours["ms_per_image"])
     for row in rows[1:]:
-        assert row["name"].startswith("pytorch") or (row["name"], row["failed"]) == ("jaxunshear, XLA alone", "")
-        assert row["failed"] or row["images_per_s"] > 0
+        others = row["name"].startswith("pytorch") or row["name"] == "onnxruntime"
+        assert others or (row["name"], row["failed"]) == ("jaxunshear, XLA alone", "")
+        assert row["failed"].count("is not installed") or row["images_per_s"] > 0
     assert "jaxunshear" in bench_networks.table(rows)
 
 

@@ -1,0 +1,139 @@
+"""What of a trained model is exported: the networks that `stream` runs, as one function of a batch, and what it is checked with."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax import Array
+
+from jaxunshear.applications.perceiver import AS_RECORDED, LEARNT, UNSHEARED
+from jaxunshear.applications.stream import confidence
+from jaxunshear.errors import UserError
+from jaxunshear.model import posenet
+from jaxunshear.model.unshearing import predict, unshear
+from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.settings.targets import Targets
+from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
+
+Run = Callable[[np.ndarray], dict[str, Any]]
+Prepared = Callable[[np.ndarray], np.ndarray]
+MOST = 1e-4  # by which an exported network may differ from JAX, of each output's range
+CHECKED = 6  # inputs
+
+
+class Part(NamedTuple):
+    """One network."""
+
+    net: Any
+    variables: Any
+
+
+class Parts(NamedTuple):
+    """The networks of a model that a robot runs."""
+
+    unshears: Part | None
+    reads: Part | None
+    targets: Targets  # what `reads` gives
+    way: (
+        str  # whose pose: of the unsheared image, of the one that was recorded, or by a PoseNet that learnt from slides
+    )
+    rest: np.ndarray | None  # (P, 2) px, the untouched pins of networks over pins
+    size: int  # S, px
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one image, or of its pins."""
+        return (self.size, self.size) if self.rest is None else self.rest.shape
+
+    @property
+    def dtype(self) -> type:
+        return np.uint8 if self.rest is None else np.float32
+
+
+def parts_of(model: Path, experiment: Experiment) -> Parts:
+    """From the folder of a finished run or of released weights. Raises UserError."""
+    pairs = holds_model(model / DISENTANGLED)
+    reader = next((name for name in (POSENET, POSENET_SHEARED) if holds_model(model / name)), None)
+    for name in (DISENTANGLED if pairs else None, reader):
+        if name:
+            check_finished(model / name)
+    unshears, reads = (
+        Part(read_net(model / name), jax.device_get(load_best(model / name))) if name else None
+        for name in (DISENTANGLED if pairs else None, reader)
+    )
+    first = unshears or reads
+    if first is None:
+        raise UserError(f"{model} holds no trained network that unshears or reads poses: train one, or name another")
+    way = LEARNT if reader == POSENET_SHEARED else UNSHEARED if pairs else AS_RECORDED
+    targets = read_targets(model / reader) if reader else ()
+    rest = np.asarray(first.variables["batch_stats"]["rest"], np.float32) if over_pins(experiment) else None
+    return Parts(unshears, reads, targets, way if reader else "", rest, experiment.paired.preprocess.size)
+
+
+def function_of(parts: Parts) -> Callable[[Array], dict[str, Any]]:
+    """Images (B, S, S) uint8 of {0, 255}, or pins (B, P, 2) px -> "unsheared", the same as taps (images in [0, 1]), "confidence" (B,) of
+    images, see `stream`, and "pose", mm and deg by name, (B,) each; what the model has no network for is left out."""
+
+    def run(given: Array) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        seen = given[..., None].astype(np.float32) / 255 if parts.rest is None else given
+        if parts.unshears is not None:
+            after = unshear(*parts.unshears, seen)
+            found["unsheared"] = after[..., 0] if parts.rest is None else after
+            if parts.rest is None:
+                found["confidence"] = jax.vmap(confidence)(after)
+            seen = after if parts.way == UNSHEARED else seen
+        if parts.reads is not None:
+            outputs = predict(*parts.reads, seen)
+            found["pose"] = posenet.pose_from_outputs(outputs, parts.targets)
+        return found
+
+    return run
+
+
+def examples(parts: Parts) -> np.ndarray:
+    """CHECKED inputs, always the same: images of a few large patches, of noise; pins that have moved, some of them not seen."""
+    random = np.random.default_rng(0)
+    if parts.rest is None:
+        shares = np.linspace(0.02, 0.5, CHECKED)[:, None, None]
+        coarse = 2 ** (np.arange(CHECKED) % 4)
+        noise = random.random((CHECKED, *parts.shape))
+        white = [np.kron(x, np.ones((n, n)))[: len(x), : len(x)] for x, n in zip(noise < shares, coarse, strict=True)]
+        return np.uint8(255) * np.array(white, np.uint8)
+    moved = parts.rest + random.normal(0, 0.01 * np.ptp(parts.rest), (CHECKED, *parts.rest.shape))
+    return np.where(random.random((CHECKED, len(parts.rest), 1)) < 0.02, np.nan, moved).astype(np.float32)
+
+
+def difference(parts: Parts, run: Run, given: np.ndarray, batch: int | None, prepared: Prepared | None = None) -> float:
+    """Of `run` and `function_of`, as other commands run it, over all that is given: the largest, of each output's range. `batch`: how
+    many `run` takes at once; None for any, which is one, and then the rest. With `prepared`, `run` is given frames: what it makes of
+    them counts by the share of pixels that are otherwise, since one on the verge of the threshold may fall to either side, and its
+    networks are compared on that."""
+    batches = _batches(given, batch)
+    found = jax.tree.map(lambda *each: np.concatenate(each), *map(run, batches))
+    given = np.concatenate(batches)
+    expected = jax.device_get(jax.jit(function_of(parts))(found.get("image", given)))
+    wrong = 0.0 if prepared is None else float(np.mean(found["image"] != prepared(given)))
+    return float(np.max([wrong, *_differences(parts, found, expected)]))
+
+
+def _batches(given: np.ndarray, batch: int | None) -> list[np.ndarray]:
+    if batch is None:
+        return [each for each in (given[:1], given[1:]) if len(each)]
+    count = -(-len(given) // batch)
+    return list(np.resize(given, (count * batch, *given.shape[1:])).reshape(count, batch, *given.shape[1:]))
+
+
+def _differences(parts: Parts, found: dict[str, Any], true: dict[str, Any]) -> Iterator[float]:
+    """Between two answers of `function_of`, the largest of each output, over its range: white; all pins from the first to the last; half
+    the range of a target; half a circle."""
+    span = 1.0 if parts.rest is None else float(np.ptp(parts.rest))
+    for name in ("unsheared", "confidence"):
+        if name in true:
+            yield float(np.abs(found[name] - true[name]).max()) / (span if name == "unsheared" else 1)
+    for target in parts.targets:
+        off = np.abs(found["pose"][target.name] - true["pose"][target.name])
+        yield float(np.max(np.minimum(off, 360 - off) / 180 if target.circle else off / target.reach))
