@@ -16,6 +16,7 @@ from jaxunshear.cli import (
     calibration,
     catalogue,
     checks,
+    compare,
     doctor,
     export,
     release,
@@ -35,6 +36,7 @@ _usual = warnings.formatwarning
 MODULES: tuple[Any, ...] = (
     stages,
     report,
+    compare,
     ablate,
     release,
     export,

@@ -32,7 +32,7 @@ def loss_curves(histories: Mapping[str, History]) -> str:
             axes.legend()
         for axes in panels[:, 0]:
             axes.set_ylabel("mean squared error")
-        return _svg(figure)
+        return svg(figure)
 
 
 def error_over_time(histories: Mapping[str, History], name: str, label: str) -> str:
@@ -48,7 +48,7 @@ def error_over_time(histories: Mapping[str, History], name: str, label: str) -> 
         axes.set(xlabel="seconds of training", ylabel=label, yscale="log")
         axes.set_xlim(left=0)
         axes.legend()
-        return _svg(figure)
+        return svg(figure)
 
 
 def stage_times(stages: Sequence[str], seconds: Sequence[float]) -> str:
@@ -62,10 +62,10 @@ def stage_times(stages: Sequence[str], seconds: Sequence[float]) -> str:
         axes.margins(x=0.12)
         axes.invert_yaxis()
         axes.grid(False, axis="y")
-        return _svg(figure)
+        return svg(figure)
 
 
-def _svg(figure: Figure) -> str:
+def svg(figure: Figure) -> str:
     buffer = io.StringIO()
     figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None}, transparent=True)
     text = buffer.getvalue()

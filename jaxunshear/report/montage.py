@@ -46,7 +46,7 @@ def terms(results: dict[str, Any]) -> Terms:
 
 def section(shown: Shown, results: dict[str, Any]) -> Markup:
     """Of the report: one typical contact of each stimulus, and folded away those that went badly and well."""
-    middle, others = _typical(shown)
+    middle, others = typical(shown)
     said = terms(results)
     colours = ((pictures.MISSING, "missing from the image"), (pictures.SURPLUS, "should not be there"))
     body = [_table(shown, middle, said), page.caption(colours, said.truth)]
@@ -63,7 +63,7 @@ def section(shown: Shown, results: dict[str, Any]) -> Markup:
 
 def drawing(shown: Shown, results: dict[str, Any]) -> bytes:
     """The typical contacts as one PNG; the same contacts give the same bytes."""
-    rows, _ = _typical(shown)
+    rows, _ = typical(shown)
     said = terms(results)
     height = 1.85 * len(rows) + 0.15 * any(len(head) >= WIDE for head in said.heads)
     figure = Figure(figsize=(8.2, height), layout="constrained", dpi=100)
@@ -74,13 +74,13 @@ def drawing(shown: Shown, results: dict[str, Any]) -> bytes:
             axes.set_xlabel(text, fontsize=8)
             if row == rows[0]:
                 axes.set_title(head if len(head) < WIDE else head.replace(" against", "\nagainst"), fontsize=9)
-        line[0].set_ylabel("\n".join(_words(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8)
+        line[0].set_ylabel("\n".join(described(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": ""})
     return buffer.getvalue()
 
 
-def _typical(shown: Shown) -> tuple[list[int], list[int]]:
+def typical(shown: Shown) -> tuple[list[int], list[int]]:
     """Rows of the middle contact of every stimulus, and the others."""
     middle, others = [], []
     for name in dict.fromkeys(shown["stimulus"].tolist()):
@@ -103,7 +103,7 @@ def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
     ]
 
 
-def _words(shown: Shown, row: int, said: Terms) -> list[str]:
+def described(shown: Shown, row: int, said: Terms) -> list[str]:
     """What the contact is; of a recorded one neither slide nor depth need be known."""
     slide, depth = float(np.hypot(*shown["move"][row][:2])), float(shown["pose"][row][3])
     known = [(f"slide {slide:.1f} mm", slide), (f"{said.depth} {depth:.1f} mm", depth)]
@@ -113,7 +113,7 @@ def _words(shown: Shown, row: int, said: Terms) -> list[str]:
 def _table(shown: Shown, rows: list[int], said: Terms) -> Markup:
     lines = []
     for row in rows:
-        name, *about = _words(shown, row, said)
+        name, *about = described(shown, row, said)
         cells = zip(_cells(shown, row), said.heads, strict=True)
         lines.append((name, about, [(pictures.png_address(image), head, text) for (image, text), head in cells]))
     return page.montage(said.heads, lines)

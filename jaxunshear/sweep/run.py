@@ -16,15 +16,13 @@ from jaxunshear.report.sweep_figure import sweep_figure
 from jaxunshear.run import check_start
 from jaxunshear.settings.experiment import trained
 from jaxunshear.settings.sweep import Sweep
-from jaxunshear.storage import BROKEN_NPZ, os_error, write_bytes, write_json
+from jaxunshear.storage import write_bytes, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.engines import Engine, serial
 from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
-from jaxunshear.sweep.scores import Measured
+from jaxunshear.sweep.scores import Measured, read_tests
 from jaxunshear.sweep.summary import summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, read_outcome
-
-SCORES = "scores.npz"  # of the evaluation, beside scores-<test>.npz
 
 
 def run_sweep(
@@ -91,8 +89,7 @@ def _measured(folder: Path) -> Measured:
         raise UserError(f"{folder} was not finished: run the same command again")
     if outcome["status"] == "failed":
         return Measured(outcome, {})
-    paths = [folder / SCORES, *sorted(folder.glob("scores-*.npz"))]
-    return Measured(outcome, {path.stem.removeprefix("scores").removeprefix("-"): _read_scores(path) for path in paths})
+    return Measured(outcome, read_tests(folder, f"delete {folder} and run the same command"))
 
 
 def _check_contacts(rows: Mapping[Path, Measured]) -> None:
@@ -105,16 +102,6 @@ def _check_contacts(rows: Mapping[Path, Measured]) -> None:
                 f"{first} and {folder} were tested on different contacts (the data were made anew in between): "
                 "delete both and run the same command"
             )
-
-
-def _read_scores(path: Path) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path) as scores:
-            return dict(scores)
-    except OSError as error:
-        raise os_error(path, error, "read") from error
-    except BROKEN_NPZ as error:
-        raise UserError(f"{path} is damaged ({error}): delete {path.parent} and run the same command") from error
 
 
 def _made_with(measured: dict[tuple[str, int], Measured], command: str) -> dict[str, Any]:

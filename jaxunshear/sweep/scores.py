@@ -1,9 +1,15 @@
 """Scores of a cell's rows, one for each seed: by test and name, with the poses and the shapes of their contacts."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from jaxunshear.errors import UserError
+from jaxunshear.storage import BROKEN_NPZ, os_error
+
+SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 
 # of the paired data: names, how contacts appear, what is made of recorded ones
 NOT_CONTACTS = (
@@ -27,6 +33,22 @@ class Measured(NamedTuple):
 
     outcome: dict[str, Any]
     tests: Mapping[str, Mapping[str, np.ndarray]]
+
+
+def read_tests(folder: Path, remedy: str) -> dict[str, dict[str, np.ndarray]]:
+    """The scores that an evaluation left in `folder`, by test. Raises UserError."""
+    paths = [folder / SCORES, *sorted(folder.glob("scores-*.npz"))]
+    return {path.stem.removeprefix("scores").removeprefix("-"): _read(path, remedy) for path in paths}
+
+
+def _read(path: Path, remedy: str) -> dict[str, np.ndarray]:
+    try:
+        with np.load(path) as scores:
+            return dict(scores)
+    except OSError as error:
+        raise os_error(path, error, "read") from error
+    except BROKEN_NPZ as error:
+        raise UserError(f"{path} is damaged ({error}): {remedy}") from error
 
 
 def names_in(rows: Mapping[int, Measured]) -> list[tuple[str, str]]:

@@ -1,6 +1,6 @@
 """From the rows of a sweep to one figure a cell, its interval, and its difference from a reference: pure functions."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -123,26 +123,36 @@ def recoveries(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
     Left out where the slide does no damage; without an interval where it does none in some of the resamples.
     """
     found: dict[str, dict[str, Any]] = {}
-    names = names_in(rows)
+    names = dict.fromkeys(names_in(rows))
     for test, name in names:
-        table, kind, *quantity = name.split("/")
-        if table != "pose" or kind in ("tap", "sheared"):
+        errors = recovery_errors(rows, names, test, name)
+        if errors is None:
             continue
-        tap, sheared = (f"pose/{other}/{'/'.join(quantity)}" for other in ("tap", "sheared"))
-        of_taps = next((where for where in (test, TAPS) if (where, tap) in names), None)
-        if of_taps is None or (test, sheared) not in names:
-            continue
-        errors = [
-            (stacked(rows, where, each), poses_of(rows, where))
-            for where, each in ((of_taps, tap), (test, sheared), (test, name))
-        ]
-        own = f"pose_recovery/{kind}/{'/'.join(quantity)}"
-        figure = _recovery(list(rows), errors)
+        own = name.replace("pose/", "pose_recovery/", 1)
+        figure = _recovery(list(rows), [(values, poses) for _, values, poses in errors])
         found |= {called(test, own): figure} if figure else {}
-        for shape, inside in shapes_of(rows, test).items() if of_taps == test else ():
-            figure = _recovery(list(rows), [(values[:, inside], poses[inside]) for values, poses in errors])
+        for shape, inside in shapes_of(rows, test).items() if errors[0][0] == test else ():
+            figure = _recovery(list(rows), [(values[:, inside], poses[inside]) for _, values, poses in errors])
             found |= {called(f"{test}, {shape}" if test else shape, own): figure} if figure else {}
     return found
+
+
+def recovery_errors(
+    rows: Mapping[int, Measured], names: Container[tuple[str, str]], test: str, name: str
+) -> list[tuple[str, np.ndarray, np.ndarray]] | None:
+    """Of tap, sheared and the kind that `pose/<kind>/<quantity>` names: the test, errors (seeds, N), and their poses (N,). None where one
+    of them is not among `names`, or the name is of no kind that is unsheared."""
+    table, kind, *quantity = name.split("/")
+    if table != "pose" or kind in ("tap", "sheared"):
+        return None
+    tap, sheared = (f"pose/{other}/{'/'.join(quantity)}" for other in ("tap", "sheared"))
+    of_taps = next((where for where in (test, TAPS) if (where, tap) in names), None)
+    if of_taps is None or (test, sheared) not in names:
+        return None
+    return [
+        (where, stacked(rows, where, each), poses_of(rows, where))
+        for where, each in ((of_taps, tap), (test, sheared), (test, name))
+    ]
 
 
 def _recovery(seeds: Sequence[int], errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, Any] | None:
@@ -150,17 +160,22 @@ def _recovery(seeds: Sequence[int], errors: Sequence[tuple[np.ndarray, np.ndarra
     tap, sheared, unsheared = (values.mean() for values, _ in errors)
     if sheared <= tap:
         return None
-    redrawn = [resampled(values, poses) for values, poses in errors]
-    bounded = bool(np.all(redrawn[1] > redrawn[0]))
+    redrawn = redrawn_recovery(errors)
     by_seed = zip(*(values.mean(axis=1) for values, _ in errors), strict=True)
     return {
         "mean": float((sheared - unsheared) / (sheared - tap)),
-        "interval": spread.interval((redrawn[1] - redrawn[2]) / (redrawn[1] - redrawn[0])) if bounded else None,
+        "interval": None if redrawn is None else spread.interval(redrawn),
         "per_seed": {
             str(seed): float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
             for seed, row in zip(seeds, by_seed, strict=True)
         },
     }
+
+
+def redrawn_recovery(errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
+    """The recovery in each of the resamples; None where the slide does no damage in some of them, as it then has no bounds."""
+    tap, sheared, unsheared = (resampled(values, poses) for values, poses in errors)
+    return (sheared - unsheared) / (sheared - tap) if np.all(sheared > tap) else None
 
 
 def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:

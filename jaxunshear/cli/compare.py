@@ -1,0 +1,30 @@
+"""`jaxunshear compare`: finished runs side by side."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from jaxunshear.cli.options import add_json
+
+COMMANDS = ("compare",)
+OUT = Path("runs/compare")
+
+
+def add_parsers(commands: Any) -> None:
+    text = "finished runs side by side on one page: settings, figures with paired intervals, images, training"
+    parser = commands.add_parser("compare", help=text, description=text)
+    parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="folders of runs; the first is the reference")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=OUT, help=f"where the page goes ({OUT})")
+    add_json(parser)
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    from jaxunshear.compare.making import compare
+    from jaxunshear.storage import write_json
+
+    lines, path, measured = compare(arguments.runs, arguments.out, command)
+    if arguments.json is not None:
+        write_json(arguments.json, measured)
+    print(lines)
+    print(f"page: {path}")
+    return 0

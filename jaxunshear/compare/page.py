@@ -1,0 +1,226 @@
+"""The page of a comparison, and its few lines for a terminal."""
+
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+from jaxunshear.compare.contacts import Contacts
+from jaxunshear.compare.curves import curves
+from jaxunshear.compare.figures import Figure, main_figures
+from jaxunshear.compare.runs import OWN, Run
+from jaxunshear.progress import duration
+from jaxunshear.report import page, pictures, words
+from jaxunshear.table import plain_table
+
+GROUPS = {  # table of results: heading, lead, digits
+    "ms_ssim": ("How alike the images are", "MS-SSIM of an image with the tap's; 1 is equal.", 3),
+    "pose": ("What a pose network reads", "Mean absolute errors of a PoseNet.", 3),
+    "pose_recovery": (
+        "Recovery",
+        "The share of the slide's damage undone, (sheared - unsheared) / (sheared - tap). 1 is as good as taps.",
+        2,
+    ),
+    "pins": ("How far pins are from the tap's", "Root mean square px, pins known by name.", 2),
+    "pin_error": (
+        "Pins found in the images",
+        "Centroids matched with the tap's pins; of few images, so no interval.",
+        3,
+    ),
+}
+PAIRED = (
+    "Brackets: 95 % bootstrap intervals over test poses, each with all its slides. Differences are of pairs: both runs were scored on the "
+    "same contacts, and each resample draws the same poses for both."
+)
+ONE_TRAINING = (
+    "An interval over poses alone says nothing of another training: with another seed, each run would give other figures, and a difference "
+    "that is clear here may be that of two seeds. `jaxunshear sweep FILE --seeds 0,1,2` gives intervals over seeds and poses."
+)
+
+
+def document(
+    runs: Sequence[Run],
+    apart: dict[str, list[str]],
+    every: Sequence[Figure],
+    shown: Contacts | None,
+    notes: Sequence[str],
+) -> str:
+    """The complete page; the same runs give the same bytes."""
+    names = [run.name for run in runs]
+    parts = [_heading(names, notes), _settings(names, apart)]
+    parts += [_group(runs, every, table) for table in GROUPS]
+    parts += [_montage(names, shown) if shown else "", _training(runs), _others(names, every), _provenance(runs)]
+    return page.page(f"jaxunshear: {' and '.join(names)}", *filter(None, parts))
+
+
+def _heading(names: Sequence[str], notes: Sequence[str]) -> str:
+    first, *others = map(escape, names)
+    lines = "".join(f"<p><b>{escape(note)}.</b></p>" for note in notes)
+    less = f"Differences are of the other runs less <b>{first}</b>, the reference."
+    return (
+        f"<h1>{first} and {', '.join(others)}, compared</h1>\n{lines}<p>{less} {escape(PAIRED)}</p>\n"
+        f"<p><b>{escape(ONE_TRAINING)}</b></p>"
+    )
+
+
+def _settings(names: Sequence[str], apart: dict[str, list[str]]) -> str:
+    if not apart:
+        return page.section("Settings that differ", "None: all runs have the same.")
+    rows = [[f"<code>{escape(name)}</code>", *map(escape, values)] for name, values in apart.items()]
+    lead = "By name, as a command line takes them; all others are the same. A dash: the run has no such setting."
+    return page.section("Settings that differ", lead, page.table(["", *map(escape, names)], rows))
+
+
+def _group(runs: Sequence[Run], every: Sequence[Figure], table: str) -> str:
+    """The figures of one table of results on all contacts, in the order of the kinds that a report has."""
+    rows = [figure for figure in every if figure.table == table and ": " not in figure.name]
+    if not rows:
+        return ""
+    order = [*words.KINDS, OWN]
+    place = {kind: index for index, kind in enumerate(order)}
+    rows.sort(key=lambda figure: place.get(_kind(figure), len(order)))
+    title, lead, digits = GROUPS[table]
+    lines = [[_called(runs[0], figure), *_cells(figure, digits)] for figure in rows]
+    strong = [index for index, figure in enumerate(rows) if _kind(figure) in (OWN, runs[0].shown)]
+    return page.section(title, lead, page.table(_head(runs), lines, (), strong))
+
+
+def _kind(figure: Figure) -> str:
+    return figure.name.split("/")[1]
+
+
+def _head(runs: Sequence[Run]) -> list[str]:
+    return [
+        "",
+        *(escape(run.name) for run in runs),
+        *(f"{escape(run.name)}<br>less {escape(runs[0].name)}" for run in runs[1:]),
+    ]
+
+
+def _called(first: Run, figure: Figure) -> str:
+    """A row's name in words, as HTML."""
+    _, kind, *column = figure.name.split("/")
+    said = "unsheared, by each run's own network" if kind == OWN else _word(first, kind)
+    quantity = f"<small>{words.word(column[0])}, {words.unit(column[0])}</small>" if column else ""
+    return escape(said) + quantity
+
+
+def _word(first: Run, kind: str) -> str:
+    known = words.KINDS if words.simulated(first.results) else words.KINDS | words.OF_RECORDINGS
+    return known.get(kind, kind)
+
+
+def _cells(figure: Figure, digits: int) -> list[str]:
+    values = [page.number(None) if of is None else page.spanned(of["mean"], of["interval"], digits) for of in figure.of]
+    return [*values, *(_less(figure, run, digits) for run in range(1, len(figure.of)))]
+
+
+def _less(figure: Figure, run: int, digits: int) -> str:
+    """A difference, its interval and its verdict, as HTML."""
+    less = figure.less[run]
+    if less is None:
+        return page.number(None)
+    colour = {"better": "good", "worse": "bad"}.get(verdict := figure.verdict(run), "soft")
+    value = page.spanned(less["mean"], less["interval"], digits + 1)
+    return f"{'+' if less['mean'] > 0 else ''}{value}<small class={colour}>{verdict}</small>"
+
+
+def _montage(names: Sequence[str], shown: Contacts) -> str:
+    heads = ["sheared (input)", *names, "tap (truth)"]
+    lines = []
+    for row, said in enumerate(shown.said):
+        cells = [_image(shown.sheared[row], "", heads[0])]
+        for name, images, likeness in zip(names, shown.unsheared, shown.likeness, strict=True):
+            if images is None or likeness is None or not images[row].any():
+                cells.append("<td>\u2013</td>")
+            else:
+                cells.append(_image(images[row], f"{likeness[row]:.3f}", name))
+        cells.append(_image(shown.tap[row], "", heads[-1]))
+        first, *more = map(escape, said)
+        lines.append(f"<tr><th><b>{first}</b><br>{'<br>'.join(more)}</th>{''.join(cells)}</tr>")
+    top = "".join(f"<th>{escape(head)}</th>" for head in ("", *heads))
+    table = f'<div class=wide><table class="montage"><tr>{top}</tr>\n' + "\n".join(lines) + "</table></div>"
+    lead = "Contacts that are typical of the reference's test, one of each shape; numbers are likeness (MS-SSIM) to the tap."
+    said_more = "".join(f"<p class=soft>{escape(note)}</p>" for note in shown.notes)
+    return page.section("The same contacts, unsheared by each run", lead, table, said_more)
+
+
+def _image(pixels: Any, text: str, title: str) -> str:
+    return f'<td><img src="{pictures.png_address(pixels)}" alt="{escape(title)}">{text}</td>'
+
+
+def _training(runs: Sequence[Run]) -> str:
+    rows = [
+        [network, escape(run.name), *_ending(run, network)]
+        for network in dict.fromkeys(network for run in runs for network in run.histories)
+        for run in runs
+        if network in run.histories
+    ]
+    if not rows:
+        return page.section("Training", "No run has a training log.")
+    head = ["network", "run", "epochs", "steps", "best at step", "images/s", "training", "trained on"]
+    drawn = page.drawing(curves(runs), "losses of each network in each run, over epochs and over seconds")
+    lead = "The first loss of each network on validation (thick) and in training (thin), over epochs and over seconds of training."
+    return page.section("Training", lead, drawn, page.table(head, rows))
+
+
+def _ending(run: Run, network: str) -> list[str]:
+    history, ending = run.histories[network], run.endings.get(network, {})
+    machine = ending.get("trained_on") or {}
+    known = [f"{machine[name]}{unit}" for name, unit in (("device", ""), ("cores", " cores")) if name in machine]
+    speed = ending.get("images_per_second")
+    return [
+        f"{history.epoch[-1]:.3g}",
+        str(ending.get("steps", "\u2013")),
+        str(ending.get("best_step", "\u2013")),
+        "\u2013" if speed is None else f"{speed:.3g}",
+        duration(history.train_seconds[-1]),
+        escape(", ".join(known)) or "\u2013",
+    ]
+
+
+def _others(names: Sequence[str], every: Sequence[Figure]) -> str:
+    """All that no table above has, folded away, by its name in results and sweeps."""
+    rest = [figure for figure in every if figure.table not in GROUPS or ": " in figure.name]
+    if not rest:
+        return ""
+    head = ["", *map(escape, names), *(f"{escape(name)}<br>less {escape(names[0])}" for name in names[1:])]
+    rows = [[f"<code>{escape(figure.name)}</code>", *_cells(figure, 3)] for figure in rest]
+    folded = f"<details><summary>{len(rest)} figures</summary>{page.table(head, rows)}</details>"
+    return page.section("All other figures", "Shapes one by one, tests of their own, readers, decoders.", folded)
+
+
+def _provenance(runs: Sequence[Run]) -> str:
+    rows = []
+    for run in runs:
+        machine, versions = run.results["machine"], run.results["versions"]
+        said = f"{machine['processor']}, {machine['cores']} cores, {machine['device']}"
+        made = [versions.get(package, "\u2013") for package in ("jaxunshear", "jax")]
+        rows.append([escape(text) for text in (run.name, str(run.folder), said, *made)])
+    commands = "\n".join(f"{run.name}: {run.results['command']}" for run in runs)
+    table = page.table(["run", "folder", "evaluated on", "jaxunshear", "jax"], rows)
+    return page.section(
+        "Where they are from", "Folders, machines, versions and commands.", table, f"<pre>{escape(commands)}</pre>"
+    )
+
+
+def lines(runs: Sequence[Run], apart: dict[str, list[str]], every: Sequence[Figure], notes: Sequence[str]) -> str:
+    """What fits a terminal: the main figures, and which settings differ."""
+    table = [
+        {"": figure.name}
+        | {run.name: _short(of) for run, of in zip(runs, figure.of, strict=True)}
+        | {f"{run.name} less": _short(figure.less[index], "+") for index, run in enumerate(runs) if index}
+        for figure in main_figures(runs, every)
+    ]
+    columns = ["", *(run.name for run in runs), *(f"{run.name} less" for run in runs[1:])]
+    shown = ", ".join(list(apart)[:6]) + (f" and {len(apart) - 6} more" if len(apart) > 6 else "")
+    said = f"settings that differ: {shown}" if apart else "no setting differs"
+    return "\n".join(
+        [*notes, plain_table(table, columns), f"{said}; brackets: 95 % over test poses of one training each"]
+    )
+
+
+def _short(figure: dict[str, Any] | None, sign: str = "") -> str | None:
+    if figure is None:
+        return None
+    value = f"{figure['mean']:{sign}.3g}"
+    return f"{value} [{figure['interval'][0]:.3g}, {figure['interval'][1]:.3g}]" if figure["interval"] else value
