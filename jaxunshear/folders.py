@@ -1,5 +1,7 @@
 """The folder of a model, by its path or by the name of released weights, and the settings in it."""
 
+import os
+from collections.abc import Sequence
 from pathlib import Path
 
 from jaxunshear.errors import UserError
@@ -28,3 +30,13 @@ def load_settings(model: Path) -> Experiment:
             f"or released weights{f' ({names})' if names else ''}"
         )
     return from_json(read_json(file), str(file))
+
+
+def names_apart(folders: Sequence[Path]) -> list[str]:
+    """The folders' own names, or as much of the ends of their paths as distinguishes them."""
+    parts = [Path(os.path.abspath(folder)).parts for folder in folders]
+    for count in range(1, max(map(len, parts))):
+        names = ["/".join(part[-count:]) for part in parts]
+        if len(set(names)) == len(names):
+            return names
+    return [str(folder) for folder in folders]

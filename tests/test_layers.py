@@ -20,6 +20,7 @@ STEPS = (
     "applications",
     "report",
     "sweep",
+    "compare",
 )
 FILES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path

@@ -8,25 +8,23 @@ from jaxunshear.compare.contacts import Contacts
 from jaxunshear.compare.curves import curves
 from jaxunshear.compare.figures import Figure, main_figures
 from jaxunshear.compare.runs import OWN, Run
+from jaxunshear.evaluation.score import BASELINES
 from jaxunshear.progress import duration
 from jaxunshear.report import page, pictures, words
 from jaxunshear.table import plain_table
 
-GROUPS = {  # table of results: heading, lead, digits
-    "ms_ssim": ("How alike the images are", "MS-SSIM of an image with the tap's; 1 is equal.", 3),
-    "pose": ("What a pose network reads", "Mean absolute errors of a PoseNet.", 3),
+GROUPS = {  # table of results: heading, lead
+    "ms_ssim": ("How alike the images are", "MS-SSIM of an image with the tap's; 1 is equal."),
+    "pose": ("What a pose network reads", "Mean absolute errors of a PoseNet."),
     "pose_recovery": (
         "Recovery",
         "The share of the slide's damage undone, (sheared - unsheared) / (sheared - tap). 1 is as good as taps.",
-        2,
     ),
-    "pins": ("How far pins are from the tap's", "Root mean square px, pins known by name.", 2),
-    "pin_error": (
-        "Pins found in the images",
-        "Centroids matched with the tap's pins; of few images, so no interval.",
-        3,
-    ),
+    "pins": ("How far pins are from the tap's", "Root mean square px, pins known by name."),
+    "pin_error": ("Pins found in the images", "Centroids matched with the tap's pins; of few images, so no interval."),
 }
+FOLDED = (*BASELINES, "missed_per_image", "extra_per_image")  # in the table of all other figures
+DIGITS = {"ms_ssim": 3, "pose_recovery": 2}  # 3 of mm, 2 of degrees and px
 PAIRED = (
     "Brackets: 95 % bootstrap intervals over test poses, each with all its slides. Differences are of pairs: both runs were scored on the "
     "same contacts, and each resample draws the same poses for both."
@@ -48,7 +46,7 @@ def document(
     names = [run.name for run in runs]
     parts = [_heading(names, notes), _settings(names, apart)]
     parts += [_group(runs, every, table) for table in GROUPS]
-    parts += [_montage(names, shown) if shown else "", _training(runs), _others(names, every), _provenance(runs)]
+    parts += [_montage(names, shown) if shown else "", _training(runs), _others(runs, every), _provenance(runs)]
     return page.page(f"jaxunshear: {' and '.join(names)}", *filter(None, parts))
 
 
@@ -72,16 +70,21 @@ def _settings(names: Sequence[str], apart: dict[str, list[str]]) -> str:
 
 def _group(runs: Sequence[Run], every: Sequence[Figure], table: str) -> str:
     """The figures of one table of results on all contacts, in the order of the kinds that a report has."""
-    rows = [figure for figure in every if figure.table == table and ": " not in figure.name]
+    rows = [figure for figure in every if figure.table == table and _is_chief(figure)]
     if not rows:
         return ""
     order = [*words.KINDS, OWN]
     place = {kind: index for index, kind in enumerate(order)}
     rows.sort(key=lambda figure: place.get(_kind(figure), len(order)))
-    title, lead, digits = GROUPS[table]
-    lines = [[_called(runs[0], figure), *_cells(figure, digits)] for figure in rows]
+    title, lead = GROUPS[table]
+    lines = [[_called(runs[0], figure), *_cells(figure)] for figure in rows]
     strong = [index for index, figure in enumerate(rows) if _kind(figure) in (OWN, runs[0].shown)]
     return page.section(title, lead, page.table(_head(runs), lines, (), strong))
+
+
+def _is_chief(figure: Figure) -> bool:
+    """Whether it has a table of its own."""
+    return figure.table in GROUPS and ": " not in figure.name and not set(figure.name.split("/")) & set(FOLDED)
 
 
 def _kind(figure: Figure) -> str:
@@ -100,8 +103,7 @@ def _called(first: Run, figure: Figure) -> str:
     """A row's name in words, as HTML."""
     _, kind, *column = figure.name.split("/")
     said = "unsheared, by each run's own network" if kind == OWN else _word(first, kind)
-    quantity = f"<small>{words.word(column[0])}, {words.unit(column[0])}</small>" if column else ""
-    return escape(said) + quantity
+    return escape(said) + (f": {words.word(column[0])}, {words.unit(column[0])}" if column else "")
 
 
 def _word(first: Run, kind: str) -> str:
@@ -109,7 +111,8 @@ def _word(first: Run, kind: str) -> str:
     return known.get(kind, kind)
 
 
-def _cells(figure: Figure, digits: int) -> list[str]:
+def _cells(figure: Figure) -> list[str]:
+    digits = DIGITS.get(figure.table, 3 if figure.name.endswith("_mm") or ": " in figure.name else 2)
     values = [page.number(None) if of is None else page.spanned(of["mean"], of["interval"], digits) for of in figure.of]
     return [*values, *(_less(figure, run, digits) for run in range(1, len(figure.of)))]
 
@@ -119,6 +122,8 @@ def _less(figure: Figure, run: int, digits: int) -> str:
     less = figure.less[run]
     if less is None:
         return page.number(None)
+    if less["mean"] == 0 and less["interval"] in (None, [0, 0]):
+        return "equal"
     colour = {"better": "good", "worse": "bad"}.get(verdict := figure.verdict(run), "soft")
     value = page.spanned(less["mean"], less["interval"], digits + 1)
     return f"{'+' if less['mean'] > 0 else ''}{value}<small class={colour}>{verdict}</small>"
@@ -159,7 +164,7 @@ def _training(runs: Sequence[Run]) -> str:
         return page.section("Training", "No run has a training log.")
     head = ["network", "run", "epochs", "steps", "best at step", "images/s", "training", "trained on"]
     drawn = page.drawing(curves(runs), "losses of each network in each run, over epochs and over seconds")
-    lead = "The first loss of each network on validation (thick) and in training (thin), over epochs and over seconds of training."
+    lead = "The main loss of each network on validation (thick) and in training (thin), over epochs and over seconds of training."
     return page.section("Training", lead, drawn, page.table(head, rows))
 
 
@@ -178,15 +183,16 @@ def _ending(run: Run, network: str) -> list[str]:
     ]
 
 
-def _others(names: Sequence[str], every: Sequence[Figure]) -> str:
+def _others(runs: Sequence[Run], every: Sequence[Figure]) -> str:
     """All that no table above has, folded away, by its name in results and sweeps."""
-    rest = [figure for figure in every if figure.table not in GROUPS or ": " in figure.name]
+    rest = [figure for figure in every if not _is_chief(figure)]
     if not rest:
         return ""
-    head = ["", *map(escape, names), *(f"{escape(name)}<br>less {escape(names[0])}" for name in names[1:])]
-    rows = [[f"<code>{escape(figure.name)}</code>", *_cells(figure, 3)] for figure in rest]
-    folded = f"<details><summary>{len(rest)} figures</summary>{page.table(head, rows)}</details>"
-    return page.section("All other figures", "Shapes one by one, tests of their own, readers, decoders.", folded)
+    rows = [[f"<code>{escape(figure.name)}</code>", *_cells(figure)] for figure in rest]
+    folded = f"<details><summary>{len(rest)} figures</summary>{page.table(_head(runs), rows)}</details>"
+    return page.section(
+        "All other figures", "Shapes one by one, tests of their own, baselines, readers, decoders.", folded
+    )
 
 
 def _provenance(runs: Sequence[Run]) -> str:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import shown_kind
+from jaxunshear.folders import names_apart
 from jaxunshear.report.history import History, read_history
 from jaxunshear.report.words import over_pins, simulated
 from jaxunshear.settings.configs import differences
@@ -52,7 +53,7 @@ def read_runs(folders: Sequence[Path]) -> list[Run]:
         if other := seen.get(os.path.realpath(folder)):
             raise UserError(f"{other} and {folder} are the same run: name each run once")
         seen[os.path.realpath(folder)] = folder
-    runs = [_read(name, folder) for name, folder in zip(_names(folders), folders, strict=True)]
+    runs = [_read(name, folder) for name, folder in zip(names_apart(folders), folders, strict=True)]
     if len({run.shown for run in runs}) > 1:
         runs = [run._replace(measured=_with_own(run)) for run in runs]
     return runs
@@ -80,16 +81,6 @@ def _read(name: str, folder: Path) -> Run:
         {network: ending for network, ending in endings.items() if ending},
         versions[0] if versions else None,
     )
-
-
-def _names(folders: Sequence[Path]) -> list[str]:
-    """The folders' own names, or as much of the paths as distinguishes them."""
-    parts = [Path(os.path.abspath(folder)).parts for folder in folders]
-    for count in range(1, max(map(len, parts))):
-        names = ["/".join(part[-count:]) for part in parts]
-        if len(set(names)) == len(names):
-            return names
-    return [str(folder) for folder in folders]
 
 
 def _with_own(run: Run) -> Measured:

@@ -14,19 +14,25 @@ class History(NamedTuple):
     validation: dict[str, list[float]]
 
 
-def read_history(path: Path) -> History | None:
-    """None where there is no log, or nothing in it yet. A line that is damaged, or cut short by a kill, is left out."""
+def read_lines(path: Path) -> list[dict[str, Any]]:
+    """Of a training log, those that hold a validation; none where there is no log yet. A line that is damaged, or cut short by a kill, is
+    left out."""
     try:
         text = Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return None
+        return []
     lines = []
     for line in text.splitlines():
         try:
             lines.append(json.loads(line))
         except ValueError:
             continue
-    lines = [line for line in lines if isinstance(line, dict) and "train_seconds" in line and "epoch" in line]
+    return [line for line in lines if isinstance(line, dict) and "train_seconds" in line and "epoch" in line]
+
+
+def read_history(path: Path) -> History | None:
+    """None where there is no log, or nothing in it yet."""
+    lines = read_lines(path)
     if not lines:
         return None
     return History(

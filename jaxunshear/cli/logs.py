@@ -1,0 +1,30 @@
+"""`jaxunshear logs`: training logs for TensorBoard."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+COMMANDS = ("logs",)
+
+
+def add_parsers(commands: Any) -> None:
+    text = "training logs of runs and sweeps as event files for TensorBoard, also while they train"
+    parser = commands.add_parser("logs", help=text, description=text)
+    parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="folders of runs or sweeps, finished or not")
+    parser.add_argument("--tensorboard", metavar="DIR", type=Path, required=True, help="for `tensorboard --logdir DIR`")
+    parser.add_argument("--follow", action="store_true", help="go on until the runs are finished, or Ctrl-C")
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    import jax
+
+    from jaxunshear.owners import check_apart
+    from jaxunshear.storage import check_new_folder
+
+    check_new_folder(arguments.tensorboard, "--tensorboard")
+    check_apart(arguments.tensorboard, "--tensorboard")
+    jax.config.update("jax_platforms", "cpu")  # a training may hold the accelerator
+    from jaxunshear.report.events import write_events
+
+    write_events(arguments.runs, arguments.tensorboard, arguments.follow)
+    return 0
