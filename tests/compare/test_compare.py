@@ -7,9 +7,16 @@ import shutil
 import numpy as np
 import pytest
 
+from jaxunshear.compare.contacts import _unsheared, contacts
 from jaxunshear.compare.figures import figures
-from jaxunshear.compare.runs import OWN, read_runs, settings_apart
+from jaxunshear.compare.runs import OWN, Run, read_runs, settings_apart
 from jaxunshear.evaluation.evaluate import every_score
+from jaxunshear.model.unshearing import unshear
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.stored import to_json
+from jaxunshear.sweep.scores import Measured
+from jaxunshear.training.checkpoint import load_best, read_net
+from tests.evaluation.conftest import trained  # noqa: F401
 from tests.report.conftest import Reader, made_up_gathered, make_run
 
 GAIN = "pose/disentangled/edge_mm"
@@ -135,6 +142,32 @@ def test_likeness_of_pins_and_of_images_is_not_compared(pair):
     rewritten(second, {"unshear.input": "pins"})
     found = named((first, second))
     assert found[GAIN].less[1] and not found["ms_ssim/disentangled"].less[1] and found["ms_ssim/disentangled"].of[1]
+
+
+def test_another_runs_network_is_given_the_references_images(trained, tmp_path):
+    plain = Experiment(name="small", claim="none", networks=("disentangled",))
+    folder = shutil.copytree(trained, tmp_path / "second")
+    (folder / "experiment.json").write_text(json.dumps(to_json(plain)))
+    results = {"settings": to_json(plain), "ms_ssim": {"disentangled": {}}, "tests": {}}
+    measured = Measured({"results": results}, {"": {"stimulus": np.zeros(3), "pose_id": np.arange(3)}})
+    run = Run("second", folder, measured, {}, {}, None)
+    sheared = (np.random.default_rng(0).random((3, 32, 32)) < 0.3).astype(np.uint8) * np.uint8(255)
+    network = folder / "disentangled"
+    expected = unshear(read_net(network), load_best(network), sheared[..., None].astype(np.float32) / 255)
+    found = _unsheared(run, run._replace(name="first"), sheared)
+    assert np.abs(found - 255 * np.clip(np.asarray(expected)[..., 0], 0, 1)).max() < 1 and found.std() > 5
+
+
+def test_of_runs_over_pins_the_contacts_are_shown_that_all_kept(pair):
+    for folder in pair[:2]:
+        rewritten(folder, {"unshear.input": "pins"})
+    with np.load(pair[1] / "montage.npz") as file:
+        held = dict(file)
+    shown = contacts(read_runs(pair[:2]))
+    assert len(shown.said) == len(held["tap"]) and np.array_equal(*shown.unsheared) and not shown.notes
+    np.savez(pair[1] / "montage.npz", **held | {"sheared": held["sheared"][:, ::-1]})  # of other contacts
+    shown = contacts(read_runs(pair[:2]))
+    assert len(shown.said) == 3 and shown.unsheared[1] is None and "kept images of other contacts" in shown.notes[0]
 
 
 def test_runs_about_different_networks_are_compared_by_their_own(pair, finished, command, tmp_path):
