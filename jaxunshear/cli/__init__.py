@@ -54,7 +54,7 @@ GROUPS = {  # of `jaxunshear --help`
         *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "export", "unshear", "pose"),
         *("pins", "stream", "geometry", "servo", "reconstruct", "sensors", "stimuli"),
     ),
-    "study": ("sweep", "ablate", "validate", "calibrate"),
+    "study": ("sweep", "compare", "logs", "ablate", "validate", "calibrate"),
 }
 CHECK = "check"  # the word before `checks`' commands
 CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done

@@ -16,7 +16,7 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.stored import to_json
 from jaxunshear.sweep.scores import Measured
 from jaxunshear.training.checkpoint import load_best, read_net
-from tests.evaluation.conftest import trained  # noqa: F401
+from tests.evaluation.conftest import trained  # noqa: F401 (a fixture)
 from tests.report.conftest import Reader, made_up_gathered, make_run
 
 GAIN = "pose/disentangled/edge_mm"
@@ -144,7 +144,7 @@ def test_likeness_of_pins_and_of_images_is_not_compared(pair):
     assert found[GAIN].less[1] and not found["ms_ssim/disentangled"].less[1] and found["ms_ssim/disentangled"].of[1]
 
 
-def test_another_runs_network_is_given_the_references_images(trained, tmp_path):
+def test_another_runs_network_is_given_the_references_images(trained, tmp_path):  # noqa: F811
     plain = Experiment(name="small", claim="none", networks=("disentangled",))
     folder = shutil.copytree(trained, tmp_path / "second")
     (folder / "experiment.json").write_text(json.dumps(to_json(plain)))
