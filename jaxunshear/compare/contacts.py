@@ -25,6 +25,7 @@ class Contacts(NamedTuple):
     said: list[list[str]]  # what each is
     sheared: np.ndarray  # (M, S, S) uint8, and so are the others
     tap: np.ndarray
+    truth: str  # what the tap is: of a recorded slide, a partner
     unsheared: list[np.ndarray | None]  # by run; None where a run has none to show
     likeness: list[np.ndarray | None]  # to the tap, (M,)
     notes: list[str]
@@ -50,9 +51,10 @@ def contacts(runs: list[Run]) -> Contacts | None:
         except UserError as error:
             images.append(None)
             notes.append(f"no images of {run.name}: {error}")
-    said = [montage.described(shown, row, montage.terms(first.results)) for row in rows]
+    terms = montage.terms(first.results)
+    said = [montage.described(shown, row, terms) for row in rows]
     likeness = [None if image is None else _likeness(image, kept["tap"]) for image in images]
-    return Contacts(said, kept["sheared"], kept["tap"], images, likeness, notes)
+    return Contacts(said, kept["sheared"], kept["tap"], terms.heads[2], images, likeness, notes)
 
 
 def _likeness(images: np.ndarray, taps: np.ndarray) -> np.ndarray:

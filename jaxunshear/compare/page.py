@@ -130,7 +130,7 @@ def _less(figure: Figure, run: int, digits: int) -> str:
 
 
 def _montage(names: Sequence[str], shown: Contacts) -> str:
-    heads = ["sheared (input)", *names, "tap (truth)"]
+    heads = ["sheared (input)", *names, shown.truth]
     lines = []
     for row, said in enumerate(shown.said):
         cells = [_image(shown.sheared[row], "", heads[0])]
@@ -144,7 +144,7 @@ def _montage(names: Sequence[str], shown: Contacts) -> str:
         lines.append(f"<tr><th><b>{first}</b><br>{'<br>'.join(more)}</th>{''.join(cells)}</tr>")
     top = "".join(f"<th>{escape(head)}</th>" for head in ("", *heads))
     table = f'<div class=wide><table class="montage"><tr>{top}</tr>\n' + "\n".join(lines) + "</table></div>"
-    lead = "Contacts that are typical of the reference's test, one of each shape; numbers are likeness (MS-SSIM) to the tap."
+    lead = "Contacts that are typical of the reference's test, one of each shape; numbers are MS-SSIM with what stands on the right."
     said_more = "".join(f"<p class=soft>{escape(note)}</p>" for note in shown.notes)
     return page.section("The same contacts, unsheared by each run", lead, table, said_more)
 

@@ -11,6 +11,7 @@ from jaxunshear.folders import names_apart
 from jaxunshear.report.history import History, read_history
 from jaxunshear.report.words import over_pins, simulated
 from jaxunshear.settings.configs import differences
+from jaxunshear.settings.data import RENDERED
 from jaxunshear.settings.earlier import LATER, without_later
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.storage import read_json, read_json_if_sound
@@ -150,6 +151,8 @@ def notes(runs: Sequence[Run]) -> list[str]:
             found.append(
                 f"{run.name} reads {reads}, {first.name} {read}: likeness is of other images, and not compared"
             )
+    if any(run.results.get("pairing", {}).get("way") in RENDERED for run in runs):
+        found.append("partners are drawn by each run's own renderer: likeness and pins are of each run's own partners")
     every = dict.fromkeys(network for run in runs for network in run.results["settings"]["networks"])
     for run in runs:
         lacks = [network for network in every if network not in run.results["settings"]["networks"]]
