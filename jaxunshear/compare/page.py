@@ -1,8 +1,9 @@
 """The page of a comparison, and its few lines for a terminal."""
 
 from collections.abc import Sequence
-from html import escape
 from typing import Any
+
+from markupsafe import Markup
 
 from jaxunshear.compare.contacts import Contacts
 from jaxunshear.compare.curves import curves
@@ -44,31 +45,26 @@ def document(
 ) -> str:
     """The complete page; the same runs give the same bytes."""
     names = [run.name for run in runs]
-    parts = [_heading(names, notes), _settings(names, apart)]
+    parts: list[Markup | str] = [_heading(names, notes), _settings(names, apart)]
     parts += [_group(runs, every, table) for table in GROUPS]
     parts += [_montage(names, shown) if shown else "", _training(runs), _others(runs, every), _provenance(runs)]
     return page.page(f"jaxunshear: {' and '.join(names)}", *filter(None, parts))
 
 
-def _heading(names: Sequence[str], notes: Sequence[str]) -> str:
-    first, *others = map(escape, names)
-    lines = "".join(f"<p><b>{escape(note)}.</b></p>" for note in notes)
-    less = f"Differences are of the other runs less <b>{first}</b>, the reference."
-    return (
-        f"<h1>{first} and {', '.join(others)}, compared</h1>\n{lines}<p>{less} {escape(PAIRED)}</p>\n"
-        f"<p><b>{escape(ONE_TRAINING)}</b></p>"
-    )
+def _heading(names: Sequence[str], notes: Sequence[str]) -> Markup:
+    lead = f"Differences are of the other runs less {names[0]}, the reference. {PAIRED}"
+    return page.compared(names, notes, lead, ONE_TRAINING)
 
 
-def _settings(names: Sequence[str], apart: dict[str, list[str]]) -> str:
+def _settings(names: Sequence[str], apart: dict[str, list[str]]) -> Markup:
     if not apart:
         return page.section("Settings that differ", "None: all runs have the same.")
-    rows = [[f"<code>{escape(name)}</code>", *map(escape, values)] for name, values in apart.items()]
+    rows = [[name, *values] for name, values in apart.items()]
     lead = "By name, as a command line takes them; all others are the same. A dash: the run has no such setting."
-    return page.section("Settings that differ", lead, page.table(["", *map(escape, names)], rows))
+    return page.section("Settings that differ", lead, page.table(["", *names], rows))
 
 
-def _group(runs: Sequence[Run], every: Sequence[Figure], table: str) -> str:
+def _group(runs: Sequence[Run], every: Sequence[Figure], table: str) -> Markup | str:
     """The figures of one table of results on all contacts, in the order of the kinds that a report has."""
     rows = [figure for figure in every if figure.table == table and _is_chief(figure)]
     if not rows:
@@ -92,18 +88,15 @@ def _kind(figure: Figure) -> str:
 
 
 def _head(runs: Sequence[Run]) -> list[str]:
-    return [
-        "",
-        *(escape(run.name) for run in runs),
-        *(f"{escape(run.name)}<br>less {escape(runs[0].name)}" for run in runs[1:]),
-    ]
+    less = (Markup("{}<br>less {}").format(run.name, runs[0].name) for run in runs[1:])
+    return ["", *(run.name for run in runs), *less]
 
 
 def _called(first: Run, figure: Figure) -> str:
-    """A row's name in words, as HTML."""
+    """A row's name in words."""
     _, kind, *column = figure.name.split("/")
     said = "unsheared, by each run's own network" if kind == OWN else _word(first, kind)
-    return escape(said) + (f": {words.word(column[0])}, {words.unit(column[0])}" if column else "")
+    return said + (f": {words.word(column[0])}, {words.unit(column[0])}" if column else "")
 
 
 def _word(first: Run, kind: str) -> str:
@@ -118,44 +111,36 @@ def _cells(figure: Figure) -> list[str]:
 
 
 def _less(figure: Figure, run: int, digits: int) -> str:
-    """A difference, its interval and its verdict, as HTML."""
+    """A difference, its interval and its verdict."""
     less = figure.less[run]
     if less is None:
         return page.number(None)
     if less["mean"] == 0 and less["interval"] in (None, [0, 0]):
         return "equal"
     colour = {"better": "good", "worse": "bad"}.get(verdict := figure.verdict(run), "soft")
-    value = page.spanned(less["mean"], less["interval"], digits + 1)
-    return f"{'+' if less['mean'] > 0 else ''}{value}<small class={colour}>{verdict}</small>"
+    return page.difference(page.spanned(less["mean"], less["interval"], digits + 1), verdict, colour)
 
 
-def _montage(names: Sequence[str], shown: Contacts) -> str:
+def _montage(names: Sequence[str], shown: Contacts) -> Markup:
     heads = ["sheared (input)", *names, shown.truth]
-    lines = []
-    for row, said in enumerate(shown.said):
-        cells = [_image(shown.sheared[row], "", heads[0])]
+    rows = []
+    for row, (first, *more) in enumerate(shown.said):
+        cells = [(pictures.png_address(shown.sheared[row]), heads[0], "")]
         for name, images, likeness in zip(names, shown.unsheared, shown.likeness, strict=True):
             if images is None or likeness is None or not images[row].any():
-                cells.append("<td>\u2013</td>")
+                cells.append(("", name, "\u2013"))
             else:
-                cells.append(_image(images[row], f"{likeness[row]:.3f}", name))
-        cells.append(_image(shown.tap[row], "", heads[-1]))
-        first, *more = map(escape, said)
-        lines.append(f"<tr><th><b>{first}</b><br>{'<br>'.join(more)}</th>{''.join(cells)}</tr>")
-    top = "".join(f"<th>{escape(head)}</th>" for head in ("", *heads))
-    table = f'<div class=wide><table class="montage"><tr>{top}</tr>\n' + "\n".join(lines) + "</table></div>"
+                cells.append((pictures.png_address(images[row]), name, f"{likeness[row]:.3f}"))
+        cells.append((pictures.png_address(shown.tap[row]), heads[-1], ""))
+        rows.append((first, more, cells))
     lead = "Contacts that are typical of the reference's test, one of each shape; numbers are MS-SSIM with what stands on the right."
-    said_more = "".join(f"<p class=soft>{escape(note)}</p>" for note in shown.notes)
-    return page.section("The same contacts, unsheared by each run", lead, table, said_more)
+    title = "The same contacts, unsheared by each run"
+    return page.section(title, lead, page.montage(heads, rows), *map(page.soft, shown.notes))
 
 
-def _image(pixels: Any, text: str, title: str) -> str:
-    return f'<td><img src="{pictures.png_address(pixels)}" alt="{escape(title)}">{text}</td>'
-
-
-def _training(runs: Sequence[Run]) -> str:
+def _training(runs: Sequence[Run]) -> Markup:
     rows = [
-        [network, escape(run.name), *_ending(run, network)]
+        [network, run.name, *_ending(run, network)]
         for network in dict.fromkeys(network for run in runs for network in run.histories)
         for run in runs
         if network in run.histories
@@ -179,34 +164,32 @@ def _ending(run: Run, network: str) -> list[str]:
         str(ending.get("best_step", "\u2013")),
         "\u2013" if speed is None else f"{speed:.3g}",
         duration(history.train_seconds[-1]),
-        escape(", ".join(known)) or "\u2013",
+        ", ".join(known) or "\u2013",
     ]
 
 
-def _others(runs: Sequence[Run], every: Sequence[Figure]) -> str:
+def _others(runs: Sequence[Run], every: Sequence[Figure]) -> Markup | str:
     """All that no table above has, folded away, by its name in results and sweeps."""
     rest = [figure for figure in every if not _is_chief(figure)]
     if not rest:
         return ""
-    rows = [[f"<code>{escape(figure.name)}</code>", *_cells(figure)] for figure in rest]
-    folded = f"<details><summary>{len(rest)} figures</summary>{page.table(_head(runs), rows)}</details>"
+    rows = [[figure.name, *_cells(figure)] for figure in rest]
+    folded = page.folded(f"{len(rest)} figures", page.table(_head(runs), rows))
     return page.section(
         "All other figures", "Shapes one by one, tests of their own, baselines, readers, decoders.", folded
     )
 
 
-def _provenance(runs: Sequence[Run]) -> str:
+def _provenance(runs: Sequence[Run]) -> Markup:
     rows = []
     for run in runs:
         machine, versions = run.results["machine"], run.results["versions"]
         said = f"{machine['processor']}, {machine['cores']} cores, {machine['device']}"
         made = [versions.get(package, "\u2013") for package in ("jaxunshear", "jax")]
-        rows.append([escape(text) for text in (run.name, str(run.folder), said, *made)])
+        rows.append([run.name, str(run.folder), said, *made])
     commands = "\n".join(f"{run.name}: {run.results['command']}" for run in runs)
     table = page.table(["run", "folder", "evaluated on", "jaxunshear", "jax"], rows)
-    return page.section(
-        "Where they are from", "Folders, machines, versions and commands.", table, f"<pre>{escape(commands)}</pre>"
-    )
+    return page.section("Where they are from", "Folders, machines, versions and commands.", table, page.code(commands))
 
 
 def lines(runs: Sequence[Run], apart: dict[str, list[str]], every: Sequence[Figure], notes: Sequence[str]) -> str:
