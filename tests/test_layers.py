@@ -18,6 +18,7 @@ STEPS = (
     "training",
     "evaluation",
     "applications",
+    "explore",
     "report",
     "sweep",
     "compare",

@@ -20,6 +20,7 @@ from jaxunshear.cli import (
     doctor,
     export,
     logs,
+    explore,
     release,
     report,
     stages,
@@ -44,6 +45,7 @@ MODULES: tuple[Any, ...] = (
     export,
     unshear,
     applications,
+    explore,
     doctor,
     sweep,
     calibration,
@@ -52,7 +54,7 @@ MODULES: tuple[Any, ...] = (
 GROUPS = {  # of `jaxunshear --help`
     "use": (
         *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "export", "unshear", "pose"),
-        *("pins", "stream", "geometry", "servo", "reconstruct", "sensors", "stimuli"),
+        *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
     ),
     "study": ("sweep", "compare", "logs", "ablate", "validate", "calibrate"),
 }

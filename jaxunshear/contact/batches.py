@@ -45,7 +45,7 @@ def dome(sensor: Sensor) -> Compliance:
     return domes.dome(sensor)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)  # 4 MiB a shape: all that have a name, one by one, and some drawn by hand
 def _obstacles(stimuli: tuple[Stimulus, ...]) -> Obstacles:
     return sample(stimuli)
 
