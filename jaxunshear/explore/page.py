@@ -1,206 +1,37 @@
-"""The page: controls and pictures of one tab each, by NiceGUI. All that is computed comes from `explorer`."""
+"""The page, by NiceGUI: where its controls and pictures stand. What they do is in `tab`."""
 
-import asyncio
 import logging
-import math
-import time
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-from nicegui import events, run, ui
+from nicegui import ui
 
-from jaxunshear.errors import UserError
-from jaxunshear.explore.drawing import MAP_PX, PINS_PX, STRETCH, data_url, map_svg, pins_svg, to_mm
-from jaxunshear.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, Explorer, Picture
-from jaxunshear.explore.outline import DRAWN, drawn
-from jaxunshear.explore.touch import DEEPEST_MM, MOST_SLIDE_MM, Touch
-from jaxunshear.scene.stimuli import STIMULI, Stimulus
+from jaxunshear.explore.drawing import MAP_PX, PINS_PX, STRETCH
+from jaxunshear.explore.explorer import Explorer
+from jaxunshear.explore.tab import (
+    COLUMNS,
+    IMAGES,
+    Tab,
+    begin_outline,
+    lift,
+    on_change,
+    on_file,
+    on_map,
+    on_pose,
+    on_stimulus,
+    show,
+)
+from jaxunshear.explore.touch import DEEPEST_MM, Touch
+from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.sensor import SENSORS
 
 HOST = "127.0.0.1"
 LARGEST_BYTES = 32_000_000  # of a recorded image
 STYLE = Path(__file__).with_name("page.css")
-IMAGES = {SHEARED: "as the camera sees it", UNSHEARED: "by the networks", TAP: "without the slide"}
-COLUMNS = {TRUE: "true", SHEARED: "sheared", UNSHEARED: "unsheared"}
-ONE_AT_A_TIME = asyncio.Lock()  # two tabs that compute at once would make each other slow
-
-
-@dataclass
-class Tab:
-    """What one tab shows and asks for; nothing of it is shared with another."""
-
-    explorer: Explorer
-    touch: Touch
-    start: tuple[float, float] = (0.0, 0.0)  # mm: where the sensor was pressed down
-    line: list[tuple[float, float]] | None = None  # mm: an outline that is being drawn; None where none is
-    pressed: bool = False
-    wanted: Touch | None = None
-    busy: bool = False
-    parts: dict[str, ui.element] = field(default_factory=dict)
-
-    def ask(self, **changes: object) -> None:
-        """Draws the touch at once, and its pictures as soon as they are there; of several asked for meanwhile the last."""
-        self.touch = self.wanted = replace(self.touch, **changes)  # type: ignore[arg-type]
-        self.draw_map()
-
-    def draw_map(self) -> None:
-        _image(self, "map").set_content(map_svg(self.touch, self.line))
-        x, y, dx, dy = *self.start, *self.touch.move
-        _label(self, "place").set_text(
-            "draw around an area with the button held"
-            if self.line is not None
-            else f"pressed at x {x:.1f}, y {y:.1f} mm; slid by {dx:.1f}, {dy:.1f} mm"
-        )
-
-
-def _image(tab: Tab, name: str) -> ui.interactive_image:
-    part = tab.parts[name]
-    assert isinstance(part, ui.interactive_image)
-    return part
-
-
-def _label(tab: Tab, name: str) -> ui.label:
-    part = tab.parts[name]
-    assert isinstance(part, ui.label)
-    return part
-
-
-async def compute(tab: Tab) -> None:
-    """The wanted pictures, and those wanted meanwhile."""
-    if tab.busy:
-        return
-    tab.busy = True
-    try:
-        while tab.wanted is not None:
-            touch, tab.wanted = tab.wanted, None
-            async with ONE_AT_A_TIME:
-                began = time.perf_counter()
-                try:
-                    picture = await run.io_bound(tab.explorer.picture, touch)
-                except UserError as error:
-                    show(tab, None, str(error))
-                    continue
-            if picture is not None:  # None: the server is going
-                show(tab, picture, picture.note, f"{1000 * (time.perf_counter() - began):.0f} ms")
-    finally:
-        tab.busy = False
-
-
-def show(tab: Tab, picture: Picture | None, problem: str, spent: str = "") -> None:
-    """All of a picture, or nothing beside the line that says why there is none."""
-    images = picture.images if picture else {}
-    for name in IMAGES:
-        _image(tab, name).set_source(data_url(images[name]) if name in images else "")
-    moved = picture is not None and len(picture.state) > 0
-    _image(tab, "pins").set_content(
-        pins_svg(picture.pins, picture.state, len(images[SHEARED])) if moved and picture else ""
-    )
-    force = (
-        f"force {picture.force_n[2]:.2f} N down, {math.hypot(*picture.force_n[:2]):.2f} N sideways"
-        if moved and picture
-        else ""
-    )
-    _label(tab, "force").set_text(force)
-    _label(tab, "time").set_text(spent and f"computed in {spent}")
-    problem_line = _label(tab, "problem")
-    problem_line.set_text(problem)
-    problem_line.set_visibility(bool(problem))
-    table = tab.parts["poses"]
-    assert isinstance(table, ui.table)
-    table.rows = _rows(picture.poses) if picture else []
-
-
-def _rows(poses: dict[str, dict[str, float]]) -> list[dict[str, str]]:
-    names = next(iter(poses.values()), {})
-    rows = []
-    for name in names:
-        quantity, _, unit = name.rpartition("_")
-        cells = {key: poses.get(key, {}).get(name, math.nan) for key in COLUMNS}
-        texts = {key: "-" if math.isnan(value) else f"{value:.2f}" for key, value in cells.items()}
-        rows.append({"quantity": f"{quantity.replace('_', ' ')}, {unit}"} | texts)
-    return rows
-
-
-async def on_map(tab: Tab, event: events.MouseEventArguments) -> None:
-    """Pressing sets the sensor down, moving slides it; while drawing, the same gives the outline."""
-    here = to_mm(event.image_x, event.image_y)
-    if event.type == "pointerdown":
-        tab.pressed, tab.start = True, here
-    elif not tab.pressed:
-        return
-    tab.pressed = event.type in ("pointerdown", "pointermove") and bool(event.buttons)
-    if tab.line is None:
-        ends = np.subtract(here, tab.start)
-        ends = ends * min(1.0, MOST_SLIDE_MM / max(float(np.hypot(*ends)), 1e-9))
-        place(tab, (float(ends[0]), float(ends[1])))
-    else:
-        tab.line.append(here)
-        tab.draw_map()
-        if not tab.pressed:
-            finish_outline(tab)
-    await compute(tab)
-
-
-def place(tab: Tab, move: tuple[float, float]) -> None:
-    """The slide from where the sensor was pressed down."""
-    pose = (tab.start[0] + move[0], tab.start[1] + move[1], *tab.touch.pose[2:])
-    if (pose, move) != (tab.touch.pose, tab.touch.move):
-        tab.ask(pose=pose, move=move)
-
-
-def finish_outline(tab: Tab) -> None:
-    line, tab.line = tab.line or [], None
-    try:
-        stimulus = drawn(np.array(line))
-    except UserError as error:
-        tab.draw_map()
-        show(tab, None, str(error))
-        return
-    tab.start = line[0]
-    select = tab.parts["stimulus"]
-    assert isinstance(select, ui.select)
-    tab.ask(stimulus=stimulus, pose=(*tab.start, *tab.touch.pose[2:]), move=(0.0, 0.0))
-    select.set_options([*STIMULI, DRAWN], value=DRAWN)
-
-
-async def on_stimulus(tab: Tab, name: str) -> None:
-    if name != tab.touch.stimulus.name:
-        tab.ask(stimulus=STIMULI[name])
-        await compute(tab)
-
-
-async def on_pose(tab: Tab, index: int, value: float | None) -> None:
-    """2: yaw, 3: depth; None while a field is empty."""
-    if value is not None and value != tab.touch.pose[index]:
-        pose = list(tab.touch.pose)
-        pose[index] = float(value)
-        tab.ask(pose=(pose[0], pose[1], pose[2], pose[3]))
-        await compute(tab)
-
-
-async def on_change(tab: Tab, **changes: object) -> None:
-    tab.ask(**changes)
-    await compute(tab)
-
-
-async def on_file(tab: Tab, event: events.UploadEventArguments) -> None:
-    data = await event.file.read()
-    name = event.file.name
-    try:
-        async with ONE_AT_A_TIME:
-            picture = await run.io_bound(tab.explorer.recorded, name, data)
-    except UserError as error:
-        show(tab, None, str(error))
-        return
-    if picture is not None:
-        show(tab, picture, picture.note)
-        _label(tab, "force").set_text(f"recorded: {name}")
 
 
 def build(explorer: Explorer) -> None:
     """One tab."""
-    stimulus: Stimulus = STIMULI["disk"]
+    stimulus = STIMULI["disk"]
     tab = Tab(explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4))
     ui.add_css(STYLE.read_text())
     ui.colors(primary="#1f6feb")
@@ -228,17 +59,6 @@ def _map(tab: Tab) -> None:
         with ui.element("div").classes("buttons"):
             ui.button("Lift and tap", on_click=lambda: lift(tab)).props("outline dense no-caps")
             ui.button("Draw an outline", on_click=lambda: begin_outline(tab)).props("outline dense no-caps")
-
-
-def begin_outline(tab: Tab) -> None:
-    tab.line = []
-    tab.draw_map()
-
-
-async def lift(tab: Tab) -> None:
-    """A tap where the slide ended."""
-    tab.line, tab.start = None, tab.touch.pose[:2]
-    await on_change(tab, move=(0.0, 0.0))
 
 
 def _controls(tab: Tab) -> None:
