@@ -21,6 +21,7 @@ from jaxunshear.cli import (
     export,
     logs,
     explore,
+    export,
     release,
     report,
     stages,
