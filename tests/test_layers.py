@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 STEPS = (
     "settings",
+    "results",
     "scene",
     "contact",
     "image",

@@ -100,11 +100,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     keep_freed_memory()
     results = run_stages(experiment, tuple(stages), out=arguments.out, data=arguments.data, command=command)
-    if getattr(arguments, "json", None):
+    if results and getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import measurements
-        from jaxunshear.storage import write_json
+        from jaxunshear.results.stored import write
 
-        write_json(arguments.json, measurements(results))
+        write(arguments.json, measurements(results))
     return 0
 
 
@@ -166,8 +166,8 @@ def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str
     from jaxunshear.applications.transfer import score_transfer
     from jaxunshear.evaluation.measurements import measurements
     from jaxunshear.evaluation.unseen import score_recordings, table
+    from jaxunshear.results.stored import write
     from jaxunshear.settings.experiment import recorded_of
-    from jaxunshear.storage import write_json
 
     if recorded_of(experiment):
         results = score_recordings(experiment, arguments.file, arguments.recordings, arguments.data, command)
@@ -175,4 +175,4 @@ def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str
         results = score_transfer(experiment, arguments.file, arguments.recordings, command)
     print(table(results))
     if arguments.json:
-        write_json(arguments.json, measurements(results))
+        write(arguments.json, measurements(results))

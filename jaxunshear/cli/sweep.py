@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     check(sweep, str(arguments.file))
 
     from jaxunshear.owners import check_apart
-    from jaxunshear.storage import write_json
+    from jaxunshear.results.stored import write
     from jaxunshear.sweep import engines
     from jaxunshear.sweep.run import run_sweep
     from jaxunshear.sweep.table import table
@@ -89,5 +89,5 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     print(table(summary))
     print(arguments.out / sweep.name / "sweep.json")
     if arguments.json is not None:
-        write_json(arguments.json, summary)
-    return 1 if any(cell["failures"] for cell in summary["cells"]) else 0
+        write(arguments.json, summary)
+    return 1 if any(cell.failures for cell in summary.cells) else 0

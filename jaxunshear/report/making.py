@@ -1,27 +1,30 @@
 """Sections of a run's report: how it was made. Training, times, the contacts behind the images, how to get it again."""
 
 import json
+from collections.abc import Mapping
 from html import escape
-from typing import Any
 
 from jaxunshear.progress import duration
 from jaxunshear.report import figures, page, words
 from jaxunshear.report.history import History
+from jaxunshear.results.rows import Summary
+from jaxunshear.results.run import Results
+from jaxunshear.storage import plain
 
-SHOWN = ("parameters", "steps", "images_per_second", "train_seconds", "best_step")  # of a training's summary
+TRAINED = "delete it, then run the same experiment again, which goes on from the checkpoint"
 
 
-def training(histories: dict[str, History], summaries: dict[str, dict]) -> str:
+def training(histories: dict[str, History], summaries: dict[str, Summary]) -> str:
     if not histories:
         return page.section("Training", "This run has no training logs.")
     rows = [
         [
             name,
-            f"{summary['parameters']:,}",
-            str(summary["steps"]),
-            f"{summary['images_per_second']:.3g}",
-            duration(summary["train_seconds"]),
-            str(summary["best_step"]),
+            f"{summary.parameters:,}",
+            str(summary.steps),
+            f"{summary.images_per_second:.3g}",
+            duration(summary.train_seconds),
+            str(summary.best_step),
         ]
         for name, summary in summaries.items()
     ]
@@ -31,8 +34,8 @@ def training(histories: dict[str, History], summaries: dict[str, dict]) -> str:
     return page.section("Training", lead, page.drawing(figures.loss_curves(histories), text), page.table(head, rows))
 
 
-def times(results: dict[str, Any], histories: dict[str, History]) -> str:
-    stages = {name: value for name, value in results["time_s"].items() if value is not None}
+def times(results: Results, histories: dict[str, History]) -> str:
+    stages = {name: value for name, value in results.time_s.items() if value is not None}
     drawn = []
     if stages:
         text = "; ".join(f"{name} {value:.0f} s" for name, value in stages.items())
@@ -48,7 +51,7 @@ def times(results: dict[str, Any], histories: dict[str, History]) -> str:
     )
     waits = "; ".join(
         f"{name} {_short(times['median'])} ms (95th percentile {_short(times['p95'])})"
-        for name, times in results["ms_per_image"].items()
+        for name, times in results.ms_per_image.items()
     )
     note = f"<p class=soft>One image at a time, compilation apart: {waits}.</p>" if waits else ""
     return page.section("Error against run time", lead, f"<div class=row>{''.join(drawn)}</div>", note)
@@ -58,17 +61,17 @@ def _short(milliseconds: float) -> str:
     return f"{milliseconds:.1f}" if milliseconds >= 1 else f"{milliseconds:.2g}"
 
 
-def _over_time(results: dict[str, Any]) -> dict[str, str]:
+def _over_time(results: Results) -> dict[str, str]:
     """A network's validation figures that are drawn over its seconds of training, with their labels."""
     what = "pins" if words.over_pins(results) else "image"
-    form = "{} of taps, {}" if words.simulated(results) else "error in {}, {}"
+    form = "{} of taps, {}" if results.simulated else "error in {}, {}"
     chief = {name: form.format(words.word(name), words.unit(name)) for name in words.chief(results)}
     return {"supervised": f"unsheared {what}, MSE"} | chief
 
 
-def contacts(results: dict[str, Any]) -> str:
+def contacts(results: Results) -> str:
     """Nothing of recorded contacts, which no solver has solved."""
-    if not words.simulated(results):
+    if not results.simulated:
         return ""
     names = {
         "residual_mm": "solver residual, mm",
@@ -80,31 +83,31 @@ def contacts(results: dict[str, Any]) -> str:
     head = ["sheared test contacts", "mean", "median", "95th percentile", "largest"]
     rows = [
         [names.get(field, escape(field)), *(f"{entry[q]:.3g}" for q in ("mean", "median", "p95", "max"))]
-        for field, entry in results["contact"].items()
+        for field, entry in (results.contact or {}).items()
     ]
-    counts = results["counts"]
+    counts = results.counts
     tried = ""
-    if "contacts" in counts:
-        tried = f"Of {counts['contacts']} contacts {counts['retried']} were solved again more finely and {counts['dropped']} dropped."
+    if counts.contacts is not None:
+        tried = f"Of {counts.contacts} contacts {counts.retried} were solved again more finely and {counts.dropped} dropped."
     pairs = (
-        f"Pairs: {counts['train']} to train, {counts['validation']} to validate, {counts['test']} to test"
-        if "train" in counts
+        f"Pairs: {counts.train} to train, {counts.validation} to validate, {counts.test} to test"
+        if counts.train is not None
         else ""
     )
-    poses = f"{counts['test_poses']} test poses. {counts['pin_images']} images had their pins found."
+    poses = f"{counts.test_poses} test poses. {counts.pin_images} images had their pins found."
     lead = "How well the simulated contacts behind the test images were solved."
     return page.section("Contact quality", lead, page.table(head, rows), f"<p class=soft>{tried} {pairs}; {poses}</p>")
 
 
-def provenance(results: dict[str, Any]) -> str:
-    def lines(entries: dict[str, Any]) -> str:
+def provenance(results: Results) -> str:
+    def lines(entries: Mapping[str, object]) -> str:
         return page.table(("", ""), [[escape(str(k)), escape(str(v))] for k, v in entries.items()])
 
-    settings = escape(json.dumps(results["settings"], indent=2))
+    settings = escape(json.dumps(results.settings, indent=2))
     return page.section(
         "How to get this again",
         "The same command, seeds and versions on the same machine give the same numbers.",
-        f"<pre>{escape(results['command'])}</pre>",
-        f"<div class=row>{lines(results['seeds'])}{lines(results['machine'])}{lines(results['versions'])}</div>",
+        f"<pre>{escape(results.command)}</pre>",
+        f"<div class=row>{lines(results.seeds)}{lines(plain(results.machine))}{lines(results.versions)}</div>",
         f"<details><summary>All settings</summary><pre>{settings}</pre></details>",
     )

@@ -1,32 +1,33 @@
 """The section on readers of another make than PoseNet: what they read of the same contacts."""
 
-from typing import Any
+from collections.abc import Mapping
 
 from jaxunshear.report import page, words
 from jaxunshear.report.page import spanned
+from jaxunshear.results.run import Results
 
 TITLE = "Read by readers of another make"
 NAMES = {"pixels": "kernel ridge on pixels", "pins": "kernel ridge on pins"}
 
 
-def readers(results: dict[str, Any]) -> str:
+def readers(results: Results) -> str:
     """Nothing of runs without, or evaluated by an earlier version."""
-    ours = results.get("readers", {})
+    ours = results.readers
     if not ours:
         return ""
-    names, spread = words.targets(results), results["spread"]["readers"]
+    names, spread = words.targets(results), results.spread.readers
     head = ["reader", "given", "images", *map(words.heading, names)]
     rows = [
         [
             NAMES[reader] if not place else "",
             words.kind_of(results, kind),
-            _counted(results["reader_images"][reader][kind]),
+            _counted(results.reader_images[reader][kind]),
             *(spanned(errors.get(q), spread[reader][kind].get(q), words.digits(results, q)) for q in names),
         ]
         for reader, kinds in ours.items()
         for place, (kind, errors) in enumerate(kinds.items())
     ]
-    taps = results["counts"].get("reader_taps", {})
+    taps = results.counts.reader_taps or {}
     learnt = "; ".join(f"{NAMES[reader]}: {count} taps" for reader, count in taps.items())
     lead = (
         "A network may please readers of the make that taught it. These are no neural networks: kernel ridges that learnt from "
@@ -35,12 +36,12 @@ def readers(results: dict[str, Any]) -> str:
     found = (
         "Kernel ridge on pins learnt from the taps' true pins. It reads the pins that are found in a part of the test images; those "
         "whose pins are not known by name for sure are left out and counted."
-        if "pins" in ours and words.simulated(results) and not words.over_pins(results)
+        if "pins" in ours and results.simulated and not words.over_pins(results)
         else ""
     )
     return page.section(TITLE, lead, page.table(head, rows), f"<p class=soft>{found}</p>" if found else "")
 
 
-def _counted(images: dict[str, int]) -> str:
+def _counted(images: Mapping[str, int]) -> str:
     left_out = f" <small>{images['left_out']} left out</small>" if images["left_out"] else ""
     return f"{images['read']}{left_out}"

@@ -1,11 +1,13 @@
 """Sections of a recorded run's page: what it learnt from and was scored on, and how its slides are paired."""
 
+from collections.abc import Sequence
 from html import escape
-from typing import Any
 
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
+from jaxunshear.results.run import Results, Scores
 from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.targets import Target
 
 WAYS = {
     "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap "
@@ -19,24 +21,24 @@ WAYS = {
 }
 
 
-def recordings(results: dict[str, Any]) -> str:
-    reported = results["recordings"]
+def recordings(results: Results) -> str:
+    reported, _ = results.recorded
     rows = [
-        [kind, *(str(reported[kind][split]) for split in SPLITS)]
-        for kind in ("taps", "slides")
-        if any(reported[kind].values())
+        [kind, *(str(counted[split]) for split in SPLITS)]
+        for kind, counted in (("taps", reported.taps), ("slides", reported.slides))
+        if any(counted.values())
     ]
-    folders = dict.fromkeys(results["settings"]["paired"][kind] for kind in ("tap_folder", "slide_folder"))
+    folders = dict.fromkeys(results.settings["paired"][kind] for kind in ("tap_folder", "slide_folder"))
     named = ", ".join(f"<code>{escape(folder)}</code>" for folder in folders if folder)
     facts = [
-        f"Folder: {named} (digest {escape(reported['digest'])}); sensor {escape(reported['sensor'])}, {reported['pins']} pins.",
-        f"Contacts: {reported['contacts']}, {reported['dropped']} of them left out. Pins are followed for sure in "
-        f"{reported['pins_sure']:.1%} of the others, in {reported['unsure']} they are not.",
-        f"Labels used, by their range in training: {'; '.join(map(_range, results['targets'])) or 'none'}.",
+        f"Folder: {named} (digest {escape(reported.digest)}); sensor {escape(reported.sensor)}, {reported.pins} pins.",
+        f"Contacts: {reported.contacts}, {reported.dropped} of them left out. Pins are followed for sure in "
+        f"{reported.pins_sure:.1%} of the others, in {reported.unsure} they are not.",
+        f"Labels used, by their range in training: {'; '.join(map(_range, results.targets or ())) or 'none'}.",
     ]
-    if reported["labelled"] < 1:
-        facts.append(f"Labels of {reported['labelled']:.0%} of the training slides teach.")
-    if results["settings"]["paired"].get("unlabelled") == "read":
+    if reported.labelled < 1:
+        facts.append(f"Labels of {reported.labelled:.0%} of the training slides teach.")
+    if results.settings["paired"].get("unlabelled") == "read":
         facts.append("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
     lead = "Frames of a real sensor: networks learn from train, their best step is chosen on validation, all figures of test."
     return page.section(
@@ -44,14 +46,14 @@ def recordings(results: dict[str, Any]) -> str:
         lead,
         page.table(["contacts", *SPLITS], rows),
         *(f"<p class=soft>{fact}</p>" for fact in facts),
-        _listed(f"Frames left out ({reported['dropped']})", reported["dropped_frames"], reported["dropped"]),
-        _listed("Notes from reading them", reported["notes"], len(reported["notes"])),
+        _listed(f"Frames left out ({reported.dropped})", reported.dropped_frames, reported.dropped),
+        _listed("Notes from reading them", reported.notes, len(reported.notes)),
     )
 
 
-def intervals(results: dict[str, Any]) -> str:
+def intervals(results: Results) -> str:
     """Nothing of runs evaluated by an earlier version, or with few validation contacts."""
-    widths, held = results.get("half_width", {}), results.get("coverage", {})
+    widths, held = results.half_width or {}, results.coverage or {}
     names = [name for name in words.targets(results) if any(name in reported for reported in held.values())]
     rows = [
         [words.kind_of(results, way), *(f"{number(widths[way][name])} ({reported[name]:.1%})" for name in names)]
@@ -66,15 +68,15 @@ def intervals(results: dict[str, Any]) -> str:
     )
 
 
-def _range(target: dict[str, Any]) -> str:
-    name = target["name"]
-    if target["circle"]:
+def _range(target: Target) -> str:
+    name = target.name
+    if target.circle:
         return f"{words.word(name)} over the full circle"
-    low, high = target["middle"] - target["reach"], target["middle"] + target["reach"]
+    low, high = target.middle - target.reach, target.middle + target.reach
     return f"{words.word(name)} {low:.2f} to {high:.2f} {words.unit(name)}"
 
 
-def _listed(heading: str, lines: list[str], count: int) -> str:
+def _listed(heading: str, lines: Sequence[str], count: int) -> str:
     """Folded away; nothing of no lines."""
     if not lines:
         return ""
@@ -83,17 +85,19 @@ def _listed(heading: str, lines: list[str], count: int) -> str:
     return f"<details><summary>{escape(heading)}</summary><ul>{items}{more}</ul></details>"
 
 
-def pairing(results: dict[str, Any]) -> str:
+def pairing(results: Results) -> str:
     """Nothing where there are no pairs."""
-    way, gaps = results["pairing"]["way"], results["pairing"]["gaps"]
-    if way not in WAYS:
+    if results.pairing is None or (way := results.pairing.way) not in WAYS:
         return ""
     names = words.targets(results)
-    rows = [[split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)] for split, gap in gaps.items()]
+    rows = [
+        [split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)] for split, gap in results.pairing.gaps.items()
+    ]
     head = ["pose of the partner off by", "pairs", *map(words.heading, names)]
     note = "<p class=soft>Median, and in brackets the 95th percentile.</p>"
     return page.section("How slides are paired", WAYS[way], page.table(head, rows), note)
 
 
-def _gap(gap: dict[str, float | None]) -> str:
+def _gap(gap: Scores | int) -> str:
+    assert not isinstance(gap, int)
     return f"{number(gap['median'])} ({number(gap['p95'])})"

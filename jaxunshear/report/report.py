@@ -3,15 +3,18 @@
 Read `write_report` for the order of the page.
 """
 
+from dataclasses import replace
 from html import escape
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.report import applications, headlines, making, montage, page, poses, readers, recordings, scores, words
 from jaxunshear.report.history import read_history
+from jaxunshear.results.rows import Summary
+from jaxunshear.results.run import EVALUATED, Results
+from jaxunshear.results.stored import read
 from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write_text
+from jaxunshear.storage import read_json_if_sound, write_bytes, write_text
 
 
 def write_report(run_dir: Path) -> Path:
@@ -21,15 +24,15 @@ def write_report(run_dir: Path) -> Path:
     curves; recorded runs in which nothing is unsheared have no montage.
     """
     run_dir = Path(run_dir)
-    results = read_json(run_dir / "results.json")
+    results = read(run_dir / "results.json", Results, EVALUATED)
     grown = read_json_if_sound(run_dir / "times.json") or {}  # since the evaluation
+    results = replace(results, time_s={**results.time_s, **grown})
     logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
-    summaries = {name: _ending(path) for name, path in endings.items() if path.exists()}
+    summaries = {name: read(path, Summary, making.TRAINED) for name, path in endings.items() if path.exists()}
     try:
-        results["time_s"] |= grown
-        shown = montage.read(run_dir / "montage.npz") if words.simulated(results) or results["ms_ssim"] else None
+        shown = montage.read(run_dir / "montage.npz") if results.simulated or results.ms_ssim else None
         parts = [
             _heading(results),
             headlines.headlines(results),
@@ -41,7 +44,7 @@ def write_report(run_dir: Path) -> Path:
             scores.pins(results),
             *(
                 []
-                if words.simulated(results)
+                if results.simulated
                 else [recordings.recordings(results), recordings.pairing(results), recordings.intervals(results)]
             ),
             scores.swap(results),
@@ -52,30 +55,17 @@ def write_report(run_dir: Path) -> Path:
             making.provenance(results),
         ]
     except (KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
+        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATED}") from error
     if shown:
         write_bytes(run_dir / "montage.png", montage.drawing(shown, results))
     path = run_dir / "report.html"
-    write_text(path, page.page(f"jaxunshear: {results['experiment']}", *filter(None, parts)))
+    write_text(path, page.page(f"jaxunshear: {results.experiment}", *filter(None, parts)))
     return path
 
 
-def _ending(path: Path) -> dict[str, Any]:
-    """What a finished training says of itself."""
-    stored = read_json(path)
-    lacking = [name for name in making.SHOWN if not isinstance(stored, dict) or name not in stored]
-    if lacking:
-        raise UserError(
-            f"{path} lacks '{lacking[0]}': delete it, then run the same experiment again, which goes on from the checkpoint"
-        )
-    return stored
-
-
-def _heading(results: dict[str, Any]) -> str:
-    top = (
-        f"<h1>Taking the slide out of touch: {escape(results['experiment'])}</h1>\n<p>{escape(results['claim'])}</p>\n"
-    )
-    if not words.simulated(results):
+def _heading(results: Results) -> str:
+    top = f"<h1>Taking the slide out of touch: {escape(results.experiment)}</h1>\n<p>{escape(results.claim)}</p>\n"
+    if not results.simulated:
         return f"{top}<p class=soft>{_of_recordings(results)}</p>"
     return (
         f"{top}<p class=soft>A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "
@@ -85,19 +75,19 @@ def _heading(results: dict[str, Any]) -> str:
     )
 
 
-def _of_recordings(results: dict[str, Any]) -> str:
-    counts = results["counts"]
-    if results["ms_ssim"]:
+def _of_recordings(results: Results) -> str:
+    counts = results.counts
+    if results.ms_ssim:
         what = "pins" if words.over_pins(results) else "an image"
         about = f"The networks of this run turn {what} of a slide into what a plain tap would have given."
     else:
         about = "Nothing is unsheared here, for which it takes taps and slides: the networks of this run read poses."
     counted = " and ".join(
-        f"{count} {kind}" for kind, count in (("taps", counts["test_taps"]), ("slides", counts["test_poses"])) if count
+        f"{count} {kind}" for kind, count in (("taps", counts.test_taps), ("slides", counts.test_poses)) if count
     )
     paper = (
         " The paper's, in <span class=real>tinted columns</span>, are from another real sensor."
-        if results["ms_ssim"] and words.comparable(results)
+        if results.ms_ssim and words.comparable(results)
         else ""
     )
     return (

@@ -19,8 +19,9 @@ from jaxunshear.settings.rules import validate
 from jaxunshear.settings.types import check_types
 
 Fields = str | tuple[str, ...]  # dotted names; several vary together
-Axis = tuple[Fields, tuple[Any, ...]]
-Change = tuple[Fields, Any]
+Value = Any  # of a field, or of each of several
+Axis = tuple[Fields, tuple[Value, ...]]
+Change = tuple[Fields, Value]
 LARGEST_SEED = 2**31 - 1
 
 
@@ -167,7 +168,7 @@ def _rules(sweep: Sweep) -> Iterator[tuple[bool, str, str]]:
     yield sweep.reference is None or isinstance(sweep.reference, str), "reference", "is no label of a cell"
 
 
-def _is_change(pair: Any) -> bool:
+def _is_change(pair: object) -> bool:
     if not isinstance(pair, tuple) or len(pair) != 2:
         return False
     fields = pair[0]
@@ -175,5 +176,5 @@ def _is_change(pair: Any) -> bool:
     return isinstance(fields, str) or several
 
 
-def _suits(fields: Fields, value: Any) -> bool:
+def _suits(fields: Fields, value: Value) -> bool:
     return isinstance(fields, str) or (isinstance(value, tuple) and len(value) == len(fields))

@@ -8,12 +8,11 @@ finite one. All randomness of a step follows from the seed and the step's number
 the very bits of an undisturbed one. (The losses are in tasks.py, the step in step.py.)
 """
 
-import dataclasses
 import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +27,8 @@ from jaxunshear.memory import keep_freed_memory
 from jaxunshear.metrics.machine import machine
 from jaxunshear.model import kernels
 from jaxunshear.progress import Progress
+from jaxunshear.results import stored
+from jaxunshear.results.rows import Summary
 from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint
@@ -39,25 +40,7 @@ from jaxunshear.training.tasks import Batch, Task, Tree
 
 Batches = Callable[[int], Iterator[Batch]]
 Validation = Callable[[], Iterator[Batch]]
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a finished training says of itself; also in FOLDER/summary.json."""
-
-    kind: str
-    steps: int
-    images: int  # seen, with repeats
-    parameters: int
-    best_step: int
-    best_loss: float  # validation
-    train_seconds: float  # steps and their data, without compilation, validation and checkpoints
-    compile_seconds: float
-    images_per_second: float
-    trained_on: dict[str, Any] = field(default_factory=dict)  # the machine that ended it; of earlier versions unknown
-
-
-SUMMED = tuple(each.name for each in dataclasses.fields(Summary) if each.name != "trained_on")
+AGAIN = "delete it to go on from the latest checkpoint"
 
 
 class _Length(NamedTuple):
@@ -89,8 +72,8 @@ def train(
     folder: Path,
     *,
     epoch_images: int,
-    origin: Any = None,
-    taken_over: Sequence[Any] = (),
+    origin: object = None,
+    taken_over: Sequence[object] = (),
     start: Start | None = None,
 ) -> Summary:
     """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
@@ -107,7 +90,7 @@ def train(
     asked |= {"taken_over": taken_over}
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
-        return _summary(folder / checkpoint.SUMMARY)
+        return stored.read(folder / checkpoint.SUMMARY, Summary, AGAIN)
     keep_freed_memory()
     steps_per_epoch = epoch_images / training.batch
     length = _Length(max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch)
@@ -219,9 +202,9 @@ def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, fold
         train_seconds=reached.seconds,
         compile_seconds=reached.compile_seconds,
         images_per_second=images / reached.seconds,
-        trained_on=machine() | {"kernels": kernels.described()},
+        trained_on=replace(machine(), kernels=kernels.described()),
     )
-    storage.write_json(folder / checkpoint.SUMMARY, asdict(summary))
+    stored.write(folder / checkpoint.SUMMARY, summary)
     return summary
 
 
@@ -260,12 +243,3 @@ def _ranked(loss: float | None) -> float:
 def _write_log(folder: Path, history: list[dict[str, Any]]) -> None:
     """log.jsonl anew from the checkpoint's history, so that it never holds a line twice or one of a lost step."""
     storage.write_text(folder / "log.jsonl", "".join(json.dumps(line) + "\n" for line in history))
-
-
-def _summary(path: Path) -> Summary:
-    stored = storage.read_json(path)
-    try:
-        known = {name: stored[name] for name in SUMMED}
-        return Summary(**known, trained_on=stored.get("trained_on", {}))
-    except (KeyError, TypeError) as error:
-        raise UserError(f"{path} lacks {error}: delete it to go on from the latest checkpoint") from error
