@@ -20,6 +20,8 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 
+Json = dict[str, Any]  # an object whose keys are a command's own, as rows of its tables are
+
 
 def cache_folder() -> Path:
     """$JAXUNSHEAR_CACHE, or jaxunshear/ in the user's cache folder. Raises `UserError` where none is known."""

@@ -3,8 +3,10 @@
 from collections.abc import Sequence
 from typing import Any
 
+from jaxunshear.storage import Json
 
-def plain_table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
+
+def plain_table(rows: Sequence[Json], columns: Sequence[str]) -> str:
     """A heading, then a line a row: numbers to three digits, `-` for what a row does not have."""
     cells = [list(columns)] + [[_text(row.get(name)) for name in columns] for row in rows]
     widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]

@@ -28,6 +28,7 @@ from jaxunshear.image.tracking import followed
 from jaxunshear.image.understood import Expected, expected_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
+from jaxunshear.model.parts import Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.data import Recorded
@@ -35,7 +36,7 @@ from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import names_of
-from jaxunshear.storage import read_json
+from jaxunshear.storage import Json, read_json
 from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
 from jaxunshear.training.examples import FRAME
 
@@ -126,7 +127,7 @@ def expected_by(model: Path, experiment: Experiment) -> Expected:
     return expected_of(place, paired.preprocess.size)
 
 
-def _forward(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, variables: Any, seen: Any) -> Any:
+def _forward(nets: Json, targets: Json, recorded_too: bool, variables: Variables, seen: Any) -> Any:
     """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
 
     def pose(name: str, given: Any) -> Any:

@@ -21,6 +21,7 @@ from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import followed, motions_of
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.model.parts import Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
@@ -54,7 +55,7 @@ Perceive = Callable[
 ]  # NaN where pins are needed and not identified for sure
 # (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each
 # (B,); of networks over pins both are pins (B, P, 2) px
-Forward = Callable[[Mapping[str, Any], Array], tuple[Array, dict[str, Array]]]
+Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
 BATCH = 32
 # images (N, S, S) uint8 of {0, 255} -> (N, P, 2) px, motions of the unsheared pins; NaN rows where pins are not identified for sure
 Unshear = Callable[[np.ndarray], np.ndarray]
@@ -121,7 +122,7 @@ def forward_of(
     """Of networks by name, in the order in which they run; `targets` by network. With `by_head` the answer of the head of a network
     that unshears counts, too: alone, or in a mean with PoseNet's."""
 
-    def forward(variables: Mapping[str, Any], given: Array) -> tuple[Array, dict[str, Array]]:
+    def forward(variables: Variables, given: Array) -> tuple[Array, dict[str, Array]]:
         seen, answers = _unit(given) if given.dtype == np.uint8 else given, []
         known: Targets = ()
         for name, net in nets.items():
@@ -206,7 +207,7 @@ def _perception(model: Path, see: See, way: str) -> Perceive:
     if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
         raise UserError(f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg")
 
-    def edge(variables: Mapping[str, Any], given: Array) -> tuple[Array, Array]:
+    def edge(variables: Variables, given: Array) -> tuple[Array, Array]:
         _, pose = forward(variables, given)
         return pose["edge_mm"], pose["edge_deg"]
 

@@ -21,12 +21,14 @@ from jaxunshear.evaluation.networks import run_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.fast import native
+from jaxunshear.model.parts import Variables
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, POSENET
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 from jaxunshear.training.loop import run_once
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import unshear_task
@@ -54,7 +56,7 @@ class Way:
         return float((counted.cost_analysis() or {})["flops"])
 
 
-def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS) -> list[Json]:
     """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises ValueError for a bad size."""
     keep_freed_memory()
     net = UnshearNet(size=size, widths=widths)
@@ -68,7 +70,7 @@ def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int =
     return rows
 
 
-def _measured(full: Way, less: Way, rounds: int) -> dict[str, Any]:
+def _measured(full: Way, less: Way, rounds: int) -> Json:
     works: dict[str, Callable[[], Any]] = {}
     found: dict[str, dict[str, float]] = {}
     for kind, way in (("with", full), ("without", less)):
@@ -108,7 +110,7 @@ def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
     yield _evaluation(net, variables)
 
 
-def _both_decoders(net: UnshearNet, variables: Any, images: jax.Array) -> Any:
+def _both_decoders(net: UnshearNet, variables: Variables, images: jax.Array) -> Any:
     z_p, z_s = unshearnet.encode(net, variables, images)
     sheared = unshearnet.decode_sheared(net, variables, z_p, z_s)  # type: ignore[arg-type]
     return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
@@ -131,7 +133,7 @@ def _step(net: UnshearNet, training: Training) -> Way:
     return Way(make_step(task, training, optimiser, jax.random.key(1)), (state, batch))
 
 
-def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
+def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, Way]:
     entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
     nets = {ENTANGLED: entangled, DISENTANGLED: net, POSENET: pose}
     targets = of_ranges((), Ranges())
@@ -149,7 +151,7 @@ def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
     return "evaluation of a batch", "networks that are not asked for", way(tuple(nets)), way((ENTANGLED,))
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Json]) -> str:
     """For people."""
     lines = [f"{'':22} {'left out':35} Mflop with   without  ratio    ms with   without  ratio"]
     for row in rows:

@@ -20,6 +20,7 @@ from jaxunshear.model.layers import MOMENTUM
 from jaxunshear.model.unshearnet import Variables
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 
 
 def _norm(width: int) -> nn.Module:
@@ -73,7 +74,7 @@ class Twin(nn.Module):
             return self.DC(z_p), None
         return self.DC(z_p), self.DS(torch.cat([z_p, self.shear(z)], 1))
 
-    def load(self, variables: dict[str, Any]) -> None:
+    def load(self, variables: Json) -> None:
         """Takes the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
         downs = ("First_0", *(f"Down_{i}" for i in range(len(self.net.widths) - 1)))
@@ -113,7 +114,7 @@ class PoseTwin(nn.Module):
         seen = self.layers(images).permute(0, 2, 3, 1)  # flat in the order of ours
         return torch.sigmoid(self.dense(seen.reshape(len(seen), -1)))
 
-    def load(self, variables: dict[str, Any]) -> None:
+    def load(self, variables: Json) -> None:
         """Takes the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
         convolutions = [layer for layer in self.layers if isinstance(layer, nn.Sequential)]

@@ -99,8 +99,6 @@ def _complain(text: str) -> int:
 class _Parser(argparse.ArgumentParser):
     """Refuses in one line, like everything else."""
 
-    takes_fields = False
-
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
 
@@ -108,7 +106,7 @@ class _Parser(argparse.ArgumentParser):
         raise UserError(f"{message}; see `{self.prog} --help`")
 
     def format_help(self) -> str:
-        if not self.takes_fields:
+        if not self.get_default("takes_fields"):
             return super().format_help()
         from jaxunshear.settings.fields import field_types  # only for this: help must be quick
 

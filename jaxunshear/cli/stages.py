@@ -2,9 +2,9 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from jaxunshear.cli.options import add_data, add_json
+from jaxunshear.cli.options import Commands, add_data, add_json
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 
@@ -26,7 +26,7 @@ OWN_OPTIONS = (
 COMMANDS = tuple(STAGES)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     for name, text in (
         ("run", "all of the next three and the report; continues where a stopped run left off"),
         ("data", "simulate the two data sets"),
@@ -35,7 +35,7 @@ def add_parsers(commands: Any) -> None:
     ):
         usage = f"jaxunshear {name} FILE [options] [--field value ...]"
         command = commands.add_parser(name, help=text, description=text, usage=usage)
-        command.takes_fields = True
+        command.set_defaults(takes_fields=True)
         command.add_argument("file", metavar="FILE", type=Path, help="a Python file, such as experiments/demo.py")
         command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
         add_data(command)
@@ -55,7 +55,7 @@ def add_parsers(commands: Any) -> None:
     command = commands.add_parser(
         "fit", help=text, description=text, usage="jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]"
     )
-    command.takes_fields = True
+    command.set_defaults(takes_fields=True)
     command.add_argument("--taps", metavar="DIR", type=Path, help="recorded taps")
     command.add_argument("--slides", metavar="DIR", type=Path, help="recorded slides")
     command.add_argument(

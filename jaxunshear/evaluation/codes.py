@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.model import pinnets, unshearnet
+from jaxunshear.model.parts import Variables
 from jaxunshear.settings.networks import PinUnshear, UnshearNet
 
 AT_ONCE = 64
@@ -15,7 +16,7 @@ AT_ONCE = 64
 Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F) by name
 
 
-def encoder_of(net: Any, variables: Any) -> Encode | None:
+def encoder_of(net: Any, variables: Variables) -> Encode | None:
     """Inputs -> codes (N, F) by name; None without a shear code."""
     if isinstance(net, PinUnshear):
         run = jax.jit(lambda weights, pins: pinnets.encode(net, weights, pins))
@@ -39,7 +40,7 @@ def encoder_of(net: Any, variables: Any) -> Encode | None:
     return encode
 
 
-def untrained(net: Any, variables: Any, seed: int) -> Any:
+def untrained(net: Any, variables: Variables, seed: int) -> Any:
     """Fresh variables of the network."""
     key = jax.random.key(seed)
     if isinstance(net, PinUnshear):

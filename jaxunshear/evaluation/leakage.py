@@ -30,7 +30,7 @@ from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
-from jaxunshear.storage import write_json
+from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
@@ -46,9 +46,7 @@ LABELS = ("pose", "move", "stimulus", "pose_id")
 Known = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
 
 
-def leakage(
-    experiment: Experiment, run_dir: Path, data_dir: Path, command: str, leaks_alone: bool = False
-) -> dict[str, Any]:
+def leakage(experiment: Experiment, run_dir: Path, data_dir: Path, command: str, leaks_alone: bool = False) -> Json:
     """Probes the disentangled network in `run_dir`, over images or pins; writes leakage.json there. `leaks_alone`: not what should be in
     each code, and neither ceiling, floor nor an untrained network beside it.
 
@@ -106,7 +104,7 @@ def _probed(
     groups: np.ndarray,
     poses: np.ndarray,
     leaks_alone: bool,
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """A row for each quantity, code and probe. Of codes, of what stands beside them and of what is wanted, learnt slides
     come first, in `groups` of one pose, then tested ones, of `poses`."""
     shuffled = np.random.default_rng(SEED).permutation(len(groups))
@@ -129,7 +127,7 @@ def _probed(
 
 def _slide(
     experiment: Experiment, reader: Reader, seen: str, encode: Encode, batches: Sequence[Batch], data_dir: Path
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """What both codes together say of the slide, in mm and deg, and how surely."""
     learnt, tested = batches
     between = _taken(experiment, reader, "validation", seen, MOST_TESTED)
@@ -140,7 +138,7 @@ def _slide(
     return slides_read(codes, wanted, groups, poses, slipped)
 
 
-def for_sweep(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+def for_sweep(results: Mapping[str, Any]) -> list[Json]:
     """Rows of a sweep's ablation."""
     drawn = (results["exchanged"] or {"drawn": {}})["drawn"]
     rows = [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in drawn.items()]
@@ -254,7 +252,7 @@ def _with_interval(
     return {name: r2(*pair) for name, pair in scores.items()}, interval(redrawn)
 
 
-def _independence(what: str, code: str, codes: np.ndarray, wanted: Known, poses: np.ndarray) -> dict[str, Any]:
+def _independence(what: str, code: str, codes: np.ndarray, wanted: Known, poses: np.ndarray) -> Json:
     """Of one slide at each pose: rows are independent draws."""
     first = np.unique(poses, return_index=True)[1]
     rows = first[np.linspace(0, len(first) - 1, min(MOST_COMPARED, len(first))).round().astype(int)]

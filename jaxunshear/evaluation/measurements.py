@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxunshear.results.rows import Measured, Measurement
 from jaxunshear.results.run import Results, Swapped, Table
-from jaxunshear.storage import plain
+from jaxunshear.storage import Json, plain
 
 BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
     "ms_ssim.disentangled.overall": (">=", 0.90),
@@ -45,7 +45,7 @@ def _rows(kinds: Table | Mapping[str, Swapped] | None, table: str, metric: str |
     ]
 
 
-def reproducible(results: Results) -> dict[str, Any]:
+def reproducible(results: Results) -> Json:
     """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
     places = ("time_s", "ms_per_image", "machine", "trained_on", "command")
     return {name: value for name, value in plain(results).items() if name not in places}

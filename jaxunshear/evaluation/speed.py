@@ -10,6 +10,7 @@ from jax import Array
 
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.model.parts import Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.settings.networks import PinNet, PinUnshear
@@ -40,7 +41,7 @@ def function_of(name: str, net: Any, precision: str) -> Callable[[Any, Array], A
     return lambda variables, images: answer(net, variables, in_precision(images, precision))
 
 
-def _input_of(net: Any, variables: Any) -> np.ndarray:
+def _input_of(net: Any, variables: Variables) -> np.ndarray:
     """One image (1, S, S, 1) of random dots, or the untouched pins (1, P, 2)."""
     if isinstance(net, PinNet):
         return np.asarray(variables["batch_stats"]["rest"])[None]

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.model.layers import INIT
+from jaxunshear.model.parts import Variables
 
 HIDDEN = 128  # as many as PoseNet has
 
@@ -36,14 +37,14 @@ def init(code: tuple[int, ...], outputs: int, key: Array) -> Any:
     return Network(outputs).init(key, jnp.zeros((1, *code)))["params"]
 
 
-def of(variables: Any) -> Any:
+def of(variables: Variables) -> Any:
     """The head's parameters among those of the network that it was trained with; None where there is none, or one of an earlier form,
     which was not normalised."""
     head = variables["params"].get("head", {})
     return head if "norm" in head else None
 
 
-def predict(params: Any, z_p: Array) -> Array:
+def predict(params: Variables, z_p: Array) -> Array:
     """Pose codes (B, s, s, channels) -> outputs (B, K) in [0, 1], in float32 or wider."""
     known = len(params["Dense_1"]["bias"])
     outputs: Array = Network(known).apply({"params": params}, z_p.astype(jnp.promote_types(z_p.dtype, jnp.float32)))  # type: ignore[assignment]

@@ -12,8 +12,10 @@ from typing import Any
 
 import jax
 
+from jaxunshear.model.parts import Variables
 
-def ready(run: Callable[..., Any], variables: Any) -> Any:
+
+def ready(run: Callable[..., Any], variables: Variables) -> Any:
     """`run(variables, ...)` as a jitted function of the rest."""
     constants = jax.device_get(variables)
     return jax.jit(lambda *inputs: run(constants, *inputs))

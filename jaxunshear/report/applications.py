@@ -11,7 +11,7 @@ from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.page import number
 from jaxunshear.report.pictures import address_of
 from jaxunshear.report.walk_figure import WORDS
-from jaxunshear.storage import read_json
+from jaxunshear.storage import Json, read_json
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
     name: WORDS[name] for name in WORDS if "unsheared" in WORDS[name]
@@ -33,7 +33,7 @@ def sections(run_dir: Path) -> list[str]:
     return found
 
 
-def _geometry(results: dict[str, Any], folder: Path) -> str:
+def _geometry(results: Json, folder: Path) -> str:
     rows = [
         [
             KINDS.get(row["kind"], escape(row["kind"])),
@@ -57,8 +57,8 @@ def _geometry(results: dict[str, Any], folder: Path) -> str:
     )
 
 
-def _walks(results: dict[str, Any], folder: Path) -> str:
-    def cell(row: dict[str, Any]) -> str:
+def _walks(results: Json, folder: Path) -> str:
+    def cell(row: Json) -> str:
         return (
             f"{row['closed']} of {row['starts']}"
             f"<small>{number(row['mean_mm'])} / {number(row['p95_mm'])} / {number(row['largest_mm'])}</small>"
@@ -81,8 +81,8 @@ def _walks(results: dict[str, Any], folder: Path) -> str:
     )
 
 
-def _objects(results: dict[str, Any], folder: Path) -> str:
-    def cell(row: dict[str, Any]) -> str:
+def _objects(results: Json, folder: Path) -> str:
+    def cell(row: Json) -> str:
         return f"{number(row['iou'], 3)}<small>{number(row['mean_mm'])} / {number(row['hausdorff_mm'], 1)}</small>"
 
     lead = (
@@ -96,7 +96,7 @@ def _objects(results: dict[str, Any], folder: Path) -> str:
     return page.section("Complete objects", lead, _by_way(lines, cell), *pictures, _command(results))
 
 
-def _stream(results: dict[str, Any], folder: Path) -> str:
+def _stream(results: Json, folder: Path) -> str:
     latency = results["latency_ms"] or {}
     rows = [[name, str(results[name])] for name in ("used", "skipped", "dropped")]
     rows += [[f"{name}, ms", number(value, 1)] for name, value in latency.items()]
@@ -104,7 +104,7 @@ def _stream(results: dict[str, Any], folder: Path) -> str:
     return page.section("As a stream", lead, page.table(("frames", ""), rows), _command(results))
 
 
-def _by_way(rows: list[dict[str, Any]], cell: Any) -> str:
+def _by_way(rows: list[Json], cell: Any) -> str:
     """A line an object, a column a way of perceiving."""
     ways = list(dict.fromkeys(row["way"] for row in rows))
     found = {(row["stimulus"], row["way"]): cell(row) for row in rows}
@@ -113,7 +113,7 @@ def _by_way(rows: list[dict[str, Any]], cell: Any) -> str:
     return page.table(["object", *(escape(WORDS.get(way, way)).replace(", ", ",<br>") for way in ways)], lines)
 
 
-def _spanned(row: dict[str, Any], name: str) -> str:
+def _spanned(row: Json, name: str) -> str:
     if name not in row:
         return number(None)
     low, high = row[f"{name}_interval"]
@@ -128,5 +128,5 @@ def _picture(file: Path) -> str:
     )
 
 
-def _command(results: dict[str, Any]) -> str:
+def _command(results: Json) -> str:
     return f"<pre>{escape(results['command'])}</pre>"

@@ -2,7 +2,9 @@
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from jaxunshear.storage import Json
 
 
 class History(NamedTuple):
@@ -37,7 +39,7 @@ def read_history(path: Path) -> History | None:
     )
 
 
-def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float]]:
+def _columns(rows: list[Json]) -> dict[str, list[float]]:
     """Those names that every row has."""
     names = [name for name in rows[0] if all(isinstance(row.get(name), int | float) for row in rows)]
     return {name: [float(row[name]) for row in rows] for name in names}

@@ -6,7 +6,9 @@ names of data sets, of rows and of trainings leave it out at that value: what wa
 
 from typing import Any
 
-LATER: dict[str, Any] = {
+from jaxunshear.storage import Json
+
+LATER: Json = {
     "poses_a_slide": 1,
     "twist_deg": 0.0,
     "tilt_deg": 0.0,
@@ -41,7 +43,7 @@ def is_later(name: str, value: Any) -> bool:
     return last in LATER and LATER[last] == (tuple(value) if isinstance(value, list) else value)
 
 
-def without_later(fields: dict[str, Any]) -> dict[str, Any]:
+def without_later(fields: Json) -> Json:
     """Nested settings without what is LATER and does nothing."""
     kept = {name: value for name, value in fields.items() if not is_later(name, value)}
     return {name: without_later(value) if isinstance(value, dict) else value for name, value in kept.items()}

@@ -14,6 +14,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sensor import Sensor, sensor_named
 from jaxunshear.settings.types import choices, describe, groups, hints, optional
+from jaxunshear.storage import Json
 
 NOT_SET = ("config", "digest")
 
@@ -82,7 +83,7 @@ def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str
         kinds = groups(hint)
         if not kinds or hint is Sensor:
             yield prefix + field.name, hint
-        known: dict[str, Any] = {}
+        known: Json = {}
         for group in kinds:
             known |= dict(field_types(group, f"{prefix}{field.name}."))
         yield from known.items()

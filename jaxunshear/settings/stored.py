@@ -7,9 +7,10 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings.earlier import LATER
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.types import describe, fits, groups, hints
+from jaxunshear.storage import Json
 
 
-def to_json(experiment: Experiment) -> dict[str, Any]:
+def to_json(experiment: Experiment) -> Json:
     """`experiment` as nested dictionaries and lists."""
     return dataclasses.asdict(experiment)
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Ranges
+from jaxunshear.storage import Json
 
 RANGE, CIRCLE = "range", "circle"
 SIMULATED = {  # name: the field of a simulated set and its column
@@ -138,12 +139,12 @@ def names_of(targets: Targets) -> tuple[str, ...]:
     return tuple(target.name for target in targets)
 
 
-def true_values(targets: Targets, batch: Mapping[str, Any]) -> dict[str, Any]:
+def true_values(targets: Targets, batch: Mapping[str, Any]) -> Json:
     """The labels (B,) by name, of a batch with the fields of `fields_of`."""
     return {target.name: batch[target.field][:, target.column] for target in targets}
 
 
-def to_json(targets: Targets) -> list[dict[str, Any]]:
+def to_json(targets: Targets) -> list[Json]:
     return [asdict(target) for target in targets]
 
 

@@ -40,6 +40,7 @@ from jaxunshear.settings.registry import (
 )
 from jaxunshear.settings.targets import fields_of
 from jaxunshear.settings.training import exchanged, labelled
+from jaxunshear.storage import Json
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.drawing import drawing_of
@@ -114,7 +115,7 @@ _NETS: dict[str, Callable[[UnshearNet], UnshearNet | UNet]] = {
 }
 
 
-def renamed(batch: dict[str, Any]) -> dict[str, Any]:
+def renamed(batch: Json) -> Json:
     """Trainings that read poses name their input "image", or "pins"."""
     if "canonical" in batch or "canonical_pins" in batch:
         return batch

@@ -24,6 +24,7 @@ from jaxunshear.settings.experiment import Experiment, learnt_from, over_pins, r
 from jaxunshear.settings.registry import OF_TAPS, POSENET_SHEARED, RENDERER
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.targets import RECORDED, Targets, of_ranges
+from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
 POSES_AT_ONCE = 1024
@@ -92,7 +93,7 @@ def _drag(experiment: Experiment, stored: RecordedSet, data_dir: Path) -> Drag |
     return drag_of(stored, experiment.sensor, data_dir)
 
 
-def pins_of(frame: dict[str, Any]) -> Pins:
+def pins_of(frame: Json) -> Pins:
     return Pins(np.array(frame["place_px"], np.float32), float(frame["radius_px"]), int(frame["size"]))
 
 

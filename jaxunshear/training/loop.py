@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -31,6 +31,7 @@ from jaxunshear.results import stored
 from jaxunshear.results.rows import Summary
 from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
@@ -56,7 +57,7 @@ class _Reached:
     """How far a training has come: what a checkpoint keeps beside its state."""
 
     step: int = 0
-    history: list[dict[str, Any]] = field(default_factory=list)  # a line a checkpoint
+    history: list[Json] = field(default_factory=list)  # a line a checkpoint
     best_step: int = 0
     best_loss: float = math.inf
     seconds: float = 0.0
@@ -168,7 +169,7 @@ def _run(
     return state
 
 
-def _keep(state: State, reached: _Reached, length: _Length, scores: dict[str, Any], rank: str, folder: Path) -> None:
+def _keep(state: State, reached: _Reached, length: _Length, scores: Json, rank: str, folder: Path) -> None:
     """A line of the history and a checkpoint that holds it."""
     loss = _ranked(scores["validation"][rank])
     if reached.best_step == 0 or loss < reached.best_loss:
@@ -240,6 +241,6 @@ def _ranked(loss: float | None) -> float:
     return math.inf if loss is None else loss
 
 
-def _write_log(folder: Path, history: list[dict[str, Any]]) -> None:
+def _write_log(folder: Path, history: list[Json]) -> None:
     """log.jsonl anew from the checkpoint's history, so that it never holds a line twice or one of a lost step."""
     storage.write_text(folder / "log.jsonl", "".join(json.dumps(line) + "\n" for line in history))

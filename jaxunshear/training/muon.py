@@ -15,6 +15,8 @@ import jax.numpy as jnp
 import optax
 from jax import Array
 
+from jaxunshear.model.parts import Variables
+
 COEFFICIENTS = (
     3.4445,
     -4.7750,
@@ -63,7 +65,7 @@ def _kernel_update(kernel: Array) -> Array:
     return RMS * max(matrix.shape) ** 0.5 * orthogonal(matrix).reshape(kernel.shape)
 
 
-def _labels(params: Any) -> Any:
+def _labels(params: Variables) -> Any:
     def label(path: tuple, leaf: Array) -> str:
         inner = path[-1].key == "kernel" and leaf.shape[-2] > 1 and leaf.shape[-1] >= READ_OUT
         return "muon" if inner else "adam"

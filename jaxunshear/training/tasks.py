@@ -15,9 +15,10 @@ from jaxunshear.model.layers import in_precision
 from jaxunshear.settings import networks
 from jaxunshear.settings.targets import Targets, true_values
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 from jaxunshear.training import losses
 
-Batch = dict[str, Any]
+Batch = Json
 Tree = Any
 
 
