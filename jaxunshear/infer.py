@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -245,8 +245,11 @@ def _answers(
         progress.advance(len(recordings) - seen)  # left out at the end
 
 
-def _batches(frames: Iterator[Any]) -> Iterator[list[Any]]:
-    batch: list[Any] = []
+Item = TypeVar("Item")
+
+
+def _batches(frames: Iterator[Item]) -> Iterator[list[Item]]:
+    batch: list[Item] = []
     for frame in frames:
         batch.append(frame)
         if len(batch) == BATCH:

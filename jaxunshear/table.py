@@ -1,7 +1,6 @@
 """Rows of figures as plain text."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from jaxunshear.storage import Json
 
@@ -16,7 +15,7 @@ def plain_table(rows: Sequence[Json], columns: Sequence[str]) -> str:
     )
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     if value is None:
         return "-"
     return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -9,7 +9,6 @@ Ways have the same names whether a run's networks read images or pins, which are
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial, reduce
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -21,7 +20,7 @@ from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import followed, motions_of
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.parts import Net, Tree, Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
@@ -105,7 +104,7 @@ def unshearers(model: Path, experiment: Experiment, names: tuple[str, ...]) -> d
     return {name: unshearer(model / name, lattice) for name in names}
 
 
-def in_batches(run: Callable[[np.ndarray], Any], given: np.ndarray, at_once: int = BATCH) -> Any:
+def in_batches(run: Callable[[np.ndarray], Tree], given: np.ndarray, at_once: int = BATCH) -> Tree:
     """`run` of any number of images or pins, (N, ...), in batches of one shape to compile; what it gives are arrays (B, ...), or a tree
     of them."""
     parts = []
@@ -117,7 +116,7 @@ def in_batches(run: Callable[[np.ndarray], Any], given: np.ndarray, at_once: int
 
 
 def forward_of(
-    nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32", by_head: bool = False
+    nets: Mapping[str, Net], targets: Mapping[str, Targets], precision: str = "float32", by_head: bool = False
 ) -> Forward:
     """Of networks by name, in the order in which they run; `targets` by network. With `by_head` the answer of the head of a network
     that unshears counts, too: alone, or in a mean with PoseNet's."""
@@ -134,7 +133,9 @@ def forward_of(
             if by_head:
                 known = targets[name]
                 z_p = unshearnet.encode_pose(net, variables[name], given)
-                outputs = pose_head.predict(pose_head.of(variables[name]), z_p)
+                head = pose_head.of(variables[name])
+                assert head is not None  # see `load_forward`
+                outputs = pose_head.predict(head, z_p)
                 answers.append(posenet.pose_from_outputs(outputs, known))
             seen = unshear(net, variables[name], given)
         return seen, reduce(partial(posenet.mean_pose, targets=known), answers)
@@ -142,7 +143,7 @@ def forward_of(
     return forward
 
 
-def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[Forward, Any, Targets]:
+def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[Forward, Variables, Targets]:
     """A way of looking, its networks' variables and the poses that it reads, from the folder of a run. Raises `UserError`."""
     names = WAYS[way]
     for name in names:
@@ -184,14 +185,14 @@ def _see_of(experiment: Experiment) -> See:
 
 def _of_images(folder: Path, lattice: Lattice) -> Unshear:
     check_finished(folder)
-    net: Any = read_net(folder)
+    net = read_net(folder)
     run = ready(lambda known, images: unshear(net, known, _unit(images))[..., 0], load_best(folder))
     return lambda images: motions_of(lattice, in_batches(run, images))
 
 
 def _of_pins(folder: Path, lattice: Lattice) -> Unshear:
     check_finished(folder)
-    net: Any = read_net(folder)
+    net = read_net(folder)
     run = ready(lambda known, pins: unshear(net, known, pins), load_best(folder))
 
     def motions(images: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import NamedTuple, TextIO
 
 import jax
 import jax.numpy as jnp
@@ -96,7 +96,7 @@ def step_of(model: Path, experiment: Experiment, precision: str = "float32", way
     return step
 
 
-def perceive_of(forward: Forward, names: tuple[str, ...]) -> Callable[[Any, Array], tuple[Array, Array]]:
+def perceive_of(forward: Forward, names: tuple[str, ...]) -> Callable[[Variables, Array], tuple[Array, Array]]:
     """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
     the quantities of the pose and the confidence."""
 

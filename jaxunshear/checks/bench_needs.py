@@ -11,7 +11,7 @@ import functools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from types import ModuleType
 
 import jax
 import numpy as np
@@ -41,11 +41,11 @@ WIDTHS = (16, 32, 64, 128, 256)  # the demo's
 class Way:
     """A function of arrays, and its arguments; several cases may hold the same one."""
 
-    def __init__(self, call: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    def __init__(self, call: Callable[..., object], arguments: tuple[object, ...]) -> None:
         self.call, self.arguments = call, arguments
         self.compiled, self.operations = functools.cache(self._compiled), functools.cache(self._operations)
 
-    def _compiled(self) -> tuple[Any, float]:
+    def _compiled(self) -> tuple[Callable[..., object], float]:
         """The program, and the seconds that compiling it took."""
         lowered, started = jax.jit(self.call).lower(*self.arguments), time.perf_counter()
         return lowered.compile(), time.perf_counter() - started
@@ -71,7 +71,7 @@ def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int =
 
 
 def _measured(full: Way, less: Way, rounds: int) -> Json:
-    works: dict[str, Callable[[], Any]] = {}
+    works: dict[str, Callable[[], object]] = {}
     found: dict[str, dict[str, float]] = {}
     for kind, way in (("with", full), ("without", less)):
         run, spent = way.compiled()
@@ -88,7 +88,7 @@ def _measured(full: Way, less: Way, rounds: int) -> Json:
     return found | ratios
 
 
-def _run(compiled: Any, arguments: tuple[Any, ...]) -> Any:
+def _run(compiled: Callable[..., object], arguments: tuple[object, ...]) -> object:
     return jax.block_until_ready(compiled(*arguments))
 
 
@@ -110,17 +110,17 @@ def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
     yield _evaluation(net, variables)
 
 
-def _both_decoders(net: UnshearNet, variables: Variables, images: jax.Array) -> Any:
+def _both_decoders(net: UnshearNet, variables: Variables, images: jax.Array) -> tuple[jax.Array, jax.Array]:
     z_p, z_s = unshearnet.encode(net, variables, images)
     sheared = unshearnet.decode_sheared(net, variables, z_p, z_s)  # type: ignore[arg-type]
     return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
 
 
-def _fresh(module: Any, net: Any, seed: int) -> Any:
+def _fresh(module: ModuleType, net: object, seed: int) -> Variables:
     return jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(seed))
 
 
-def _fresh_posenet(net: PoseNet, outputs: int) -> Any:
+def _fresh_posenet(net: PoseNet, outputs: int) -> Variables:
     init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
     return init(net, outputs, jax.random.key(2))
 

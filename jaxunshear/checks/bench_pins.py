@@ -7,7 +7,7 @@ many of those have a pin with another one's name.
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -87,7 +87,11 @@ def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json:
     }
 
 
-def _timed(work: Callable[[Any], Any], items: Iterable[Any]) -> tuple[list[Any], np.ndarray]:
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+
+
+def _timed(work: Callable[[Item], Answer], items: Iterable[Item]) -> tuple[list[Answer], np.ndarray]:
     """Answers, and milliseconds (N,) of each."""
     answers, spent = [], []
     for item in items:

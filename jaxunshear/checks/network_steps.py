@@ -9,7 +9,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -39,7 +39,7 @@ class Programs(NamedTuple):
 
     state: State
     step: Callable[..., tuple[State, dict[str, jax.Array]]]
-    infer: Callable[[Any, Any], dict[str, jax.Array]]
+    infer: Callable[..., dict[str, jax.Array]]
 
 
 def task_of(net: Net, training: Training) -> Task:
@@ -61,7 +61,7 @@ def programs(net: Net, training: Training) -> Programs:
 def _programs(net: Net, training: Training) -> Programs:
     task = task_of(net, training)
 
-    def step(state: State, batch: Batch, rate: Any, weight: Any) -> tuple[State, dict[str, jax.Array]]:
+    def step(state: State, batch: Batch, rate: float, weight: float) -> tuple[State, dict[str, jax.Array]]:
         weighed = replace(task, weights=task.weights | {"patch": weight})
         optimiser = optimiser_of(replace(training, learning_rate=rate), STEPS, 1)
         return make_step(weighed, training, optimiser, jax.random.key(1))(state, batch)
@@ -104,7 +104,7 @@ def images_of(batch: Batch) -> np.ndarray:
     return batch["image" if "image" in batch else "sheared"]
 
 
-def infer(net: Net, variables: Variables, images: Any) -> Json:
+def infer(net: Net, variables: Variables, images: jax.Array) -> dict[str, jax.Array]:
     """Images (B, S, S, 1) in [0, 1] -> all that the network infers from them, each (B, ...)."""
     if isinstance(net, PoseNet):
         outputs = posenet.predict(net, variables, images)

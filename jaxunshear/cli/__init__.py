@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
+from types import ModuleType
 from typing import Any, NoReturn
 
 from jaxunshear import __version__
@@ -31,7 +32,7 @@ from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
 _usual = warnings.formatwarning
 # of all commands but `check`'s
-MODULES: tuple[Any, ...] = (
+MODULES: tuple[ModuleType, ...] = (
     stages,
     report,
     ablate,

@@ -8,7 +8,6 @@ pairs = stored.pairs(targets, render)                      # Reader of canonical
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -233,7 +232,7 @@ class RecordedSet:
         return _taken(rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid))
 
 
-def _taken(rows: Batch, kept: Any) -> Batch:
+def _taken(rows: Batch, kept: np.ndarray | np.bool) -> Batch:
     return {name: value[kept] for name, value in rows.items()}
 
 

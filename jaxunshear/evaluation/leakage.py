@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,7 @@ from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.scene.scene import turned
-from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
@@ -138,7 +137,7 @@ def _slide(
     return slides_read(codes, wanted, groups, poses, slipped)
 
 
-def for_sweep(results: Mapping[str, Any]) -> list[Json]:
+def for_sweep(results: Json) -> list[Json]:
     """Rows of a sweep's ablation."""
     drawn = (results["exchanged"] or {"drawn": {}})["drawn"]
     rows = [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in drawn.items()]
@@ -147,7 +146,7 @@ def for_sweep(results: Mapping[str, Any]) -> list[Json]:
     return [*rows, *read]
 
 
-def table(results: Mapping[str, Any]) -> str:
+def table(results: Json) -> str:
     """For people."""
     lines = [f"{'R2 of':16}  probe   code [95 %]              untrained  input   shuffled"]
     for row in results["rows"]:
@@ -208,7 +207,7 @@ def _slides(experiment: Experiment, batch: Batch, data_dir: Path) -> Known:
     return {name: batch["move"][:, [i]] for name, (_, i) in SLIDES.items() if spread[i] > STILL}
 
 
-def _varied(name: str, ranges: Any) -> tuple[Target, ...]:
+def _varied(name: str, ranges: Ranges) -> tuple[Target, ...]:
     try:
         return of_ranges((name,), ranges)
     except UserError:  # it does not vary

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +16,7 @@ from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED
 from jaxunshear.image.dots import dots
 from jaxunshear.model import pinnets, pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
 from jaxunshear.settings.targets import Targets
@@ -56,7 +55,7 @@ def load(
 
 
 def run_of(
-    nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32"
+    nets: Mapping[str, Net], targets: Mapping[str, Targets], precision: str = "float32"
 ) -> Callable[[Json, Array | None, Array, Array], tuple[Outputs, dict[str, Array]]]:
     """The function (variables, taps or None, tap, sheared) of these networks (settings and pose targets by name), not yet jitted.
 
@@ -94,7 +93,7 @@ def run_of(
 
 
 def pin_run_of(
-    nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pins
+    nets: Mapping[str, Net], targets: Mapping[str, Targets], pins: Pins
 ) -> Callable[..., tuple[Outputs, dict[str, Array]]]:
     """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted. `seen_tap`: the tap's
     pins as PoseNet is to read them, where all is compared with others.

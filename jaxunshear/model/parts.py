@@ -8,6 +8,8 @@ from jaxunshear.errors import Note, UserError
 Variables = dict[
     str, Any
 ]  # {"params": ..., "batch_stats": ...}, each by module, as E, pose, shear, DC, DS; or one of these
+Net = Any  # settings of a network, of whichever kind
+Tree = Any  # weights, a state or a part of them
 
 
 def holds(variables: Variables, part: str) -> bool:

@@ -7,8 +7,6 @@
 Ours, not the paper's. It sees the entire code, as PoseNet's two dense layers see their features.
 """
 
-from typing import Any
-
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
@@ -32,12 +30,12 @@ class Network(nn.Module):
         return nn.sigmoid(nn.Dense(self.outputs, kernel_init=INIT)(x))
 
 
-def init(code: tuple[int, ...], outputs: int, key: Array) -> Any:
+def init(code: tuple[int, ...], outputs: int, key: Array) -> Variables:
     """Fresh parameters for codes of shape `code`, (s, s, channels), and as many `outputs` as the targets have."""
     return Network(outputs).init(key, jnp.zeros((1, *code)))["params"]
 
 
-def of(variables: Variables) -> Any:
+def of(variables: Variables) -> Variables | None:
     """The head's parameters among those of the network that it was trained with; None where there is none, or one of an earlier form,
     which was not normalised."""
     head = variables["params"].get("head", {})

@@ -1,8 +1,8 @@
 """What the networks were put to: sections of a run's page, for those of the commands whose results lie in the run's folder."""
 
+from collections.abc import Callable
 from html import escape
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
@@ -104,7 +104,7 @@ def _stream(results: Json, folder: Path) -> str:
     return page.section("As a stream", lead, page.table(("frames", ""), rows), _command(results))
 
 
-def _by_way(rows: list[Json], cell: Any) -> str:
+def _by_way(rows: list[Json], cell: Callable[[Json], str]) -> str:
     """A line an object, a column a way of perceiving."""
     ways = list(dict.fromkeys(row["way"] for row in rows))
     found = {(row["stimulus"], row["way"]): cell(row) for row in rows}

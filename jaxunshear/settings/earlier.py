@@ -4,8 +4,6 @@ A setting that is added does nothing at the value given here. So a file that lac
 names of data sets, of rows and of trainings leave it out at that value: what was made before is found again.
 """
 
-from typing import Any
-
 from jaxunshear.storage import Json
 
 LATER: Json = {
@@ -37,7 +35,7 @@ MOVED = {  # modules that experiment files imported
 }
 
 
-def is_later(name: str, value: Any) -> bool:
+def is_later(name: str, value: object) -> bool:
     """Whether a stored file may lack the setting of this dotted name, which has `value` today."""
     last = name.rpartition(".")[2]
     return last in LATER and LATER[last] == (tuple(value) if isinstance(value, list) else value)

@@ -8,7 +8,6 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
@@ -16,10 +15,9 @@ from jaxunshear.settings.fields import override, parse_overrides, replaced
 from jaxunshear.settings.load import load_variable
 from jaxunshear.settings.registry import Network
 from jaxunshear.settings.rules import validate
-from jaxunshear.settings.types import check_types
+from jaxunshear.settings.types import Value, check_types
 
 Fields = str | tuple[str, ...]  # dotted names; several vary together
-Value = Any  # of a field, or of each of several
 Axis = tuple[Fields, tuple[Value, ...]]
 Change = tuple[Fields, Value]
 LARGEST_SEED = 2**31 - 1

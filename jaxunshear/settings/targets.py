@@ -8,7 +8,7 @@ A target is written `name`, `name:range`, `name:circle` or with a loss weight be
 about its middle; an angle over the full circle is two outputs, its cosine and sine, and its errors go the short way round.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -60,7 +60,7 @@ class Target:
 Targets = tuple[Target, ...]
 
 
-def parsed(text: str, known: Mapping[str, Any]) -> tuple[str, str | None, float]:
+def parsed(text: str, known: Iterable[str]) -> tuple[str, str | None, float]:
     """Name, kind (None: to be chosen) and weight of `name[:kind[:weight]]`. Raises UserError."""
     name, *more = text.split(":")
     if name not in known:
@@ -113,7 +113,10 @@ def slides_of(wanted: Sequence[str]) -> list[str]:
 
 
 def _targets(
-    wanted: Sequence[str], usual: Sequence[str], known: Mapping[str, Any], spans: Mapping[str, tuple[float, float]]
+    wanted: Sequence[str],
+    usual: Sequence[str],
+    known: Mapping[str, tuple[str, int]],
+    spans: Mapping[str, tuple[float, float]],
 ) -> Targets:
     targets = []
     for text in wanted or usual:
@@ -139,7 +142,7 @@ def names_of(targets: Targets) -> tuple[str, ...]:
     return tuple(target.name for target in targets)
 
 
-def true_values(targets: Targets, batch: Mapping[str, Any]) -> Json:
+def true_values(targets: Targets, batch: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The labels (B,) by name, of a batch with the fields of `fields_of`."""
     return {target.name: batch[target.field][:, target.column] for target in targets}
 

@@ -19,7 +19,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -27,12 +27,13 @@ import orbax.checkpoint as ocp
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.settings.earlier import LATER, is_later
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
 from jaxunshear.settings.targets import Targets, from_json
 from jaxunshear.storage import Json
 
+State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST = "weights.npz", "digest"
 NETS = {
@@ -45,7 +46,7 @@ NETS = {
 }
 
 
-def save(folder: Path, step: int, state: Any, record: Json) -> None:
+def save(folder: Path, step: int, state: object, record: Json) -> None:
     """Write the tree `state` and the JSON `record` (with "best_step") as checkpoint `step`; then drop all but it and
     the best.
 
@@ -87,7 +88,7 @@ def kept(folder: Path) -> list[int]:
     return [] if step is None else list(dict.fromkeys((step, _record(folder, step)["best_step"])))
 
 
-def restore(folder: Path, step: int, like: Any) -> tuple[Any, Json]:
+def restore(folder: Path, step: int, like: State) -> tuple[State, Json]:
     """The state of checkpoint `step`, in the form of the tree `like`, and its record. Raises UserError if it is
     damaged."""
     arrays, record = _read(folder, step)
@@ -188,7 +189,7 @@ def write_settings(folder: Path, settings: Json) -> None:
             raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
 
 
-def read_net(folder: Path) -> Any:
+def read_net(folder: Path) -> Net:
     """The network's settings from model.json. Raises UserError."""
     path = Path(folder) / MODEL
     if not path.exists():
@@ -249,7 +250,7 @@ def _path(folder: Path, step: int) -> Path:
     return Path(folder) / "checkpoints" / f"{step:08d}"
 
 
-def _named(tree: Any) -> Json:
+def _named(tree: object) -> Json:
     """Leaves by dotted path, in the tree's order."""
     name = partial(jax.tree_util.keystr, simple=True, separator=".")
     return {name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
@@ -263,7 +264,7 @@ def _digest(arrays: Json) -> str:
     return digest.hexdigest()
 
 
-def _flat(tree: Any, prefix: str = "") -> Json:
+def _flat(tree: object, prefix: str = "") -> Json:
     """Nested JSON as {"train.epochs": 5}; tuples and lists are the same to it."""
     if not isinstance(tree, dict):
         return {prefix: _as_json(tree)}
@@ -273,6 +274,6 @@ def _flat(tree: Any, prefix: str = "") -> Json:
     return flat
 
 
-def _as_json(value: Any) -> Any:
+def _as_json(value: object) -> object:
     """Tuples as the lists that JSON makes of them."""
     return [_as_json(item) for item in value] if isinstance(value, list | tuple) else value
