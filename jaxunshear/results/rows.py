@@ -1,6 +1,5 @@
 """Measurements as rows for machines, what they were measured on, and what a training says of itself."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -50,7 +49,7 @@ class Summary:
     images: int = 0  # seen, with repeats
     parameters: int
     best_step: int
-    best_loss: float = math.inf  # validation
+    best_loss: float | None = None  # validation
     train_seconds: float  # steps and their data, without compilation, validation and checkpoints
     compile_seconds: float = 0.0
     images_per_second: float
