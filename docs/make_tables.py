@@ -1,11 +1,14 @@
 """Tables in README and docs, from docs/results: `python docs/make_tables.py` prints them; a test compares."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import starmap
 from pathlib import Path
 from statistics import fmean, median
 from typing import Any
+
+from jaxunshear.results.stored import read
+from jaxunshear.results.sweep import CellResult, Figure, SweepResult
 
 RESULTS = Path(__file__).parent / "results"
 COLUMNS = (("y_mm", 2), ("Rz_deg", 1))
@@ -46,7 +49,7 @@ PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nea
 
 def real_skin() -> str:
     """Errors over pins and over images, each with its 95 % interval over seeds and contacts."""
-    inputs = [_cells(name)[0]["metrics"] for name in ("recorded_pins", "recorded_images")]
+    inputs = [_cells(name)[0].metrics for name in ("recorded_pins", "recorded_images")]
     lines = [
         "| a PoseNet that learnt from taps reads | pins: y, mm | pins: Rz, deg | images: y, mm | images: Rz, deg |",
         "|---|---|---|---|---|",
@@ -63,7 +66,7 @@ def demo() -> str:
     (cell,) = _cells("demo")
     kinds = ("tap", "sheared", "entangled", "disentangled")
     lines = [f"| `make demo`, simulated | {' | '.join(kinds)} |", "|---|" + "---|" * len(kinds)]
-    metrics = cell["metrics"]
+    metrics = cell.metrics
     likeness = ["1", *(_cell(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
     lines.append(_line("MS-SSIM to the tap, 128 px (`ms_ssim@4`)", likeness))
     for name, key, digits in (("edge distance error, mm", "edge_mm", 2), ("edge angle error, deg", "edge_deg", 1)):
@@ -88,7 +91,7 @@ QUANTITIES = (("x_mm", 2), ("yaw_deg", 1), ("edge_mm", 2), ("edge_deg", 1))
 
 def standard() -> str:
     """Likeness, pins and errors of the standard experiment by what is read."""
-    metrics = _cells("standard")[0]["metrics"]
+    metrics = _cells("standard")[0].metrics
     lines = [
         "| | MS-SSIM@4 | pins, px rms | x, mm | yaw, deg | edge distance, mm | edge angle, deg |",
         "|---|---|---|---|---|---|---|",
@@ -97,13 +100,13 @@ def standard() -> str:
         likeness = _cell(metrics[f"ms_ssim/{way}"], 3) if f"ms_ssim/{way}" in metrics else ""
         pins = metrics.get(f"pin_error/{way}/rms_px") if way != "sheared" else None
         cells = [_cell(metrics[f"pose/{way}/{name}"], digits) for name, digits in QUANTITIES]
-        lines.append(_line(shown, [likeness, f"{pins['mean']:.3f}" if pins else "", *cells]))
+        lines.append(_line(shown, [likeness, f"{pins.mean:.3f}" if pins else "", *cells]))
     return "\n".join(lines)
 
 
 def recoveries() -> str:
     """The share of what a slide adds to an error that is gone again, by reader and network."""
-    metrics = _cells("standard")[0]["metrics"]
+    metrics = _cells("standard")[0].metrics
     lines = ["| recovery | x | yaw | edge distance | edge angle |", "|---|---|---|---|---|"]
     for way in ("entangled", "entangled_large", "unet", "disentangled", "sheared_learnt"):
         lines.append(_line(SHOWN[way], [_cell(metrics[f"pose_recovery/{way}/{name}"], 2) for name, _ in QUANTITIES]))
@@ -112,7 +115,7 @@ def recoveries() -> str:
 
 def other_readers() -> str:
     """Errors of the reader that is no neural network, in the standard experiment."""
-    metrics = _cells("standard")[0]["metrics"]
+    metrics = _cells("standard")[0].metrics
     lines = ["| `pixels` reads | x, mm | yaw, deg | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
     for way in ("tap", "sheared", "entangled", "entangled_large", "unet", "disentangled"):
         cells = [_cell(metrics[f"read/pixels/{way}/{name}"], digits) for name, digits in QUANTITIES]
@@ -122,7 +125,7 @@ def other_readers() -> str:
 
 def standard_first() -> str:
     """The first figures of the standard experiment, the paper's beside them."""
-    metrics = _cells("standard")[0]["metrics"]
+    metrics = _cells("standard")[0].metrics
     kinds = ("tap", "sheared", "entangled", "disentangled")
     lines = [f"| `standard.py` | {' | '.join(kinds)} |", "|---|" + "---|" * len(kinds)]
     likeness = ["1", *(_cell(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
@@ -137,13 +140,13 @@ def standard_first() -> str:
 def few_labels() -> str:
     """Errors over the share of slides with labels, by what is learnt from, unsheared and learnt directly."""
     lines = [f"| slides with a label | {' | '.join(LEARNT)} |", "|---|" + "---|" * len(LEARNT)]
-    cells = {cell["label"]: cell["metrics"] for cell in _cells("few_labels")}
+    cells = {cell.label: cell.metrics for cell in _cells("few_labels")}
     for share in SHARES:
         found = []
         for way in WAYS:
             (metrics,) = (m for label, m in cells.items() if f"labelled={share}," in label and f"={way}:" in label)
             for key in ("sheared_learnt", "disentangled"):
-                y, angle = (metrics[f"pose/{key}/{q}"]["mean"] for q, _ in COLUMNS)
+                y, angle = (metrics[f"pose/{key}/{q}"].mean for q, _ in COLUMNS)
                 found.append(f"{y:.2f} / {angle:.1f}")
         lines.append(_line(f"{float(share):.0%}", found))
     return "\n".join(lines)
@@ -153,8 +156,8 @@ def pairings() -> str:
     """Errors by what a slide is paired with."""
     lines = ["| a slide's partner | unsheared: y, mm | unsheared: Rz, deg |", "|---|---|---|"]
     for cell in _cells("pairings"):
-        (name,) = (shown for way, shown in PAIRINGS.items() if way in cell["label"])
-        lines.append(_line(name, [_cell(cell["metrics"][f"pose/disentangled/{q}"], d) for q, d in COLUMNS]))
+        (name,) = (shown for way, shown in PAIRINGS.items() if way in cell.label)
+        lines.append(_line(name, [_cell(cell.metrics[f"pose/disentangled/{q}"], d) for q, d in COLUMNS]))
     return "\n".join(lines)
 
 
@@ -162,7 +165,7 @@ def simulated_slides() -> str:
     """Errors on recorded slides by what the slides were that taught."""
     columns = (("y_mm", 2), ("z_mm", 2), ("Rz_deg", 1))
     lines = ["| read | learnt from | y, mm | z, mm | Rz, deg |", "|---|---|---|---|---|"]
-    cells = {way: next(c["metrics"] for c in _cells("simulated_slides") if way in c["label"]) for way in SOURCES}
+    cells = {way: next(c.metrics for c in _cells("simulated_slides") if way in c.label) for way in SOURCES}
     one = cells["simulated"]
     for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
         lines.append(_line(name, ["taps", *(_cell(one[f"{key}/{q}"], d) for q, d in columns)]))
@@ -323,33 +326,33 @@ def readings() -> str:
     ]
     rows = json.loads((RESULTS / "appendix_b_curves.json").read_text())["rows"]
     for cell in _cells("appendix_b"):
-        trained = [row for row in rows if row["label"] == cell["label"] and row["seed"] in cell["seeds"]]
-        assert len(trained) == len(cell["seeds"])
+        trained = [row for row in rows if row["label"] == cell.label and row["seed"] in cell.seeds]
+        assert len(trained) == len(cell.seeds)
         steps = [trained[0]["step"].index(step) for step in (75, 450, 1350)]
         sizes = [fmean(row["inner"][at] for row in trained) for at in steps]
         losses = [fmean(row["validation"]["supervised"][at] for row in trained) for at in steps[1:]]
         shown = [f"{value:.4f}" for value in sizes] + [f"{value:.3f}" for value in losses]
-        lines.append(_line(READINGS[cell["label"]], [*shown, _cell(cell["metrics"]["ms_ssim/disentangled"], 3)]))
+        lines.append(_line(READINGS[cell.label], [*shown, _cell(cell.metrics["ms_ssim/disentangled"], 3)]))
     return "\n".join(lines)
 
 
 def lambda_split() -> str:
     """MS-SSIM and edge distance over the weight of the patch loss and the split of the codes; means over seeds."""
-    return _grid(lambda cell: [f"{cell['metrics'][name]['mean']:.{digits}f}" for name, digits in GRID])
+    return _grid(lambda cell: [f"{cell.metrics[name].mean:.{digits}f}" for name, digits in GRID])
 
 
 def lambda_split_leaks() -> str:
     """R2 of MLP probes: pose from z_s, slide from z_p; the seeds' median, as a probe that is off on a few contacts has any R2 below 1."""
     leaks = ("pose from z_s (mlp)/r2", "slide from z_p (mlp)/r2")
-    return _grid(lambda cell: [f"{median(cell['ablation'][name]['per_seed'].values()):.2f}" for name in leaks])
+    return _grid(lambda cell: [f"{median(cell.ablation[name].per_seed.values()):.2f}" for name in leaks])
 
 
-def _grid(numbers: Callable[[dict[str, Any]], list[str]]) -> str:
+def _grid(numbers: Callable[[CellResult], list[str]]) -> str:
     """A cell's numbers at its place of the sweep lambda_split."""
     table: dict[str, list[str]] = {}
     for cell in _cells("lambda_split"):
-        table.setdefault(cell["point"][0], []).append(", ".join(numbers(cell)))
-    splits = list(dict.fromkeys(cell["point"][1] for cell in _cells("lambda_split")))
+        table.setdefault(cell.point[0], []).append(", ".join(numbers(cell)))
+    splits = list(dict.fromkeys(cell.point[1] for cell in _cells("lambda_split")))
     return "\n".join([_line("lambda", splits), "|---|" + "---|" * len(splits), *starmap(_line, table.items())])
 
 
@@ -358,18 +361,18 @@ def frontier() -> str:
     names = ("MS-SSIM", "pins, mm", "edge distance, mm", "of sheared", "edge angle, deg", "training, s", "ms")
     lines = [_line("", names), "|---" * (len(names) + 1) + "|"]
     for cell in _cells("frontier"):
-        metrics = cell["metrics"]
+        metrics = cell.metrics
         edge, sheared = (metrics[f"pose/{kind}/edge_mm"] for kind in ("disentangled", "sheared"))
         numbers = [
             _cell(metrics["ms_ssim/disentangled"], 3),
-            f"{metrics['pin_error/disentangled/rms_mm']['mean']:.3f}",
+            f"{metrics['pin_error/disentangled/rms_mm'].mean:.3f}",
             _cell(edge, 2),
-            f"{edge['mean'] / sheared['mean']:.2f}",
+            f"{edge.mean / sheared.mean:.2f}",
             _cell(metrics["pose/disentangled/edge_deg"], 1),
             f"{_train_seconds(cell):.0f}",
             f"{_ms(cell, 'disentangled'):.1f}",
         ]
-        lines.append(_line(cell["label"], numbers))
+        lines.append(_line(cell.label, numbers))
     return "\n".join(lines)
 
 
@@ -377,27 +380,27 @@ def perception() -> str:
     """Milliseconds an image to unshear it and read its pose, and the errors left."""
     lines = [_line("", ("ms", "edge distance, mm", "edge angle, deg")), "|---|---|---|---|"]
     for cell in _cells("frontier"):
-        if not cell["label"].startswith("Adam"):
+        if not cell.label.startswith("Adam"):
             spent = sum(_ms(cell, name) for name in ("disentangled", "posenet"))
-            errors = (cell["metrics"][f"pose/disentangled/{name}"] for name in ("edge_mm", "edge_deg"))
-            shown = [f"{error['mean']:.{digits}f}" for error, digits in zip(errors, (2, 1), strict=True)]
-            lines.append(_line(cell["label"], [f"{spent:.1f}", *shown]))
+            errors = (cell.metrics[f"pose/disentangled/{name}"] for name in ("edge_mm", "edge_deg"))
+            shown = [f"{error.mean:.{digits}f}" for error, digits in zip(errors, (2, 1), strict=True)]
+            lines.append(_line(cell.label, [f"{spent:.1f}", *shown]))
     return "\n".join(lines)
 
 
-def _train_seconds(cell: dict[str, Any]) -> float:
+def _train_seconds(cell: CellResult) -> float:
     """The median over seeds."""
-    return median(costs["train_seconds"]["disentangled"] for costs in cell["costs"].values())
+    return median(costs.train_seconds["disentangled"] for costs in cell.costs.values())
 
 
-def _ms(cell: dict[str, Any], network: str) -> float:
+def _ms(cell: CellResult, network: str) -> float:
     """The median over seeds and over all cells of this network: how long it was trained changes nothing."""
 
-    def built(one: dict[str, Any]) -> dict[str, Any]:
-        return {name: value for name, value in one["settings"].items() if not name.startswith("train.")}
+    def built(one: CellResult) -> dict[str, str]:
+        return {name: value for name, value in one.settings.items() if not name.startswith("train.")}
 
     alike = [one for one in _cells("frontier") if built(one) == built(cell)]
-    return median(costs["ms_per_image"][network]["median"] for one in alike for costs in one["costs"].values())
+    return median(costs.ms_per_image[network]["median"] for one in alike for costs in one.costs.values())
 
 
 def parted() -> str:
@@ -409,9 +412,9 @@ def parted() -> str:
         "|---|" + "---|" * (len(leaks) + len(kept)),
     ]
     for cell in _cells("parted"):
-        spoilt = cell["ablation"]
-        cells = [_of_values(list(spoilt[key]["per_seed"].values()), 2) for key in leaks.values()]
-        lines.append(_line(cell["label"], [*cells, *(f"{spoilt[key]['mean']:.2f}" for key in kept.values())]))
+        spoilt = cell.ablation
+        cells = [_of_values(list(spoilt[key].per_seed.values()), 2) for key in leaks.values()]
+        lines.append(_line(cell.label, [*cells, *(f"{spoilt[key].mean:.2f}" for key in kept.values())]))
     return "\n".join(lines)
 
 
@@ -423,18 +426,18 @@ def parted_pins() -> str:
         "|---|---|---|---|---|---|---|",
     ]
     cells = _cells("parted")
-    found = cells[0]["metrics"]
+    found = cells[0].metrics
     for kind in ("tap", "sheared"):
         likeness = _cell(found["ms_ssim/sheared"], 3) if kind == "sheared" else "1"
         pins = _cell(found["pins/sheared"], 2) if kind == "sheared" else "0"
         errors = [_cell(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
         lines.append(_line(kind, [likeness, pins, *errors, "", ""]))
     for cell in cells:
-        found, spoilt = cell["metrics"], cell["ablation"]
+        found, spoilt = cell.metrics, cell.ablation
         likeness, pins = _cell(found["ms_ssim/disentangled"], 3), _cell(found["pins/disentangled"], 2)
         errors = [_cell(found[f"pose/disentangled/{name}"], digits) for name, digits in QUANTITIES[2:]]
-        shown = [_of_values(list(spoilt[name]["per_seed"].values()), 2) for name in drawn]
-        lines.append(_line(cell["label"], [likeness, pins, *errors, *shown]))
+        shown = [_of_values(list(spoilt[name].per_seed.values()), 2) for name in drawn]
+        lines.append(_line(cell.label, [likeness, pins, *errors, *shown]))
     return "\n".join(lines)
 
 
@@ -449,9 +452,9 @@ def parted_skin() -> str:
         "|---|---|---|---|---|---|---|",
     ]
     for cell in _cells("parted_skin"):
-        leaks = [_of_values(list(cell["ablation"][name]["per_seed"].values()), 2) for name in asked]
-        errors = [_cell(cell["metrics"][f"pose/disentangled/{name}"], digits) for name, digits in COLUMNS]
-        lines.append(_line(cell["label"], [*leaks, *errors]))
+        leaks = [_of_values(list(cell.ablation[name].per_seed.values()), 2) for name in asked]
+        errors = [_cell(cell.metrics[f"pose/disentangled/{name}"], digits) for name, digits in COLUMNS]
+        lines.append(_line(cell.label, [*leaks, *errors]))
     return "\n".join(lines)
 
 
@@ -464,11 +467,11 @@ def parted_skin_slide() -> str:
     ]
     for cell in _cells("parted_skin"):
         shown = [
-            _of_values(list(cell["ablation"][f"{name}, all/{field}"]["per_seed"].values()), 2)
+            _of_values(list(cell.ablation[f"{name}, all/{field}"].per_seed.values()), 2)
             for field in ("mae", "coverage")
             for name in names
         ]
-        lines.append(_line(cell["label"], shown))
+        lines.append(_line(cell.label, shown))
     return "\n".join(lines)
 
 
@@ -477,15 +480,15 @@ def joint() -> str:
     lines = ["| | error | 95 % of errors within | which holds of the test |", "|---|---|---|---|"]
     for name, shown in (("recorded_joint", "flat surface"), ("recorded_edge_joint", "edge")):
         (cell,) = _cells(name)
-        found = cell["metrics"]
+        found = cell.metrics
         for key in [key for key in found if key.startswith("pose/sheared_learnt/")]:
             target = key.rpartition("/")[2]
             quantity, unit = target.rsplit("_", 1)
             width, held = (found[f"{table}/sheared_learnt/{target}"] for table in ("half_width", "coverage"))
             cells = [
                 f"{_cell(found[key], 2)} {unit}",
-                f"{width['mean']:.2f} {unit}",
-                _of_values(list(held["per_seed"].values()), 2),
+                f"{width.mean:.2f} {unit}",
+                _of_values(list(held.per_seed.values()), 2),
             ]
             lines.append(_line(f"{shown}: {quantity.replace('_', ' ')}", cells))
     return "\n".join(lines)
@@ -551,16 +554,14 @@ def _other_slides(name: str, tests: dict[str, str]) -> str:
         "| tested | read, or unsheared by a network of | pins, px rms | edge distance, mm | angle, deg | over the first: mm | deg |",
         "|---|---|---|---|---|---|---|",
     ]
-    first = {key: cells[0]["metrics"][f"{next(iter(tests))}: pose/disentangled/{key}"] for key, _ in QUANTITIES[2:]}
+    first = {key: cells[0].metrics[f"{next(iter(tests))}: pose/disentangled/{key}"] for key, _ in QUANTITIES[2:]}
     looks = [("tap", "tap", cells[0]), ("sheared", "sheared", cells[0])]
-    looks += [(cell["label"], "disentangled", cell) for cell in cells]
+    looks += [(cell.label, "disentangled", cell) for cell in cells]
     for test, slides in tests.items():
         for shown, kind, cell in looks:
-            found = {key: cell["metrics"][f"{test}: pose/{kind}/{key}"] for key, _ in QUANTITIES[2:]}
-            pins = "0" if kind == "tap" else _cell(cell["metrics"][f"{test}: pins/{kind}"], 2)
-            ratios = [
-                [found[key]["per_seed"][seed] / one for seed, one in first[key]["per_seed"].items()] for key in found
-            ]
+            found = {key: cell.metrics[f"{test}: pose/{kind}/{key}"] for key, _ in QUANTITIES[2:]}
+            pins = "0" if kind == "tap" else _cell(cell.metrics[f"{test}: pins/{kind}"], 2)
+            ratios = [[found[key].per_seed[seed] / one for seed, one in first[key].per_seed.items()] for key in found]
             over = [_of_values(each, 2) if kind == "disentangled" else "" for each in ratios]
             lines.append(_line(f"{slides} | {shown}", [pins, *(_cell(found[k], d) for k, d in QUANTITIES[2:]), *over]))
     return "\n".join(lines)
@@ -569,19 +570,19 @@ def _other_slides(name: str, tests: dict[str, str]) -> str:
 def few_pairs() -> str:
     """Likeness, pins and edge errors by the share of poses whose slides have their tap, and by what teaches beside them; the last three
     as a multiple of the least that any way has with all pairs."""
-    cells = sorted(_cells("few_pairs"), key=lambda cell: -int(cell["label"].partition("%")[0]))
+    cells = sorted(_cells("few_pairs"), key=lambda cell: -int(cell.label.partition("%")[0]))
     errors = {"pins/disentangled": 2} | {f"pose/disentangled/{name}": digits for name, digits in QUANTITIES[2:]}
-    complete = [cell["metrics"] for cell in cells if cell["label"].startswith("100%")]
-    least = {name: min(metrics[name]["mean"] for metrics in complete) for name in errors}
+    complete = [cell.metrics for cell in cells if cell.label.startswith("100%")]
+    least = {name: min(metrics[name].mean for metrics in complete) for name in errors}
     lines = [
         "| poses with their tap, what teaches | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg | times all pairs' |",
         "|---|---|---|---|---|---|",
     ]
     for cell in cells:
-        found = cell["metrics"]
-        times = " / ".join(f"{found[name]['mean'] / least[name]:.2f}" for name in errors)
+        found = cell.metrics
+        times = " / ".join(f"{found[name].mean / least[name]:.2f}" for name in errors)
         shown = [_cell(found[name], digits) for name, digits in errors.items()]
-        lines.append(_line(cell["label"], [_cell(found["ms_ssim/disentangled"], 3), *shown, times]))
+        lines.append(_line(cell.label, [_cell(found["ms_ssim/disentangled"], 3), *shown, times]))
     return "\n".join(lines)
 
 
@@ -590,17 +591,17 @@ def _of_values(values: list[float], digits: int) -> str:
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
 
 
-def _cells(name: str) -> list[dict[str, Any]]:
-    return json.loads((RESULTS / f"{name}.json").read_text())["cells"]
+def _cells(name: str) -> Sequence[CellResult]:
+    return read(RESULTS / f"{name}.json", SweepResult, "make it again").cells
 
 
 def _line(name: str, cells: list[str]) -> str:
     return f"| {name} | {' | '.join(cells)} |"
 
 
-def _cell(metric: dict[str, Any], digits: int) -> str:
-    low, high = metric["interval"]
-    return f"{metric['mean']:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+def _cell(metric: Figure, digits: int) -> str:
+    low, high = metric.interval
+    return f"{metric.mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
 TABLES = {

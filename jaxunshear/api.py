@@ -10,15 +10,17 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from jax import Array
 
 from jaxunshear.applications.perceiver import Answers, Perceiver, frame_for, perceiver
 from jaxunshear.applications.perception import BATCH, in_batches
 from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
+from jaxunshear.model.parts import Tree
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import encode
 from jaxunshear.settings.experiment import Experiment
@@ -43,7 +45,9 @@ class Model:
     folder: Path
     experiment: Experiment
     perceiver: Perceiver
-    encoder: Callable[[np.ndarray], Any] | None  # what networks read -> both codes; None where nothing unshears
+    encoder: (
+        Callable[[np.ndarray], tuple[Array, Array | None]] | None
+    )  # what networks read -> both codes; None where nothing unshears
 
     @property
     def size(self) -> int:
@@ -83,7 +87,7 @@ class Model:
     def _answers(self, images: np.ndarray) -> Answers:
         return self._in_batches(images, self.perceiver.answer)
 
-    def _in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Any]) -> Any:
+    def _in_batches(self, images: np.ndarray, run: Callable[[np.ndarray], Tree]) -> Tree:
         """A few images are not filled up to a full batch: to find their pins takes longer than to compile once more."""
         images = self._checked(images)
         return in_batches(run, images, min(BATCH, len(images)))
@@ -112,6 +116,6 @@ def load_model(name: str | Path, like: str | Path | None = None) -> Model:
     frame = None if like is None else frame_for(Path(like), experiment)
     encoder = None
     if holds_model(folder / NETWORK):
-        net: Any = read_net(folder / NETWORK)
+        net = read_net(folder / NETWORK)
         encoder = ready(lambda variables, seen: encode(net, variables, seen), load_best(folder / NETWORK))
     return Model(folder, experiment, perceiver(folder, experiment, True, frame), encoder)

@@ -2,9 +2,9 @@
 
 import io
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.pins import pin_tips
@@ -53,7 +53,7 @@ def draw(kind: str, name: str, out: Path) -> None:
     write_bytes(out, data.getvalue())
 
 
-def _draw_sensor(axes: Any, sensor: Sensor) -> None:
+def _draw_sensor(axes: Axes, sensor: Sensor) -> None:
     from matplotlib.patches import Circle
 
     axes.add_patch(Circle((0, 0), sensor.dome_radius_mm, fill=False, color="0.5"))
@@ -64,7 +64,7 @@ def _draw_sensor(axes: Any, sensor: Sensor) -> None:
     axes.invert_yaxis()
 
 
-def _draw_stimulus(axes: Any, stimulus: Stimulus) -> None:
+def _draw_stimulus(axes: Axes, stimulus: Stimulus) -> None:
     """In the target frame, with the square of positions that the sensor's axis takes about the target."""
     reach, points = 2.1 * stimulus.extent_mm, 500
     side = np.linspace(-reach, reach, points, dtype=np.float32)

@@ -6,7 +6,6 @@
 import dataclasses
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.recorded import sensor_of, survey
@@ -16,6 +15,7 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
 from jaxunshear.settings.training import Training
+from jaxunshear.settings.types import Value
 
 BASE = Experiment(
     name="recorded",
@@ -101,7 +101,7 @@ _MODULES = {
 }
 
 
-def _constructed(thing: Any, names: set[str], depth: int) -> str:
+def _constructed(thing: Value, names: set[str], depth: int) -> str:
     kind = type(thing).__name__
     names.add(kind)
     parts = []

@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.targets import RECORDED, SLIDES
-from jaxunshear.storage import check_beside, csv_text, write_bytes, write_text
+from jaxunshear.storage import Json, check_beside, csv_text, write_bytes, write_text
 
 if TYPE_CHECKING:
     from jaxunshear.applications.frames import Understood
@@ -59,7 +59,7 @@ def learnt_note(experiment: Experiment) -> str:
 
 def unshear_recordings(
     path: Path, model: Path, out: Path, log: Log = print, force: bool = False, like: Path | None = None
-) -> dict[str, Any]:
+) -> Json:
     """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`.
 
     `like` is a folder of contacts of the same sensor and camera, for a `path` that holds too few to know where pins stand. Returns what
@@ -76,7 +76,7 @@ def unshear_recordings(
     recordings = _read(path, network.preprocess)
     understood = _understood(recordings, network, force)
     targets = _targets(recordings.names)
-    table: list[dict[str, Any]] = []
+    table: list[Json] = []
     seconds: list[float] = []
     errors = _Errors(network.names, recordings)
     for rows, names, answers, spent in _answers(recordings, network, understood, "unshear"):
@@ -115,7 +115,7 @@ def pose_of_recordings(
     note: Log | None = None,
     force: bool = False,
     like: Path | None = None,
-) -> dict[str, Any]:
+) -> Json:
     """Logs, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
 
     Notes and errors against the labels go to `note` (stderr), so that the CSV can be piped on. Returns the same as rows. Raises as
@@ -130,13 +130,13 @@ def pose_of_recordings(
         )
     recordings = _read(path, network.preprocess)
     understood = _understood(recordings, network, force)
-    table: list[dict[str, Any]] = []
-    rows_out: list[dict[str, Any]] = []
+    table: list[Json] = []
+    rows_out: list[Json] = []
     errors = _Errors(network.names, recordings)
     for rows, names, answers, _ in _answers(recordings, network, understood, "pose"):
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
-            line: dict[str, Any] = {"name": name}
+            line: Json = {"name": name}
             for way, poses in answers.poses.items():
                 for quantity, values in poses.items():
                     line[f"{way}_{quantity}"] = f"{values[i]:.4f}"
@@ -177,7 +177,7 @@ class _Errors:
         found = {name: np.concatenate(parts) for name, parts in self._found.items()}
         return {name: float(errors.mean(dtype=np.float64)) for name, errors in found.items() if len(errors)}
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Json]:
         return [_row(f"pose_mae.{name}", value, name.rpartition("_")[2]) for name, value in self.means().items()]
 
     def report(self, log: Log) -> None:
@@ -245,8 +245,11 @@ def _answers(
         progress.advance(len(recordings) - seen)  # left out at the end
 
 
-def _batches(frames: Iterator[Any]) -> Iterator[list[Any]]:
-    batch: list[Any] = []
+Item = TypeVar("Item")
+
+
+def _batches(frames: Iterator[Item]) -> Iterator[list[Item]]:
+    batch: list[Item] = []
     for frame in frames:
         batch.append(frame)
         if len(batch) == BATCH:
@@ -273,7 +276,7 @@ def _print_summary(notes: list[str], log: Log) -> None:
         log(f"note: and {len(notes) - 10} more")
 
 
-def _row(name: str, value: float, unit: str) -> dict[str, Any]:
+def _row(name: str, value: float, unit: str) -> Json:
     return {
         "name": name,
         "value": value,
@@ -285,7 +288,7 @@ def _row(name: str, value: float, unit: str) -> dict[str, Any]:
     }
 
 
-def _measured(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _measured(rows: list[Json]) -> Json:
     from jaxunshear.metrics.machine import machine, versions
 
     return {"rows": rows, "machine": machine(), "versions": versions()}

@@ -5,13 +5,17 @@
 
 import json
 import shutil
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.errors import UserError
+from jaxunshear.results.rows import Machine
+from jaxunshear.results.run import EVALUATED, Results
+from jaxunshear.results.stored import read
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
 from jaxunshear.settings.targets import to_json
-from jaxunshear.storage import read_json, write_json, write_text
+from jaxunshear.storage import plain, read_json, write_json, write_text
 
 PARTS = {name: kind.released for name, kind in REGISTRY.items() if kind.released is not None}
 ORIGINS = ("origin", "taken_over", "start")  # what they learnt from goes with the weights
@@ -51,12 +55,13 @@ def release(run_dir: Path, out: Path) -> Path:
             raise UserError(f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo")
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
-    settings, results = (read_json(run_dir / name) for name in ("experiment.json", "results.json"))
+    settings = read_json(run_dir / "experiment.json")
+    results = read(run_dir / "results.json", Results, EVALUATED)
     try:
         text, settings = card(results, out.name), settings | {"name": out.name}  # not a sweep's row
     except (KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
-    needed = NEEDED if results.get("simulated", True) else ()
+        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATED}") from error
+    needed = NEEDED if results.simulated else ()
     names = [name for name in PARTS if name in needed or holds_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
@@ -74,7 +79,7 @@ def release(run_dir: Path, out: Path) -> Path:
         origins = {key: model[key] for key in ORIGINS if key in model}
         reported = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
         write_json(part / name / MODEL, reported | origins)
-    if not results.get("simulated", True):
+    if not results.simulated:
         write_json(part / FRAME, read_json(run_dir / FRAME))
         settings["paired"] |= {
             "tap_folder": "recorded taps" * bool(settings["paired"]["tap_folder"]),
@@ -89,64 +94,65 @@ def release(run_dir: Path, out: Path) -> Path:
     return out
 
 
-def card(results: dict[str, Any], name: str) -> str:
+def card(results: Results, name: str) -> str:
     """The model card, in Markdown, all of it from the run's results."""
-    return _simulated_card(results, name) if results.get("simulated", True) else _recorded_card(results, name)
+    return _simulated_card(results, name) if results.simulated else _recorded_card(results, name)
 
 
-def _made_on(results: dict[str, Any]) -> list[str]:
+def _made_on(results: Results) -> list[str]:
     """Machines and versions; those that trained are named where they are others than the one that measured."""
-    trained = results.get("trained_on", {}).values()
-    others = {
-        json.dumps(machine)
-        for machine in trained
-        if machine | {"kernels": None} != results["machine"] | {"kernels": None}
-    }
-    reported = [*(("Trained on", machine) for machine in sorted(others)), ("Machine", json.dumps(results["machine"]))]
-    lines = [line for name, machine in reported for line in ("", f"{name}: {machine}")]
-    return [*lines, "", f"Versions: {json.dumps(results['versions'])}", ""]
+    machine = results.machine
+    alike = (replace(machine, kernels=None), machine)
+    others = {_line(other) for other in results.trained_on.values() if replace(other, kernels=None) not in alike}
+    reported = [*(("Trained on", other) for other in sorted(others)), ("Machine", _line(machine))]
+    lines = [line for name, text in reported for line in ("", f"{name}: {text}")]
+    return [*lines, "", f"Versions: {json.dumps(results.versions)}", ""]
 
 
-def _slides_of(results: dict[str, Any]) -> str:
-    recordings = results["recordings"]
-    if results["pairing"]["way"] == "simulated":
+def _line(machine: Machine) -> str:
+    return json.dumps(plain(machine))
+
+
+def _slides_of(results: Results) -> str:
+    recordings, pairing = results.recorded
+    if pairing.way == "simulated":
         return "no slide: those that teach are simulated"
-    return f"{recordings['slides']['train']} slides, {recordings['labelled']:.0%} of the slides' labels"
+    return f"{recordings.slides['train']} slides, {recordings.labelled:.0%} of the slides' labels"
 
 
-def _recorded_card(results: dict[str, Any], name: str) -> str:
+def _recorded_card(results: Results, name: str) -> str:
     """Of networks that learnt from recordings."""
-    metric, counts, recordings = results["metric"], results["counts"], results["recordings"]
-    targets = [target["name"] for target in results["targets"]]
+    metric, counts, (recordings, pairing) = results.metric, results.counts, results.recorded
+    targets = [target.name for target in results.targets or ()]
     reads = "pins, found in images" if metric["input"] == "pins" else "images"
     lines = [
         f"# {name}",
         "",
-        f"{results['claim']}",
+        f"{results.claim}",
         "",
-        f"Networks for a soft optical tactile sensor of {recordings['pins']} pins; they read {reads} of {metric['image_px']} px. "
+        f"Networks for a soft optical tactile sensor of {recordings.pins} pins; they read {reads} of {metric['image_px']} px. "
         "Kernels are stored as float16; the figures below are of the networks as trained.",
         "",
         f"    jaxunshear unshear RECORDINGS --model {name} --out unsheared",
         f"    jaxunshear pose RECORDINGS --model {name}",
         "",
-        f"* **Learnt from** recordings (digest {recordings['digest']}): {recordings['taps']['train']} taps and "
-        f"{_slides_of(results)}; pairing: {results['pairing']['way']}.",
+        f"* **Learnt from** recordings (digest {recordings.digest}): {recordings.taps['train']} taps and "
+        f"{_slides_of(results)}; pairing: {pairing.way}.",
         f"* **Poses** {', '.join(targets)}, in the names, the frame and the units of the recorded labels.",
         "* **Not measured**: another sensor, another object, another camera.",
-        f"* **Seed** {results['seeds']['experiment']}.",
+        f"* **Seed** {results.seeds['experiment']}.",
         "",
-        f"Mean absolute error on recorded contacts kept out of training, {counts['test_taps']} taps and {counts['test_poses']} slides:",
+        f"Mean absolute error on recorded contacts kept out of training, {counts.test_taps} taps and {counts.test_poses} slides:",
         "",
         f"| read off | {' | '.join(targets)} |",
         "| --- |" + " --- |" * len(targets),
     ]
-    for way, errors in results["pose_mae"].items():
+    for way, errors in results.pose_mae.items():
         lines.append(f"| {way} | " + " | ".join(f"{errors[target]:.3g}" for target in targets) + " |")
     return "\n".join([*lines, *_made_on(results)])
 
 
-def _turning(ranges: dict[str, float]) -> str:
+def _turning(ranges: Mapping[str, float]) -> str:
     """Of slides that twist and sensors that lean, in words."""
     ways = {"twist_deg": "twisting", "tilt_deg": "of a sensor that leans"}
     return "".join(
@@ -154,14 +160,14 @@ def _turning(ranges: dict[str, float]) -> str:
     )
 
 
-def _simulated_card(results: dict[str, Any], name: str) -> str:
+def _simulated_card(results: Results, name: str) -> str:
     from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE
 
-    settings, metric = results["settings"], results["metric"]
+    settings, metric = results.settings, results.metric
     paired, pose, sensor = settings["paired"], settings["pose"], settings["sensor"]["name"]
     shapes = ", ".join(paired["stimuli"])
     given = settings["unshear"]["input"]
-    columns = {q: text for q, text in READ.items() if q in results["pose_mae"]["tap"]}
+    columns = {q: text for q, text in READ.items() if q in results.pose_mae["tap"]}
     lines = [
         f"# {name}",
         "",
@@ -176,7 +182,7 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
         f"    jaxunshear pose RECORDINGS --model {name}",
         *([] if given == "pins" else [f"    jaxunshear servo --stimulus disk --model {name}"]),
         "",
-        f"* **Learnt from** simulated touches only: sensor `{sensor}`, shapes {shapes}; {results['counts']['train']} pairs "
+        f"* **Learnt from** simulated touches only: sensor `{sensor}`, shapes {shapes}; {results.counts.train} pairs "
         f"and three fifths of {pose['poses'] * len(pose['stimuli'])} taps, the others put aside to validate and to test; images of "
         f"{metric['image_px']} px, {paired['camera']['mm_across']:g} mm across, camera noise {paired['nuisance']['noise']:g}; "
         f"over the set the view drifts by {paired['nuisance']['drift_px']:g} px of the camera's frame in pairs, "
@@ -187,17 +193,17 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
         f"* **On recordings** of an edge: `jaxunshear evaluate {name} --recordings DIR` measures it."
         if given == "pins"
         else "* **Not measured**: any real sensor. Real images differ from simulated ones (see the documentation of the simulator).",
-        f"* **Seed** {results['seeds']['experiment']}; made by `{results['command']}`.",
+        f"* **Seed** {results.seeds['experiment']}; made by `{results.command}`.",
         "",
-        f"Measured on {results['counts']['test']} simulated slides at {results['counts']['test_poses']} poses kept out of training:",
+        f"Measured on {results.counts.test} simulated slides at {results.counts.test_poses} poses kept out of training:",
         "",
         f"| image | {metric['ms_ssim']} to the tap | {' | '.join(columns.values())} |",
         "| --- | --- |" + " --- |" * len(columns),
     ]
-    headed = [kind for kind in (LEARNT_CODE, LEARNT_BOTH) if kind in results["pose_mae"]]
+    headed = [kind for kind in (LEARNT_CODE, LEARNT_BOTH) if kind in results.pose_mae]
     for kind in ("tap", "sheared", DISENTANGLED, *headed):
-        errors = results["pose_mae"].get(kind, {})
-        likeness = results["ms_ssim"].get(kind, {}).get("overall")
+        errors = results.pose_mae.get(kind, {})
+        likeness = results.ms_ssim.get(kind, {}).get("overall")
         cells = [likeness, *(errors.get(q) for q in columns)]
         lines.append(f"| {kind} | " + " | ".join("" if cell is None else f"{cell:.3g}" for cell in cells) + " |")
     if headed:
@@ -206,7 +212,7 @@ def _simulated_card(results: dict[str, Any], name: str) -> str:
             f"`{LEARNT_CODE}`: read off the pose code by the head that the network learnt with (`servo --ways code`, `stream --way code`); "
             f"`{LEARNT_BOTH}`: the mean of its answer and of PoseNet's off the unsheared image (`both`).",
         ]
-    for test, found in results["tests"].items():
-        likeness = found["ms_ssim"][DISENTANGLED]["overall"]
-        lines += ["", f"Test `{test}` ({', '.join(found['stimuli'])}): {metric['ms_ssim']} {likeness:.3f}."]
+    for test, found in results.tests.items():
+        likeness = found.ms_ssim[DISENTANGLED]["overall"]
+        lines += ["", f"Test `{test}` ({', '.join(found.stimuli)}): {metric['ms_ssim']} {likeness:.3f}."]
     return "\n".join([*lines, *_made_on(results)])

@@ -6,13 +6,14 @@ knows their order.
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.folders import model_folder
 from jaxunshear.locks import locked
+from jaxunshear.results.run import Results
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
@@ -21,15 +22,12 @@ from jaxunshear.storage import read_json, read_json_if_sound, write_json
 from jaxunshear.training.kept_out import exams_of
 from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, taken_over
 
-if TYPE_CHECKING:
-    pass
-
 TEACHER_SEED = 1000  # beyond the run's own
 TIMES = "times.json"
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
 
 
-def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str) -> dict[str, Any]:
+def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str) -> Results | None:
     """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>.
 
     Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can fix, and
@@ -46,8 +44,8 @@ def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data:
         return _run(experiment, stages, folder, data, command)
 
 
-def _run(experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Path, command: str) -> dict[str, Any]:
-    results: dict[str, Any] = {}
+def _run(experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Path, command: str) -> Results | None:
+    results = None
     for stage in stages:
         halfway = partial(_halfway, experiment, stage, folder, data)
         before = _times(folder).get(stage, 0.0) if halfway() else 0.0
@@ -204,8 +202,8 @@ def _keep_time(folder: Path, stage: str, seconds: float) -> None:
     write_json(folder / TIMES, _times(folder) | {stage: round(seconds, 3)})
 
 
-def _print_summary(results: dict[str, Any], folder: Path) -> None:
-    if not results["simulated"]:
+def _print_summary(results: Results, folder: Path) -> None:
+    if not results.simulated:
         _print_recorded(results, folder)
         return
     from jaxunshear.evaluation.measurements import measurements
@@ -213,27 +211,27 @@ def _print_summary(results: dict[str, Any], folder: Path) -> None:
     from jaxunshear.report import words
     from jaxunshear.table import plain_table
 
-    likeness, errors, name = results["ms_ssim"], results["pose_mae"], results["metric"]["ms_ssim"]
+    likeness, errors, name = results.ms_ssim, results.pose_mae, str(results.metric["ms_ssim"])
     rows = [
         {"": words.kind_of(results, kind), name: likeness.get(kind, {}).get("overall"), **errors.get(kind, {})}
         for kind in words.KINDS
         if kind in (*likeness, *errors) and kind not in BASELINES
     ]
     print(plain_table(rows, ("", name, *words.targets(results))))
-    for row in measurements(results | {"tests": {}})["rows"]:
-        if row["bar"] is not None:
-            met = "met" if row["ok"] else "MISSED"
-            print(f"{row['name']} {row['value']} {row['unit']} (bar {row['sense']} {row['bar']}: {met})")
+    for row in measurements(replace(results, tests={})).rows:
+        if row.bar is not None:
+            met = "met" if row.ok else "MISSED"
+            print(f"{row.name} {row.value} {row.unit} (bar {row.sense} {row.bar}: {met})")
     print(f"results: {folder / 'results.json'}")
 
 
-def _print_recorded(results: dict[str, Any], folder: Path) -> None:
+def _print_recorded(results: Results, folder: Path) -> None:
     """Recordings have any targets: a table for a person, and the file that holds the rest."""
     from jaxunshear.evaluation.score import shown_kind
     from jaxunshear.evaluation.unseen import table
 
     print(table(results))
-    if similar := results["ms_ssim"]:
+    if similar := results.ms_ssim:
         felt, unsheared = (similar[kind]["overall"] for kind in ("sheared", shown_kind(similar)))
-        print(f"{results['metric']['ms_ssim']} with the partner: {felt:.3f} as felt, {unsheared:.3f} unsheared")
+        print(f"{results.metric['ms_ssim']} with the partner: {felt:.3f} as felt, {unsheared:.3f} unsheared")
     print(f"results: {folder / 'results.json'}")

@@ -6,6 +6,7 @@
 
 import contextlib
 import csv
+import dataclasses
 import errno
 import io
 import json
@@ -13,10 +14,13 @@ import os
 import tempfile
 import zipfile
 import zlib
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
+
+Json = dict[str, Any]  # an object whose keys are a command's own, as rows of its tables are
 
 
 def cache_folder() -> Path:
@@ -153,9 +157,9 @@ def write_text(path: Path, text: str) -> None:
     write_bytes(path, text.encode())
 
 
-def write_json(path: Path, obj: Any) -> None:
+def write_json(path: Path, obj: object) -> None:
     """Replace `path` by `obj` as indented JSON in one step; NaN and infinity become null, as JSON has neither."""
-    write_text(path, json.dumps(_plain(obj), indent=2, allow_nan=False) + "\n")
+    write_text(path, json.dumps(plain(obj), indent=2, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> Any:
@@ -177,12 +181,18 @@ def read_json_if_sound(path: Path) -> Any | None:
         return None
 
 
-def _plain(obj: Any) -> Any:
-    """`obj` of built-in types only: arrays and their scalars become lists and numbers, paths become text."""
-    if isinstance(obj, dict):
-        return {str(key): _plain(value) for key, value in obj.items()}
+def plain(obj: Any) -> Any:
+    """`obj` of built-in types only: records become dictionaries, without what is None where that is the default; arrays and their
+    scalars become lists and numbers, paths become text."""
+    if dataclasses.is_dataclass(obj):
+        held = {each.name: (getattr(obj, each.name), each.default) for each in dataclasses.fields(obj)}
+        return {
+            name: plain(value) for name, (value, default) in held.items() if value is not None or default is not None
+        }
+    if isinstance(obj, Mapping):
+        return {str(key): plain(value) for key, value in obj.items()}
     if isinstance(obj, list | tuple):
-        return [_plain(value) for value in obj]
+        return [plain(value) for value in obj]
     if isinstance(obj, float):
         return obj if obj - obj == 0 else None
     if obj is None or isinstance(obj, str | bool | int):
@@ -190,11 +200,11 @@ def _plain(obj: Any) -> Any:
     if isinstance(obj, Path):
         return str(obj)
     if hasattr(obj, "tolist"):  # numpy and JAX, without importing either
-        return _plain(obj.tolist())
+        return plain(obj.tolist())
     raise TypeError(f"{type(obj).__name__} cannot be written as JSON")
 
 
-def csv_text(table: list[dict[str, Any]]) -> str:
+def csv_text(table: Sequence[Mapping[str, object]]) -> str:
     """A heading of the first row's names, then a line a row."""
     text = io.StringIO()
     writer = csv.DictWriter(text, fieldnames=list(table[0]), lineterminator="\n")

@@ -2,15 +2,16 @@
 
 import sys
 from collections.abc import Sequence
-from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from jaxunshear.storage import Json
+
 WIDE = 10_000  # columns where nobody watches: lines of a file or a pipe are never broken
 
 
-def plain_table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
+def plain_table(rows: Sequence[Json], columns: Sequence[str]) -> str:
     """A heading, then a line a row: numbers to three digits, `-` for what a row does not have.
 
     In a terminal cells that do not fit are folded; elsewhere a row is one line, without colours or frames.
@@ -27,7 +28,7 @@ def plain_table(rows: Sequence[dict[str, Any]], columns: Sequence[str]) -> str:
     return text.get().removesuffix("\n")
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     if value is None:
         return "-"
     return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -15,6 +15,8 @@ from jaxunshear import folders, infer
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.release import card, release
+from jaxunshear.results.run import Results
+from jaxunshear.results.stored import record_of
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
 from jaxunshear.settings.experiment import Experiment
@@ -51,7 +53,12 @@ RESULTS = {
     "tests": {"unseen": {"stimuli": ["leaf"], "ms_ssim": {"disentangled": {"overall": 0.8}}}},
     "machine": {"cores": 2},
     "versions": {"jax": "0"},
+    "pin_error": {},
 }
+
+
+def card_of(held):
+    return card(record_of(held, Results, "results.json", "again"), "mine")
 
 
 @pytest.fixture
@@ -88,18 +95,18 @@ def image_in(folder):
 
 def test_a_card_names_the_machine_that_trained_where_another_one_measured():
     own = RESULTS | {"trained_on": {"disentangled": RESULTS["machine"]}}
-    assert "Trained on" not in card(RESULTS, "mine") and "Trained on" not in card(own, "mine")
+    assert "Trained on" not in card_of(RESULTS) and "Trained on" not in card_of(own)
     other = {"device": "gpu: one"}
-    text = card(RESULTS | {"trained_on": {"disentangled": other, "posenet": other}}, "mine")
+    text = card_of(RESULTS | {"trained_on": {"disentangled": other, "posenet": other}})
     assert text.count("Trained on: ") == 1 and '"gpu: one"' in text
 
 
 def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
     settings = RESULTS["settings"]
     ranges = settings["paired"]["ranges"]
-    assert "mm along each axis. Beyond" in card(RESULTS, "mine")
+    assert "mm along each axis. Beyond" in card_of(RESULTS)
     wide = settings | {"paired": settings["paired"] | {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}}
-    text = card(RESULTS | {"settings": wide}, "mine")
+    text = card_of(RESULTS | {"settings": wide})
     assert "mm along each axis, twisting by up to 5 deg, of a sensor that leans by up to 25 deg. Beyond" in text
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,6 +22,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.grey import check_frame
 from jaxunshear.progress import Progress
 from jaxunshear.settings.image import Preprocess
+from jaxunshear.storage import Json
 
 SAMPLED = 40  # images whose pins are found, shared by the folders
 LEAST_SAMPLED = 8  # in each of many folders
@@ -73,7 +73,7 @@ def examine(path: str | Path) -> Diagnosis:
     return Diagnosis(path, found, pairs, tuple(problems), lacks_of(found, pairs), uses_of(path, found))
 
 
-def rows_of(diagnosis: Diagnosis) -> dict[str, Any]:
+def rows_of(diagnosis: Diagnosis) -> Json:
     """The same for JSON: a row a folder, without the images."""
     return {
         "path": str(diagnosis.path),
@@ -88,7 +88,7 @@ def rows_of(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
-def _row(part: Part) -> dict[str, Any]:
+def _row(part: Part) -> Json:
     row = asdict(replace(part, seen=None))
     if part.seen:
         row["seen"] = {"pixels": asdict(part.seen.pixels), "pins": asdict(part.seen.pins)}

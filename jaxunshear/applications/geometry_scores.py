@@ -6,7 +6,7 @@ heights where the image's pins are. `growth` alone is compared pin by pin, where
 
 import time
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from jaxunshear.applications.perception import Unshear
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
+from jaxunshear.storage import Json
 
 SEED = 0
 UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact
@@ -60,7 +61,7 @@ def geometry_of(
     return Geometry(height, ms)
 
 
-def geometry_rows(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> list[dict[str, Any]]:
+def geometry_rows(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> list[Json]:
     """A row for each stimulus, kind and way, and for all stimuli: mean correlation with its interval, rmse, and what was left out.
 
     Of images of no contact: the correlation with the taps' indentation, as a floor, and the largest height in the place of an rmse.
@@ -71,7 +72,7 @@ def geometry_rows(names: tuple[str, ...], contacts: FreshContacts, geometry: Geo
     for group, inside in groups.items():
         for (kind, way), height in geometry.height_mm.items():
             matched = inside & ~np.isnan(height[:, 0])
-            row: dict[str, Any] = {
+            row: Json = {
                 "name": f"{group}/{kind}/{way}",
                 "stimulus": group,
                 "kind": kind,

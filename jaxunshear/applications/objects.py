@@ -1,7 +1,7 @@
 """`jaxunshear reconstruct`: the shapes that walks around objects enclose, against the true ones."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from jaxunshear.image.tracking import motions_of
 from jaxunshear.progress import Progress
 from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_named
 from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.storage import Json
 
 EVERY = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
 
@@ -77,7 +78,7 @@ def solids(
 
 def objects_of(
     experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], makers: Mapping[str, Maker]
-) -> dict[tuple[str, str], tuple[dict[str, Any], Solid]]:
+) -> dict[tuple[str, str], tuple[Json, Solid]]:
     """By maker and way of perceiving: means over its walks as a row, and the object of its walk of middling likeness.
 
     Images are unsheared by the network that the walk perceived by; those of walks that know the true pose, or read the
@@ -103,7 +104,7 @@ def objects_of(
     return found
 
 
-def _row(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> dict[str, Any]:
+def _row(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> Json:
     scores = np.array([each.likeness for each in solids])
     heights = [each.height_rms_mm for each in solids if each.height_rms_mm is not None]
     return {

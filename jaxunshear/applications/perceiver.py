@@ -9,11 +9,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
 from jaxunshear.dataset.preparing import LIKE, Frame, frame_of_recordings, to_found, to_image
@@ -28,6 +29,7 @@ from jaxunshear.image.tracking import followed
 from jaxunshear.image.understood import Expected, expected_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
+from jaxunshear.model.parts import Tree, Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.data import Recorded
@@ -35,7 +37,7 @@ from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import names_of
-from jaxunshear.storage import read_json
+from jaxunshear.storage import Json, read_json
 from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
 from jaxunshear.training.examples import FRAME
 
@@ -126,10 +128,13 @@ def expected_by(model: Path, experiment: Experiment) -> Expected:
     return expected_of(place, paired.preprocess.size)
 
 
-def _forward(nets: dict[str, Any], targets: dict[str, Any], recorded_too: bool, variables: Any, seen: Any) -> Any:
+Answered = tuple[Array | None, dict[str, dict[str, Array]]]
+
+
+def _forward(nets: Json, targets: Json, recorded_too: bool, variables: Variables, seen: Array) -> Answered:
     """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
 
-    def pose(name: str, given: Any) -> Any:
+    def pose(name: str, given: Array) -> dict[str, Array]:
         return posenet.pose_from_outputs(predict(nets[name], variables[name], given), targets[name])
 
     after = unshear(nets[DISENTANGLED], variables[DISENTANGLED], seen) if DISENTANGLED in nets else None
@@ -154,7 +159,7 @@ def _in_order(poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]) -
 
 def _of_pins(
     experiment: Experiment,
-    run: Any,
+    run: Callable[..., Tree],
     names: tuple[str, ...],
     frame: Frame,
     rest: np.ndarray | None,

@@ -9,7 +9,6 @@ Ways have the same names whether a run's networks read images or pins, which are
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial, reduce
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -21,6 +20,7 @@ from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import followed, motions_of
 from jaxunshear.model import pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.model.parts import Net, Tree, Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
@@ -54,7 +54,7 @@ Perceive = Callable[
 ]  # NaN where pins are needed and not identified for sure
 # (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each
 # (B,); of networks over pins both are pins (B, P, 2) px
-Forward = Callable[[Mapping[str, Any], Array], tuple[Array, dict[str, Array]]]
+Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
 BATCH = 32
 # images (N, S, S) uint8 of {0, 255} -> (N, P, 2) px, motions of the unsheared pins; NaN rows where pins are not identified for sure
 Unshear = Callable[[np.ndarray], np.ndarray]
@@ -104,7 +104,7 @@ def unshearers(model: Path, experiment: Experiment, names: tuple[str, ...]) -> d
     return {name: unshearer(model / name, lattice) for name in names}
 
 
-def in_batches(run: Callable[[np.ndarray], Any], given: np.ndarray, at_once: int = BATCH) -> Any:
+def in_batches(run: Callable[[np.ndarray], Tree], given: np.ndarray, at_once: int = BATCH) -> Tree:
     """`run` of any number of images or pins, (N, ...), in batches of one shape to compile; what it gives are arrays (B, ...), or a tree
     of them."""
     parts = []
@@ -116,12 +116,12 @@ def in_batches(run: Callable[[np.ndarray], Any], given: np.ndarray, at_once: int
 
 
 def forward_of(
-    nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32", by_head: bool = False
+    nets: Mapping[str, Net], targets: Mapping[str, Targets], precision: str = "float32", by_head: bool = False
 ) -> Forward:
     """Of networks by name, in the order in which they run; `targets` by network. With `by_head` the answer of the head of a network
     that unshears counts, too: alone, or in a mean with PoseNet's."""
 
-    def forward(variables: Mapping[str, Any], given: Array) -> tuple[Array, dict[str, Array]]:
+    def forward(variables: Variables, given: Array) -> tuple[Array, dict[str, Array]]:
         seen, answers = _unit(given) if given.dtype == np.uint8 else given, []
         known: Targets = ()
         for name, net in nets.items():
@@ -133,7 +133,9 @@ def forward_of(
             if by_head:
                 known = targets[name]
                 z_p = unshearnet.encode_pose(net, variables[name], given)
-                outputs = pose_head.predict(pose_head.of(variables[name]), z_p)
+                head = pose_head.of(variables[name])
+                assert head is not None  # see `load_forward`
+                outputs = pose_head.predict(head, z_p)
                 answers.append(posenet.pose_from_outputs(outputs, known))
             seen = unshear(net, variables[name], given)
         return seen, reduce(partial(posenet.mean_pose, targets=known), answers)
@@ -141,7 +143,7 @@ def forward_of(
     return forward
 
 
-def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[Forward, Any, Targets]:
+def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[Forward, Variables, Targets]:
     """A way of looking, its networks' variables and the poses that it reads, from the folder of a run. Raises `UserError`."""
     names = WAYS[way]
     for name in names:
@@ -183,14 +185,14 @@ def _see_of(experiment: Experiment) -> See:
 
 def _of_images(folder: Path, lattice: Lattice) -> Unshear:
     check_finished(folder)
-    net: Any = read_net(folder)
+    net = read_net(folder)
     run = ready(lambda known, images: unshear(net, known, _unit(images))[..., 0], load_best(folder))
     return lambda images: motions_of(lattice, in_batches(run, images))
 
 
 def _of_pins(folder: Path, lattice: Lattice) -> Unshear:
     check_finished(folder)
-    net: Any = read_net(folder)
+    net = read_net(folder)
     run = ready(lambda known, pins: unshear(net, known, pins), load_best(folder))
 
     def motions(images: np.ndarray) -> np.ndarray:
@@ -206,7 +208,7 @@ def _perception(model: Path, see: See, way: str) -> Perceive:
     if not {"edge_mm", "edge_deg"} <= set(names_of(targets)):
         raise UserError(f"{model} reads {', '.join(names_of(targets))}: an edge is followed by edge_mm and edge_deg")
 
-    def edge(variables: Mapping[str, Any], given: Array) -> tuple[Array, Array]:
+    def edge(variables: Variables, given: Array) -> tuple[Array, Array]:
         _, pose = forward(variables, given)
         return pose["edge_mm"], pose["edge_deg"]
 

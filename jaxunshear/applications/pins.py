@@ -6,7 +6,6 @@ Images in; `pins.npz` (places and motions by identity) and `pins.csv` (a line an
 import io
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from jaxunshear.image.track import Track
 from jaxunshear.image.tracking import follow_all
 from jaxunshear.progress import Progress
 from jaxunshear.settings.image import Preprocess
-from jaxunshear.storage import csv_text, write_bytes, write_text
+from jaxunshear.storage import Json, csv_text, write_bytes, write_text
 
 LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
 DRAWN = 12
@@ -41,7 +40,7 @@ def prepared_size(path: Path) -> int:
 
 def pins_of_recordings(
     path: Path, lattice: Lattice | Layout, preprocess: Preprocess, out: Path, rest: Path | None = None
-) -> tuple[dict[str, Any], Lattice, Shown]:
+) -> tuple[Json, Lattice, Shown]:
     """What was measured, the untouched pins, and some images to draw; writes `pins.npz` and `pins.csv` to `out`.
 
     Rows by image: `name`, `matched` pins (0 where identities are not sure), `sure`, `doubt`, `missed`, `extra`.
@@ -107,7 +106,7 @@ def _found(recordings: Recordings, view: View) -> tuple[list[Found], list[str], 
     return found, names, drawn, spent
 
 
-def _row(name: str, track: Track) -> dict[str, Any]:
+def _row(name: str, track: Track) -> Json:
     finite = np.isfinite(track.doubt)
     return {
         "name": name,
@@ -120,7 +119,7 @@ def _row(name: str, track: Track) -> dict[str, Any]:
     }
 
 
-def summary(measured: dict[str, Any]) -> str:
+def summary(measured: Json) -> str:
     """What a person wants to know at once."""
     rows, pins = measured["rows"], measured["pins"]
     sure = [row for row in rows if row["sure"]]

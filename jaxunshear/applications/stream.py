@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import NamedTuple, TextIO
 
 import jax
 import jax.numpy as jnp
@@ -27,13 +27,14 @@ from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
 from jaxunshear.image.understood import Expected, plausibility
 from jaxunshear.metrics import pose_errors
+from jaxunshear.model.parts import Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import names_of
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import Json, write_bytes
 
 FAST = 1  # zlib's level: a frame has milliseconds
 Step = Callable[[np.ndarray], tuple[np.ndarray | None, dict[str, float], float]]
@@ -95,11 +96,11 @@ def step_of(model: Path, experiment: Experiment, precision: str = "float32", way
     return step
 
 
-def perceive_of(forward: Forward, names: tuple[str, ...]) -> Callable[[Any, Array], tuple[Array, Array]]:
+def perceive_of(forward: Forward, names: tuple[str, ...]) -> Callable[[Variables, Array], tuple[Array, Array]]:
     """The function (variables, image (S, S) uint8) -> what PoseNet sees (S, S) and, as one array for one way back to the host,
     the quantities of the pose and the confidence."""
 
-    def perceive(variables: Any, image: Array) -> tuple[Array, Array]:
+    def perceive(variables: Variables, image: Array) -> tuple[Array, Array]:
         seen, pose = forward(variables, image[None])
         return seen[0, ..., 0], jnp.stack([*(pose[name][0] for name in names), confidence(seen[0])])
 
@@ -135,7 +136,7 @@ def stream(
     images: Path | None,
     inline: bool,
     truth: Truth | None = None,
-) -> dict[str, Any]:
+) -> Json:
     """Writes a line for each frame to `out`, and returns a summary: frames used, skipped and dropped, latencies.
 
     `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. With `truth`
@@ -149,7 +150,7 @@ def stream(
             came = time.perf_counter()
             found.missed += frame.number - found.last - 1
             found.last = frame.number
-            line: dict[str, Any] = {"frame": frame.number, "name": frame.name}
+            line: Json = {"frame": frame.number, "name": frame.name}
             try:
                 after, pose, sure, spent = _answer(robot, frame, seen)
             except UserError as error:
@@ -193,7 +194,7 @@ def _answer(
     return after, pose, sure, answered - asked
 
 
-def _summary(found: _Found, live: bool, began: float) -> dict[str, Any]:
+def _summary(found: _Found, live: bool, began: float) -> Json:
     used = len(found.total_ms)
     return {
         "frames": used + found.skipped + found.missed,
@@ -247,7 +248,7 @@ def _spread(values: list[float]) -> dict[str, float] | None:
     return {f"p{q}": float(np.percentile(values, q)) for q in (50, 95, 99)} if values else None
 
 
-def _write(out: TextIO, line: dict[str, Any]) -> None:
+def _write(out: TextIO, line: Json) -> None:
     out.write(json.dumps(line) + "\n")
     out.flush()
 

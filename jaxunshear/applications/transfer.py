@@ -1,7 +1,7 @@
 """Networks that learnt in simulation, scored on recordings of an edge: from simulation to skin.
 
 >>> results = score_transfer(experiment, Path("weights"), Path("recordings"), command)
->>> results["pose_mae"]["unsheared"]["Rz_deg"]
+>>> results.pose_mae["unsheared"]["Rz_deg"]
 
 What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, show how
 it goes with the labels: a sign and an offset each. The other half is scored, and every slide; nothing is fitted to slides.
@@ -11,8 +11,9 @@ in common with the networks, and with the simulator that they learnt in.
 """
 
 import time
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,9 +30,10 @@ from jaxunshear.image.understood import ENOUGH, plausibility
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.metrics.pose import pose_errors
 from jaxunshear.progress import Progress
+from jaxunshear.results.run import Counts, Results
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
-from jaxunshear.settings.targets import RECORDED, STILL, names_of, of_labels
+from jaxunshear.settings.targets import RECORDED, STILL, Target, names_of, of_labels
 
 BATCH = 32
 SEED = 0  # of the taps that show how readings and labels go together
@@ -49,7 +51,7 @@ class Aligned(NamedTuple):
         return self.sign * poses[self.reads] + self.offset
 
 
-def score_transfer(experiment: Experiment, model: Path, recordings: Path, command: str) -> dict[str, Any]:
+def score_transfer(experiment: Experiment, model: Path, recordings: Path, command: str) -> Results:
     """Results in the names of results.json. Raises UserError where the recordings hold no labelled taps and slides of one edge."""
     started = time.perf_counter()
     paired, _ = simulated_of(experiment, "this")
@@ -77,34 +79,33 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
     }
     mae = {way: _errors(aligned, poses, labels) for way, (poses, labels) in ways.items()}
     unread = [int(np.isnan(next(iter(of[AS_RECORDED].values()))).sum()) for of in (of_taps, of_slides)]
-    results = {
-        "experiment": experiment.name,
-        "trained_in": model.name,
-        "metric": {
+    results = Results(
+        experiment=experiment.name,
+        trained_in=model.name,
+        metric={
             "pose_mae": "mean absolute error of a PoseNet that learnt from simulated taps, sign and offset of each reading by half of the "
             "recorded taps",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
             "readers": "mean absolute error of a kernel ridge that learnt from the pins of half of the recorded taps",
         },
-        "targets": [{"name": name} for name in aligned],
-        "aligned": {name: each._asdict() for name, each in aligned.items()},
-        "pose_mae": mae,
-        "pose_recovery": {"unsheared": _recovery(mae)},
-        "readers": _score_reader(tuple(aligned), known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
-        "counts": {
-            "told_taps": int(known_half.sum()),
-            "test_taps": int((~known_half).sum()),
-            "test_poses": len(slides.files),
-            "unread_taps": unread[0],
-            "test_unsure": unread[1],
-        },
-        "tests": {},
-        "ms_per_image": {},
-        "time_s": {"evaluate": time.perf_counter() - started},
-        "machine": machine(),
-        "versions": versions(),
-        "command": command,
-    }
+        settings=asdict(experiment),
+        pin_error={},
+        targets=tuple(Target(name, *RECORDED[name]) for name in aligned),
+        pose_mae=mae,
+        pose_recovery={"unsheared": _recovery(mae)},
+        readers=_score_reader(tuple(aligned), known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
+        counts=Counts(
+            told_taps=int(known_half.sum()),
+            test_taps=int((~known_half).sum()),
+            test_poses=len(slides.files),
+            unread_taps=unread[0],
+            test_unsure=unread[1],
+        ),
+        time_s={"evaluate": time.perf_counter() - started},
+        machine=machine(),
+        versions=versions(),
+        command=command,
+    )
     return rounded(results)
 
 

@@ -1,14 +1,13 @@
 """What walks around an object are worth: how much of the outline, how close to it, how they ended."""
 
-from typing import Any
-
 import numpy as np
 
 from jaxunshear.applications.contour import Outline, off
 from jaxunshear.applications.servo import CLOSED, ENDS, LATE, Walks
+from jaxunshear.storage import Json
 
 
-def walk_rows(walks: Walks, line: Outline, stimulus: str) -> list[dict[str, Any]]:
+def walk_rows(walks: Walks, line: Outline, stimulus: str) -> list[Json]:
     """A row for each way of perceiving: means over its walks, distances over all of their steps.
 
     `mean_mm`, `p95_mm` and `largest_mm`: of the trajectory, which the controller holds to the edge, from the outline; `walk_mm` its

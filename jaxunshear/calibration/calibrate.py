@@ -9,7 +9,6 @@ Domes are kept in the cache, so that a second calibration of the same sensor tak
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.scene.stimuli import ABS_FRICTION
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import SENSORS, Sensor
-from jaxunshear.storage import write_bytes, write_json, write_text
+from jaxunshear.storage import Json, write_bytes, write_json, write_text
 
 IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter
 FIRST_OF = 3  # images, of which the first fit takes one
@@ -57,7 +56,7 @@ def calibrate(
     images: int = IMAGES,
     seed: int = 0,
     log: Log = print,
-) -> dict[str, Any]:
+) -> Json:
     """Fits camera, pins, friction and stiffness to the recordings at `path`; see `docs/calibration.md` for what they can determine.
 
     With `out`, writes calibration.json, calibration.txt and calibration.png there; the picture shows recorded images, so it is
@@ -88,7 +87,7 @@ def calibrate(
     for where, tips in (("the images before, left out", tips_before), ("the images after, left out", tips_after)):
         lost[where] = sum(int((~converged).sum()) for _, converged in tips)
     notes += _reported(held, fitted, lost)
-    results: dict[str, Any] = {
+    results: Json = {
         "rows": rows_of(reported),
         "parameters": parameters,
         "preset": _preset(after_sensor, after),
@@ -208,7 +207,7 @@ def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: 
 
 def _parameters(
     start: Values, fitted: Fitted, sensor: Sensor, radius: tuple[float, float, float], held: Collection[str]
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Rows; `low` and `high` are None for what was not fitted, `determined` says whether the images determine it."""
     rows = []
     low: float | None
@@ -235,7 +234,7 @@ def _with_scale(radius: tuple[float, float, float], fitted: Fitted) -> tuple[flo
     return best, best - half, best + half
 
 
-def _preset(sensor: Sensor, values: Values) -> dict[str, Any]:
+def _preset(sensor: Sensor, values: Values) -> Json:
     """Fields of `Sensor` and `Camera` and the friction, as they would be written into a preset."""
     camera = asdict(values.camera(Camera().frame_px))
     return {"sensor": asdict(sensor), "camera": camera, "friction": values.friction}

@@ -6,13 +6,12 @@ with_value(known, "friction", 0.3).friction  # 0.3
 
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.calibration.prediction import Values, skin_to_gel
 from jaxunshear.errors import UserError
 from jaxunshear.settings.image import FITTED_CAMERA, Camera
 from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
-from jaxunshear.storage import read_json
+from jaxunshear.storage import Json, read_json
 
 
 @dataclass(frozen=True)
@@ -34,7 +33,7 @@ class Calibrated:
         )
 
     @property
-    def preset(self) -> dict[str, Any]:
+    def preset(self) -> Json:
         """Fields of `Sensor` and `Camera` and the friction, as `read_calibration` reads them."""
         return {"sensor": asdict(self.sensor), "camera": asdict(self.camera), "friction": self.friction}
 
@@ -70,7 +69,7 @@ def with_value(known: Calibrated, name: str, value: float) -> Calibrated:
         return replace(known, friction=value)
     if name == "skin_to_gel":
         return replace(known, sensor=replace(known.sensor, gel_modulus_mpa=known.sensor.skin_modulus_mpa / value))
-    changed: dict[str, Any] = {name: value}
+    changed: Json = {name: value}
     if hasattr(known.sensor, name):
         return replace(known, sensor=replace(known.sensor, **changed))
     return replace(known, camera=replace(known.camera, **changed))

@@ -1,7 +1,7 @@
 """What a refit changed, and what each change alone gains on contacts that it never saw."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxunshear.calibration.calibrated import Calibrated, value_of, with_value
 from jaxunshear.calibration.folders import Aligned, Folder, align, compare, frame_names
@@ -10,6 +10,7 @@ from jaxunshear.calibration.labels import Frame
 from jaxunshear.calibration.refit import UNITS, Point, refit, slopes_of
 from jaxunshear.calibration.validation import Compared, Row, rows_of
 from jaxunshear.progress import Progress
+from jaxunshear.storage import Json
 
 KINDS = ("tap", "slide")
 
@@ -65,7 +66,7 @@ def gains_table(rows: list[Row]) -> str:
     from jaxunshear.table import plain_table
 
     known = {str(row["name"]): row["value"] for row in rows}
-    lines: list[dict[str, Any]] = []
+    lines: list[Json] = []
     for name in (*UNITS, "frame", "all"):
         line = {"changed": name, "before": known.get(f"before.{name}"), "after": known.get(f"after.{name}")}
         reported = {f"r2 gained, {kind}s": known.get(f"gain.r2.{kind}.{name}") for kind in KINDS}

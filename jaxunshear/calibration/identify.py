@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ from jaxunshear.contact.level import Level
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import Json, write_bytes
 
 KNOTS = (3.0, 10.0, 30.0)  # skin:gel ratios at which the compliance is computed
 BOUNDS = np.log([[0.05, 3.0], [KNOTS[0], KNOTS[-1]]])
@@ -130,7 +130,7 @@ def _descent(tried: list[np.ndarray], losses: list[float], begin: float) -> Desc
 METHODS: dict[str, Callable[..., Descent]] = {"L-BFGS-B": lbfgs, "Gauss-Newton": gauss_newton}
 
 
-def determines(slopes: np.ndarray, group: np.ndarray, noise_mm: float) -> list[dict[str, Any]]:
+def determines(slopes: np.ndarray, group: np.ndarray, noise_mm: float) -> list[Json]:
     """What each group of scenes determines, from the Jacobian (B, P, 2, 2) by log(friction) and log(ratio).
 
     `*_mm`: rms motion of a pin in x and y per factor e. Singular values are over the noise: how many standard deviations all pins
@@ -172,7 +172,7 @@ def run(
     truth_level: str | Level = "reference",
     starts: tuple[tuple[float, float], ...] = STARTS,
     grid: int = 8,
-) -> dict[str, Any]:
+) -> Json:
     """The experiment: `rows` of kind "determines", "fit" and "step" (of a fit), and `text`; the figure identify.svg in `out`."""
     paths, group = scenes(friction)
     steps = 2 + len(starts) * len(METHODS) + (grid if out is not None else 0)
@@ -210,8 +210,8 @@ def run(
 
 
 def _fit_row(
-    name: str, start: tuple[float, float], fit: Descent, truth: np.ndarray, reported: dict[str, Any], model_mm: float
-) -> dict[str, Any]:
+    name: str, start: tuple[float, float], fit: Descent, truth: np.ndarray, reported: Json, model_mm: float
+) -> Json:
     """`*_std`: what noise alone would leave; `model_mm`: rms distance of the fit's pins, coarser in increments, nodes and the
     compliance between its knots, from the noiseless ones at the true values."""
     return {
@@ -232,7 +232,7 @@ def _fit_row(
     }
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Json]) -> str:
     """Plain text."""
     lines = [
         "what each kind of motion determines (mm: rms motion of a pin per factor e; std: of the value, both unknown)"

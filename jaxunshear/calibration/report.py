@@ -2,7 +2,6 @@
 
 import io
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -10,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxunshear.calibration.statistics import SLIDE_BINS_MM, Summary
+from jaxunshear.storage import Json
 
 RECORDED, BEFORE, AFTER = "recorded", "simulated, before", "simulated, after"
 COLOURS = {RECORDED: "#1c2330", BEFORE: "#d9822b", AFTER: "#1f6feb"}
@@ -18,7 +18,7 @@ Summaries = dict[str, list[Summary]]
 ByName = dict[str, dict[str, np.ndarray]]
 
 
-def rows_of(summaries: Summaries) -> list[dict[str, Any]]:
+def rows_of(summaries: Summaries) -> list[Json]:
     """A row for each statistic: means over images, and the recorded mean's standard error; None where there are no images."""
     rows = []
     for real, before, after in zip(*(summaries[kind] for kind in (RECORDED, BEFORE, AFTER)), strict=True):
@@ -46,7 +46,7 @@ def _mean_known(values: np.ndarray) -> float:
     return float(known.mean()) if len(known) else float("nan")
 
 
-def table(rows: Sequence[dict[str, Any]], parameters: Sequence[dict[str, Any]]) -> str:
+def table(rows: Sequence[Json], parameters: Sequence[Json]) -> str:
     """The same for people, as text."""
     width = max(len(row["name"]) for row in (*rows, *parameters))
     lines = [f"{'':{width}}  {'recorded':>16}  {'before':>9}  {'after':>9}"]
@@ -70,7 +70,7 @@ def _number(value: float | None) -> str:
     return f"{value:9.4g}" if value is not None else f"{'':9}"
 
 
-def _unit(row: dict[str, Any]) -> str:
+def _unit(row: Json) -> str:
     return "" if row["unit"] == "1" else row["unit"]
 
 

@@ -6,7 +6,6 @@ results["rows"]  # [{"name": "r2.tap", "unit": "1", "value": 0.71, "contacts": 3
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.calibration.calibrate import IMAGES
 from jaxunshear.calibration.calibrated import SHIPPED, Calibrated
@@ -17,7 +16,7 @@ from jaxunshear.calibration.labels import Frame
 from jaxunshear.calibration.sampling import sample
 from jaxunshear.calibration.validation import Row, rows_of
 from jaxunshear.errors import UserError
-from jaxunshear.storage import write_bytes, write_json, write_text
+from jaxunshear.storage import Json, write_bytes, write_json, write_text
 
 EACH = 400  # contacts of a folder
 FITTED_TO = (
@@ -42,7 +41,7 @@ def validate(
     log: Log = print,
     as_labelled: bool = False,
     refit: Path | None = None,
-) -> dict[str, Any]:
+) -> Json:
     """Compares `each` contacts of every folder at `path` (None: all), drawn at random, that the calibration has not seen.
 
     `as_labelled`: with edge and tilt of the object where the labels have them. `refit`: a file for the calibration, refitted pin by pin
@@ -91,11 +90,11 @@ def validate(
     return {"rows": rows + gained, "notes": notes, "left_out": left_out}
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Json]) -> str:
     """A line for taps, slides and each part of them."""
     from jaxunshear.table import plain_table
 
-    lines: dict[str, dict[str, Any]] = {}
+    lines: dict[str, Json] = {}
     for row in rows:
         measure, _, part = row["name"].partition(".")
         lines.setdefault(part, {"contacts of": part, "contacts": row["contacts"]})[measure] = row["value"]

@@ -2,21 +2,23 @@
 
 import io
 from collections.abc import Sequence
-from typing import Any
+from functools import partial
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxunshear.checks.bench_sim import OWN
 from jaxunshear.checks.paper import KINDS
+from jaxunshear.storage import Json
 from jaxunshear.style import FAINT, INK, LABEL, STYLE
 
 COLOURS = ("#1f6feb", "#d9822b", "#2a9d6f", "#8957e5", "#bf3989", "#57606a", "#9a6700")
 MARKS = "os^Dv<>PX*"
 
 
-def work_precision(rows: Sequence[dict[str, Any]]) -> bytes:
+def work_precision(rows: Sequence[Json]) -> bytes:
     """PNG. Rows without an error to show (the reference itself) and rows that crashed are left out; failures are named below."""
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     with rc_context(STYLE):
@@ -31,7 +33,7 @@ def work_precision(rows: Sequence[dict[str, Any]]) -> bytes:
     return picture.getvalue()
 
 
-def series_of(row: dict[str, Any]) -> str:
+def series_of(row: Json) -> str:
     """What a point is drawn with: rows that differ in one thing make a line."""
     if row["solver"] != OWN:
         return row["solver"]
@@ -41,8 +43,8 @@ def series_of(row: dict[str, Any]) -> str:
     return {"tolerance": "auto: tolerance", "steps": "auto: steps"}.get(changed, row["name"].partition(",")[0])
 
 
-def _panel(axes: Any, rows: list[dict[str, Any]]) -> None:
-    lines: dict[str, list[dict[str, Any]]] = {}
+def _panel(axes: Axes, rows: list[Json]) -> None:
+    lines: dict[str, list[Json]] = {}
     for row in rows:
         if row.get("rms_px", 0) > 0:
             lines.setdefault(series_of(row), []).append(row)
@@ -59,7 +61,9 @@ def _panel(axes: Any, rows: list[dict[str, Any]]) -> None:
     timed = [row["product_ms"] for row in rows if "product_ms" in row]
     if timed:
         product = float(np.median(timed))
-        upper = axes.secondary_xaxis("top", functions=(lambda ratio: ratio * product, lambda ms: ms / product))
+        upper = axes.secondary_xaxis(
+            "top", functions=(partial(np.multiply, product), lambda ms: np.divide(ms, product))
+        )
         upper.set_xlabel("ms a state, here")
     axes.legend(fontsize=LABEL, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3)
     failures = [f"{row['name']}: {row['failed']}" for row in rows if row["failed"]]

@@ -11,7 +11,7 @@ import functools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from types import ModuleType
 
 import jax
 import numpy as np
@@ -21,12 +21,14 @@ from jaxunshear.evaluation.networks import run_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.fast import native
+from jaxunshear.model.parts import Variables
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, POSENET
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 from jaxunshear.training.loop import run_once
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import unshear_task
@@ -39,11 +41,11 @@ WIDTHS = (16, 32, 64, 128, 256)  # the demo's
 class Way:
     """A function of arrays, and its arguments; several cases may hold the same one."""
 
-    def __init__(self, call: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    def __init__(self, call: Callable[..., object], arguments: tuple[object, ...]) -> None:
         self.call, self.arguments = call, arguments
         self.compiled, self.operations = functools.cache(self._compiled), functools.cache(self._operations)
 
-    def _compiled(self) -> tuple[Any, float]:
+    def _compiled(self) -> tuple[Callable[..., object], float]:
         """The program, and the seconds that compiling it took."""
         lowered, started = jax.jit(self.call).lower(*self.arguments), time.perf_counter()
         return lowered.compile(), time.perf_counter() - started
@@ -54,7 +56,7 @@ class Way:
         return float((counted.cost_analysis() or {})["flops"])
 
 
-def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS) -> list[Json]:
     """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises ValueError for a bad size."""
     keep_freed_memory()
     net = UnshearNet(size=size, widths=widths)
@@ -68,8 +70,8 @@ def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int =
     return rows
 
 
-def _measured(full: Way, less: Way, rounds: int) -> dict[str, Any]:
-    works: dict[str, Callable[[], Any]] = {}
+def _measured(full: Way, less: Way, rounds: int) -> Json:
+    works: dict[str, Callable[[], object]] = {}
     found: dict[str, dict[str, float]] = {}
     for kind, way in (("with", full), ("without", less)):
         run, spent = way.compiled()
@@ -86,7 +88,7 @@ def _measured(full: Way, less: Way, rounds: int) -> dict[str, Any]:
     return found | ratios
 
 
-def _run(compiled: Any, arguments: tuple[Any, ...]) -> Any:
+def _run(compiled: Callable[..., object], arguments: tuple[object, ...]) -> object:
     return jax.block_until_ready(compiled(*arguments))
 
 
@@ -108,17 +110,17 @@ def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
     yield _evaluation(net, variables)
 
 
-def _both_decoders(net: UnshearNet, variables: Any, images: jax.Array) -> Any:
+def _both_decoders(net: UnshearNet, variables: Variables, images: jax.Array) -> tuple[jax.Array, jax.Array]:
     z_p, z_s = unshearnet.encode(net, variables, images)
     sheared = unshearnet.decode_sheared(net, variables, z_p, z_s)  # type: ignore[arg-type]
     return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
 
 
-def _fresh(module: Any, net: Any, seed: int) -> Any:
+def _fresh(module: ModuleType, net: object, seed: int) -> Variables:
     return jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(seed))
 
 
-def _fresh_posenet(net: PoseNet, outputs: int) -> Any:
+def _fresh_posenet(net: PoseNet, outputs: int) -> Variables:
     init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
     return init(net, outputs, jax.random.key(2))
 
@@ -131,7 +133,7 @@ def _step(net: UnshearNet, training: Training) -> Way:
     return Way(make_step(task, training, optimiser, jax.random.key(1)), (state, batch))
 
 
-def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
+def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, Way]:
     entangled, pose = replace(net, disentangled=False), PoseNet(size=net.size)
     nets = {ENTANGLED: entangled, DISENTANGLED: net, POSENET: pose}
     targets = of_ranges((), Ranges())
@@ -149,7 +151,7 @@ def _evaluation(net: UnshearNet, variables: Any) -> tuple[str, str, Way, Way]:
     return "evaluation of a batch", "networks that are not asked for", way(tuple(nets)), way((ENTANGLED,))
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Json]) -> str:
     """For people."""
     lines = [f"{'':22} {'left out':35} Mflop with   without  ratio    ms with   without  ratio"]
     for row in rows:

@@ -32,6 +32,7 @@ from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET
 from jaxunshear.settings.targets import names_of
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 from jaxunshear.training.loop import run_once
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import unshear_task
@@ -39,14 +40,14 @@ from jaxunshear.training.tasks import unshear_task
 TRAINED = ((256, 8), (128, 32))  # size in px, batch
 INFERRED = (256, 128)
 ROUNDS = 7
-FROZEN: dict[str, Any] = {"freezing": True}  # PyTorch's weights as constants too
+FROZEN: Json = {"freezing": True}  # PyTorch's weights as constants too
 ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
 ABSENT = "is not installed"  # which is no failure
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
 
 
-def bench_train(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+def bench_train(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[Json]:
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
     plain = size is None and batch is None
     cases = list(TRAINED) if plain else [(128 if size is None else size, 32 if batch is None else batch)]
@@ -55,7 +56,7 @@ def bench_train(size: int | None = None, batch: int | None = None, rounds: int =
     )
 
 
-def bench_infer(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+def bench_infer(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[Json]:
     """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
     cases = [(px, 1 if batch is None else batch) for px in (INFERRED if size is None else (size,))]
     return _measured(
@@ -63,7 +64,7 @@ def bench_infer(size: int | None = None, batch: int | None = None, rounds: int =
     )
 
 
-def bench_stream(size: int | None = None, rounds: int = ROUNDS) -> list[dict[str, Any]]:
+def bench_stream(size: int | None = None, rounds: int = ROUNDS) -> list[Json]:
     """The same of what a robot runs for each frame: encoder, canonical decoder and PoseNet, one image at a time."""
     cases = [(px, 1) for px in (INFERRED if size is None else (size,))]
 
@@ -79,7 +80,7 @@ def _measured(
     sides: Callable[[int, int], Sides],
     operations: Callable[[int], int],
     rounds: int,
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """Rows of all cases; `operations` of the convolutions for one image, of the size in px."""
     keep_freed_memory()
     rows = []
@@ -234,10 +235,10 @@ def _check_cpu(other: str) -> None:
         raise RuntimeError(f"{other} is timed on the CPU alone, and JAX is on {jax.default_backend()}")
 
 
-def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int) -> list[dict[str, Any]]:
+def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int) -> list[Json]:
     """One row a side."""
     ready: dict[str, Work] = {}
-    rows: dict[str, dict[str, Any]] = {}
+    rows: dict[str, Json] = {}
     for name, make in sides:
         rows[name] = {"name": name, "size": size, "batch": batch}
         try:
@@ -282,7 +283,7 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int)
     return list(rows.values())
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
+def table(rows: Sequence[Json]) -> str:
     """For people."""
     lines = [f"{'':22} px   batch  images/s  ms/image     p95  share  compile s"]
     for row in rows:

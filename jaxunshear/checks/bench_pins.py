@@ -7,7 +7,7 @@ many of those have a pin with another one's name.
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -20,13 +20,14 @@ from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import PAIRED, sensor_of
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Nuisance
+from jaxunshear.storage import Json
 
 CONFIGS = ("tiny", "demo", "calibrated")  # of which sensor and camera are taken
 SIZES = (128, 256)
 FRAMES = 400
 
 
-def bench_pins(size: int | None = None, seed: int = 0, frames: int = FRAMES) -> list[dict[str, Any]]:
+def bench_pins(size: int | None = None, seed: int = 0, frames: int = FRAMES) -> list[Json]:
     """Rows of about `frames` taps and as many slides for each sensor; another `seed` gives other contacts."""
     rows = []
     sizes = SIZES if size is None else (size,)
@@ -38,7 +39,7 @@ def bench_pins(size: int | None = None, seed: int = 0, frames: int = FRAMES) -> 
     return rows
 
 
-def _rows(config: str, size: int, seed: int, frames: int) -> list[dict[str, Any]]:
+def _rows(config: str, size: int, seed: int, frames: int) -> list[Json]:
     before = PAIRED[config]
     paired = replace(
         before,
@@ -57,7 +58,7 @@ def _rows(config: str, size: int, seed: int, frames: int) -> list[dict[str, Any]
     ]
 
 
-def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> dict[str, Any]:
+def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> Json:
     """Of images (N, S, S) with true pins (N, P, 2) px: errors of found pins, identities, and milliseconds a frame."""
     found, find_ms = _timed(detect, images)
     tracks, follow_ms = _timed(lambda each: follow_pins(lattice, each), found)
@@ -86,7 +87,11 @@ def compare(lattice: Lattice, images: np.ndarray, true: np.ndarray) -> dict[str,
     }
 
 
-def _timed(work: Callable[[Any], Any], items: Iterable[Any]) -> tuple[list[Any], np.ndarray]:
+Item = TypeVar("Item")
+Answer = TypeVar("Answer")
+
+
+def _timed(work: Callable[[Item], Answer], items: Iterable[Item]) -> tuple[list[Answer], np.ndarray]:
     """Answers, and milliseconds (N,) of each."""
     answers, spent = [], []
     for item in items:

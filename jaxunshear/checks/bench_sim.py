@@ -9,7 +9,6 @@ but with every system set up anew; `ratio` is to a 2048 x 2048 float32 matrix pr
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
@@ -28,6 +27,7 @@ from jaxunshear.errors import UserError, first_line
 from jaxunshear.progress import Progress
 from jaxunshear.settings.reach import RING_MM, ring_spacing
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.storage import Json
 
 OWN = "admm"
 WRONG_PX = 1.0  # rms: a solver that ends further off than this has failed
@@ -120,13 +120,13 @@ def bench_sim(
     sensor: Sensor = TACTIP_331,
     effort: Effort | None = None,
     settings: Sequence[Setting] | None = None,
-    keep: Callable[[list[dict[str, Any]]], None] = lambda rows: None,
-) -> list[dict[str, Any]]:
+    keep: Callable[[list[Json]], None] = lambda rows: None,
+) -> list[Json]:
     """Rows, slides and taps apart; `keep` gets those so far after each. Raises `UserError` for an unknown level."""
     effort = effort or Effort()
     settings = chosen(effort, level, batch) if settings is None else settings
     work = [(setting, kind) for setting in settings for kind in setting.kinds]
-    rows: list[dict[str, Any]] = []
+    rows: list[Json] = []
     with Progress("bench sim", len(work), unit="rows") as progress:
         for setting, kind in work:
             rows.append(measure(sensor, setting, kind, effort))
@@ -135,11 +135,11 @@ def bench_sim(
     return rows
 
 
-def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> dict[str, Any]:
+def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json:
     """One row. A solver that crashes is a row too."""
     scenes = paper_scenes(kind, setting.scenes or effort.timed)
     compared = scenes.take(np.arange(min(effort.compared, len(scenes))))
-    row: dict[str, Any] = {
+    row: Json = {
         "name": setting.name,
         "level": setting.level,
         "kind": kind,
@@ -216,7 +216,7 @@ def _failure(contacts: Contacts, rms_px: float, setting: Setting) -> str:
     return ""
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
+def table(rows: Sequence[Json]) -> str:
     """For people, slides and taps apart."""
     lines = []
     for kind in KINDS:
@@ -231,7 +231,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join([*lines, "", *_verdicts(rows)])
 
 
-def _line(row: dict[str, Any], width: int) -> str:
+def _line(row: Json, width: int) -> str:
     if "ratio" not in row:
         return f"{row['name']:{width}}  FAILED: {row['failed']}"
     note = f"  FAILED: {row['failed']}" if row["failed"] else ""
@@ -244,7 +244,7 @@ def _line(row: dict[str, Any], width: int) -> str:
     )
 
 
-def _verdicts(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
+def _verdicts(rows: Sequence[Json]) -> Iterator[str]:
     """What `auto` at batch 64 gains over the same level with nothing left out, both timed with the same scenes: as is its row among
     the meshes, but for small efforts not that of the batches."""
     for kind in KINDS:

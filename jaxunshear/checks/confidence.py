@@ -7,7 +7,7 @@ rows = measure([observe(group, seed=1) for group in others])  # shares refused o
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -22,6 +22,7 @@ from jaxunshear.image.understood import ALLOWED, ENOUGH, Expected, Seen, differe
 from jaxunshear.progress import Progress
 from jaxunshear.settings.image import Camera, Preprocess
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
+from jaxunshear.storage import Json
 
 SIZE = 128
 COUNT = 100  # images of a group
@@ -30,7 +31,7 @@ STRICT = 3e-4  # of the penalty on weights, without which kinds that differ at a
 SURE = 1.96  # standard deviations: intervals of 95 %
 
 
-def bench(folders: Sequence[Path], seed: int) -> list[dict[str, Any]]:
+def bench(folders: Sequence[Path], seed: int) -> list[Json]:
     """Rows of `measure` for simulated sensors and for recordings in `folders`. Raises UserError."""
     groups = [simulated(sensor, Camera(), COUNT, seed) for sensor in (TACTIP_331, TACTIP_127)]
     groups += [recorded(folder, COUNT, seed) for folder in folders]
@@ -121,7 +122,7 @@ def _squares(seen: list[Seen], expected: Expected) -> np.ndarray:
     return np.array([[each[name] / ALLOWED[name] for name in ALLOWED] for each in off]).reshape(-1, len(ALLOWED)) ** 2
 
 
-def measure(observed: list[Observed]) -> list[dict[str, Any]]:
+def measure(observed: list[Observed]) -> list[Json]:
     """Rows of each group, then of each kind of stranger over all groups, then of all."""
     known = [_scores(each.known, each.expected) for each in observed]
     rows = [_row(each.name, "refused", scores < ENOUGH) for each, scores in zip(observed, known, strict=True)]
@@ -141,7 +142,7 @@ def _scores(seen: list[Seen], expected: Expected) -> np.ndarray:
     return np.array([score(each, expected) for each in seen])
 
 
-def _row(name: str, what: str, wrong: np.ndarray) -> dict[str, Any]:
+def _row(name: str, what: str, wrong: np.ndarray) -> Json:
     low, high = wilson(int(np.sum(wrong)), len(wrong))
     return {"name": name, "images": len(wrong), what: float(np.mean(wrong)), "low": low, "high": high}
 

@@ -9,7 +9,7 @@ import functools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -17,10 +17,12 @@ import numpy as np
 from jaxunshear.checks.network_images import Batch
 from jaxunshear.checks.stability_networks import Found
 from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.model.parts import Variables
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.loop import run_once
@@ -37,7 +39,7 @@ class Programs(NamedTuple):
 
     state: State
     step: Callable[..., tuple[State, dict[str, jax.Array]]]
-    infer: Callable[[Any, Any], dict[str, jax.Array]]
+    infer: Callable[..., dict[str, jax.Array]]
 
 
 def task_of(net: Net, training: Training) -> Task:
@@ -46,7 +48,7 @@ def task_of(net: Net, training: Training) -> Task:
 
 def programs(net: Net, training: Training) -> Programs:
     """Those of `net`; trainings that differ in learning rate and (positive) patch weight share them. Raises `UserError`."""
-    same: dict[str, Any] = {
+    same: Json = {
         "learning_rate": 1.0,
         "patch_weight": float(training.patch_weight > 0),
         "schedule": "steps",
@@ -59,7 +61,7 @@ def programs(net: Net, training: Training) -> Programs:
 def _programs(net: Net, training: Training) -> Programs:
     task = task_of(net, training)
 
-    def step(state: State, batch: Batch, rate: Any, weight: Any) -> tuple[State, dict[str, jax.Array]]:
+    def step(state: State, batch: Batch, rate: float, weight: float) -> tuple[State, dict[str, jax.Array]]:
         weighed = replace(task, weights=task.weights | {"patch": weight})
         optimiser = optimiser_of(replace(training, learning_rate=rate), STEPS, 1)
         return make_step(weighed, training, optimiser, jax.random.key(1))(state, batch)
@@ -88,7 +90,7 @@ def walk(net: Net, training: Training, make: Callable[[int], Batch], folder: Pat
     return found_of(net, arrays, variables, steps, last)
 
 
-def found_of(net: Net, arrays: dict[str, Any], variables: Any, steps: int, last: dict[str, float]) -> Found:
+def found_of(net: Net, arrays: Json, variables: Variables, steps: int, last: dict[str, float]) -> Found:
     loss = last["pose" if isinstance(net, PoseNet) else "supervised"]
     note = "" if last["gradient"] else "the gradient is 0: all is saturated, and nothing more is learnt"
     if last["regularisation"] > loss:
@@ -102,7 +104,7 @@ def images_of(batch: Batch) -> np.ndarray:
     return batch["image" if "image" in batch else "sheared"]
 
 
-def infer(net: Net, variables: Any, images: Any) -> dict[str, Any]:
+def infer(net: Net, variables: Variables, images: jax.Array) -> dict[str, jax.Array]:
     """Images (B, S, S, 1) in [0, 1] -> all that the network infers from them, each (B, ...)."""
     if isinstance(net, PoseNet):
         outputs = posenet.predict(net, variables, images)
@@ -116,7 +118,7 @@ def infer(net: Net, variables: Any, images: Any) -> dict[str, Any]:
     return reported
 
 
-def _parts(net: Net, variables: Any) -> str:
+def _parts(net: Net, variables: Variables) -> str:
     """What is built though it should not be, or the other way round."""
     if not isinstance(net, UnshearNet):
         return ""

@@ -8,7 +8,6 @@ import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +19,7 @@ from jaxunshear.checks.network_trainings import NET, POSENET, TRAINING, batch_of
 from jaxunshear.checks.stability_networks import Found, NetworkCase
 from jaxunshear.metrics import images as metrics
 from jaxunshear.model import posenet
+from jaxunshear.model.parts import Variables
 from jaxunshear.settings.networks import PoseNet
 from jaxunshear.training import checkpoint, losses
 
@@ -30,7 +30,7 @@ FLOAT64_MOST = 1e-5  # by which any output in [0, 1] may differ between float32 
 EQUAL_SLOPE = 1e-6  # allowed of a gradient that is zero by definition, an image's similarity to itself
 VALUE, CAST = "value and gradient", "parameters, statistics and images cast"
 SIZES = {"ms_ssim": 128, "ssim": 64}
-Metric = Callable[[Any, Any], jax.Array]
+Metric = Callable[..., jax.Array]
 
 
 def value_cases() -> Iterator[NetworkCase]:
@@ -41,7 +41,7 @@ def value_cases() -> Iterator[NetworkCase]:
         yield from _inference(net)
 
 
-def _case(name: str, line: str, find: Callable[..., Found], *given: Any, **more: Any) -> NetworkCase:
+def _case(name: str, line: str, find: Callable[..., Found], *given: object, **more: object) -> NetworkCase:
     return NetworkCase(f"network {name}", lambda folder: find(*given, **more), line)
 
 
@@ -98,7 +98,7 @@ def _saturated(net: Net) -> Found:
     return Found({"terms": terms, "state": after, "answers": reported}, wrong=wrong, loss=loss, gradient=gradient)
 
 
-def _loud(layer: Any) -> Any:
+def _loud(layer: Variables) -> Variables:
     return jax.tree.map(lambda leaf: 1e8 * leaf, layer)
 
 
@@ -156,7 +156,7 @@ def _score_nan(metric: Metric, a: np.ndarray, b: np.ndarray) -> Found:
 
 
 @functools.cache
-def learnt(net: Net) -> Any:
+def learnt(net: Net) -> Variables:
     """Variables of a short training."""
     with tempfile.TemporaryDirectory() as folder:
         walk(net, replace(TRAINING, learning_rate=1e-2), lambda step: _floats(net, step), Path(folder), LEARNT)
@@ -183,12 +183,12 @@ def _nan_inference(net: Net) -> Found:
     return Found(others, {name: values[1] for name, values in broken.items()}, error=apart, bar=0.0)
 
 
-def _precision(net: Net, kind: Any, bar: float) -> Found:
+def _precision(net: Net, kind: type, bar: float) -> Found:
     """float32 against `kind`, over all outputs in [0, 1]: root mean square for bfloat16, the largest for float64."""
     images = images_of(_floats(net, UNSEEN))
     names = ("outputs",) if isinstance(net, PoseNet) else ("unsheared", "sheared")
 
-    def reported(kind: Any) -> dict[str, np.ndarray]:
+    def reported(kind: type) -> dict[str, np.ndarray]:
         cast = jax.tree.map(lambda leaf: jnp.asarray(leaf, kind), (learnt(net), images))
         found = jax.jit(lambda variables, images: infer(net, variables, images))(*cast)
         return {name: np.asarray(found[name], np.float64) for name in names}

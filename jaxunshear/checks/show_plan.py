@@ -6,7 +6,7 @@ print(show_grouping(64).text)
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, YAW, Paths, path_of
 from jaxunshear.scene.stimuli import stimulus_named
 from jaxunshear.settings.sensor import Sensor, sensor_named
+from jaxunshear.storage import Json
 
 REPEATS, BUDGET_S = 3, 2.0  # warm runs: fewer where they take long
 TOGETHER = "all of them"
@@ -39,7 +40,7 @@ WORDS = {
 
 
 class Shown(NamedTuple):
-    rows: list[dict[str, Any]]
+    rows: list[Json]
     text: str
 
 
@@ -110,7 +111,7 @@ def show_grouping(count: int, level: str = "auto", sensor: str = "tactip331") ->
         raise UserError(f"--scenes {count}: show at least 1")
     whose, how = sensor_named(sensor), level_named(level)
     obstacles = sample(tuple(stimulus_named(name) for name in NAMES))
-    rows: list[dict[str, Any]] = []
+    rows: list[Json] = []
     lines = []
     for kind in KINDS:
         work = _Work(whose, NAMES, obstacles, path_of(paper_scenes(kind, count)))
@@ -145,13 +146,13 @@ def show_grouping(count: int, level: str = "auto", sensor: str = "tactip331") ->
     return Shown(rows, "\n".join(lines))
 
 
-def _omissions(work: _Work, level: Level, omissions: Sequence[str], progress: Progress) -> list[dict[str, Any]]:
+def _omissions(work: _Work, level: Level, omissions: Sequence[str], progress: Progress) -> list[Json]:
     """A row each. Switched off one by one; what changes nothing in the plan is not timed."""
     usual_s, usual = _timed(work, level)
     rows = []
     for omission in omissions:
         less = replace(level, omit=() if omission == TOGETHER else tuple(o for o in level.omit if o != omission))
-        row: dict[str, Any] = {"omission": omission, "made": less.omit != level.omit, "matters": False}
+        row: Json = {"omission": omission, "made": less.omit != level.omit, "matters": False}
         if row["made"] and not _same(work.plan(level), work.plan(less)):
             spent, contacts = _timed(work, less)
             error = pin_error(work.sensor, usual.pins, contacts.pins)
@@ -193,7 +194,7 @@ def _contact(touching: bool, friction: bool, tilted: bool) -> str:
     )
 
 
-def _needs(needs: dict[str, Any]) -> list[str]:
+def _needs(needs: Json) -> list[str]:
     return [
         f"  contact     {_contact(needs['touching'], needs['friction'], needs['tilted'])}",
         f"  nodes       {needs['nodes']} of {needs['nodes_of']}",
@@ -205,7 +206,7 @@ def _needs(needs: dict[str, Any]) -> list[str]:
     ]
 
 
-def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
+def _table(rows: Sequence[Json]) -> list[str]:
     lines = [f"{'left out':44}  with, ms  without it   saves   rms px  p95 px  max px   rms mm"]
     for row in rows:
         name = f"{row['omission']}: {WORDS[row['omission']]}"

@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from jaxunshear.contact.level import LEVELS
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
+from jaxunshear.storage import Json
 
 PRECISION_PX = 0.05  # by which float32 and float64, or two ways to the same contact, may differ
 SILENT_PX = 1.0  # an answer that calls itself converged and is further (rms) from the tight one is wrong
@@ -169,7 +169,7 @@ def _refused(case: Case, said: str) -> Row:
     return Row(case.name, REFUSED, True, said=said, scene=case.line)
 
 
-def as_dicts(rows: Sequence[Row | NetworkRow]) -> list[dict[str, Any]]:
+def as_dicts(rows: Sequence[Row | NetworkRow]) -> list[Json]:
     return [asdict(row) for row in rows]
 
 

@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -31,8 +30,8 @@ SAYS_WHERE = ("not finite at step", "batch", "checkpoint")  # in the line of a t
 class Found:
     """What a case measured. `arrays`: trees that must be finite. `shown`: what must hold a NaN, as one came in."""
 
-    arrays: Mapping[str, Any]
-    shown: Mapping[str, Any] = field(default_factory=dict)
+    arrays: Mapping[str, object]
+    shown: Mapping[str, object] = field(default_factory=dict)
     error: float = np.nan  # at most `bar`, where there is one
     bar: float = np.nan
     wrong: str = ""  # what else does not hold
@@ -130,7 +129,7 @@ def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
     return replace(row, outcome=outcome, holds=True, kept=kept)
 
 
-def not_finite(tree: Any) -> list[str]:
+def not_finite(tree: Mapping[str, object]) -> list[str]:
     """Dotted names of the arrays that hold a NaN or an infinity."""
     leaves = jax.tree_util.tree_leaves_with_path(dict(tree))
     broken = [path for path, leaf in leaves if not np.isfinite(np.asarray(leaf, np.float64)).all()]

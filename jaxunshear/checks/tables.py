@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxunshear.storage import Json
+
 WIDTH = 76  # of the problems' column
 
 
@@ -58,7 +60,7 @@ def fit_order(sizes: Iterable[float], errors: Iterable[float]) -> float:
     return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
-def as_dict(row: Row) -> dict[str, Any]:
+def as_dict(row: Row) -> Json:
     """Flat, for a file of results."""
     return {**asdict(row), "holds": row.holds}
 

@@ -9,10 +9,11 @@ gradients of the two together.
 """
 
 from collections.abc import Callable, Iterable
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 from torch import Tensor, nn
 
 from jaxunshear.model.fast.norm import EPSILON
@@ -20,6 +21,7 @@ from jaxunshear.model.layers import MOMENTUM
 from jaxunshear.model.unshearnet import Variables
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 
 
 def _norm(width: int) -> nn.Module:
@@ -73,7 +75,7 @@ class Twin(nn.Module):
             return self.DC(z_p), None
         return self.DC(z_p), self.DS(torch.cat([z_p, self.shear(z)], 1))
 
-    def load(self, variables: dict[str, Any]) -> None:
+    def load(self, variables: Json) -> None:
         """Takes the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
         downs = ("First_0", *(f"Down_{i}" for i in range(len(self.net.widths) - 1)))
@@ -113,32 +115,35 @@ class PoseTwin(nn.Module):
         seen = self.layers(images).permute(0, 2, 3, 1)  # flat in the order of ours
         return torch.sigmoid(self.dense(seen.reshape(len(seen), -1)))
 
-    def load(self, variables: dict[str, Any]) -> None:
+    def load(self, variables: Json) -> None:
         """Takes the values of our variables."""
         params, stats = variables["params"], variables["batch_stats"]
         convolutions = [layer for layer in self.layers if isinstance(layer, nn.Sequential)]
         names = ("First_0", "Down_0", "Same_1", "Same_0", "Same_2")  # Flax counts an outer call before the inner one
         for layer, name in zip(convolutions, names, strict=True):
             _load_layer(layer, params[name], stats[name], False)
-        linear: list[Any] = [self.dense[0], self.dense[2]]
+        linear: list[nn.Module] = [self.dense[0], self.dense[2]]
         for dense, name in zip(linear, ("Dense_0", "Dense_1"), strict=True):
             _set(dense.weight, np.transpose(params[name]["kernel"]))
             _set(dense.bias, params[name]["bias"])
 
 
-def channels_last(twin: Any) -> Any:
+Twinned = TypeVar("Twinned", bound=nn.Module)
+
+
+def channels_last(twin: Twinned) -> Twinned:
     """The layout in which PyTorch's convolutions are fastest on a CPU."""
     return twin.to(memory_format=torch.channels_last)
 
 
 def _load_layers(
-    layers: Iterable[Any], params: Variables, stats: Variables, names: tuple[str, ...], transposed: bool
+    layers: Iterable[nn.Sequential], params: Variables, stats: Variables, names: tuple[str, ...], transposed: bool
 ) -> None:
     for layer, name in zip(layers, names, strict=True):
         _load_layer(layer, params[name], stats[name], transposed)
 
 
-def _load_layer(layer: Any, params: Variables, stats: Variables, transposed: bool) -> None:
+def _load_layer(layer: nn.Sequential, params: Variables, stats: Variables, transposed: bool) -> None:
     kernel = params["kernel"]
     _set(layer[0].weight, _transposed(kernel) if transposed else np.transpose(kernel, (3, 2, 0, 1)))
     _set(layer[1].weight, params["norm"]["scale"])
@@ -147,12 +152,12 @@ def _load_layer(layer: Any, params: Variables, stats: Variables, transposed: boo
     _set(layer[1].running_var, stats["norm"]["var"])
 
 
-def _transposed(kernel: Any) -> np.ndarray:
+def _transposed(kernel: ArrayLike) -> np.ndarray:
     """Flax' transposed convolutions correlate where PyTorch's convolve."""
     return np.transpose(np.asarray(kernel)[::-1, ::-1], (2, 3, 0, 1))
 
 
-def _set(tensor: Tensor, value: Any) -> None:
+def _set(tensor: Tensor, value: ArrayLike) -> None:
     with torch.no_grad():
         tensor.copy_(torch.from_numpy(np.array(value, np.float32)))
 

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import wrap
+from types import ModuleType
 from typing import Any, NoReturn
 
 from jaxunshear import __version__
@@ -35,7 +36,7 @@ from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
 _usual = warnings.formatwarning
 # of all commands but `check`'s
-MODULES: tuple[Any, ...] = (
+MODULES: tuple[ModuleType, ...] = (
     stages,
     report,
     compare,
@@ -107,8 +108,6 @@ def _complain(text: str) -> int:
 class _Parser(argparse.ArgumentParser):
     """Refuses in one line, like everything else."""
 
-    takes_fields = False
-
     def __init__(self, **settings: Any) -> None:
         super().__init__(allow_abbrev=False, **settings)
 
@@ -116,7 +115,7 @@ class _Parser(argparse.ArgumentParser):
         raise UserError(f"{message}; see `{self.prog} --help`")
 
     def format_help(self) -> str:
-        if not self.takes_fields:
+        if not self.get_default("takes_fields"):
             return super().format_help()
         from jaxunshear.settings.fields import field_types  # only for this: help must be quick
 

@@ -2,15 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from jaxunshear.cli.options import add_data, add_json
+from jaxunshear.cli.options import Commands, add_data, add_json
 from jaxunshear.errors import UserError
 
 COMMANDS = ("ablate",)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     text = "show what the decoders make of swapped, blanked, shuffled and foreign codes (the paper's appendix D)"
     parser = commands.add_parser("ablate", help=text, description=text)
     parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")

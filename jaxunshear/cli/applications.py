@@ -3,15 +3,14 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.cli import geometry, pins, reconstruct, servo, stream
-from jaxunshear.cli.options import Model
+from jaxunshear.cli.options import Commands, Model
 from jaxunshear.owners import check_apart
-from jaxunshear.storage import check_new_folder
+from jaxunshear.storage import Json, check_new_folder
 
-WORK: dict[str, Any] = {
+WORK: Json = {
     "pins": pins,
     "geometry": geometry,
     "servo": servo,
@@ -21,7 +20,7 @@ WORK: dict[str, Any] = {
 COMMANDS = tuple(WORK)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     for work in WORK.values():
         work.add_parser(commands)
 

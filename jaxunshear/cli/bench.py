@@ -3,11 +3,11 @@
 import argparse
 from collections.abc import Callable
 from itertools import chain
-from typing import Any
 
 from jaxunshear.errors import UserError
+from jaxunshear.storage import Json
 
-Keep = Callable[[list[dict[str, Any]]], None]
+Keep = Callable[[list[Json]], None]
 OPTIONS: dict[str, tuple[str, ...]] = {
     "sim": ("level", "batch", "out"),
     "train": ("size", "batch"),

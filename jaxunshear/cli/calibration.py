@@ -2,14 +2,15 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from jaxunshear.cli.options import Commands
 from jaxunshear.errors import UserError
+from jaxunshear.storage import Json
 
 COMMANDS = ("calibrate", "validate")
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     """Adds COMMANDS to an argparse subparsers object."""
     text = "fit camera, pins, friction and stiffness to recordings"
     parser = commands.add_parser("calibrate", help=text, description=text)
@@ -53,14 +54,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-def _calibrate(arguments: argparse.Namespace) -> dict[str, Any]:
+def _calibrate(arguments: argparse.Namespace) -> Json:
     from jaxunshear.calibration.calibrate import calibrate
 
     found = calibrate(arguments.recordings, arguments.out)
     return {"rows": found["rows"] + found["parameters"]}
 
 
-def _validate(arguments: argparse.Namespace) -> dict[str, Any]:
+def _validate(arguments: argparse.Namespace) -> Json:
     if arguments.contacts < 0:
         raise UserError(f"--contacts {arguments.contacts}: use 1 or more, or 0 for all")
     if arguments.seed < 0:

@@ -2,14 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from jaxunshear.cli.options import Commands
 from jaxunshear.errors import UserError
 
 COMMANDS = ("sensors", "stimuli")
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     for name in COMMANDS:
         text = f"list or draw the {name}"
         parser = commands.add_parser(name, help=text, description=text)

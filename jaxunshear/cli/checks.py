@@ -4,12 +4,13 @@ import argparse
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.cli import bench
 from jaxunshear.cli.bench import Keep
+from jaxunshear.cli.options import Commands
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
+from jaxunshear.storage import Json
 
 COMMANDS = {
     "verify": "compare the simulator with closed forms, conservation laws and independent solvers",
@@ -18,7 +19,7 @@ COMMANDS = {
     "plan": "show what a contact needs, and what leaving out the rest saves and costs",
     "identify": "find friction and stiffness from simulated pins by gradient descent",
 }
-_CONTACT: dict[str, Any] = {
+_CONTACT: Json = {
     "stimulus": "disk",
     "pose": "0,0,0,3",
     "move": "0,0",
@@ -27,7 +28,7 @@ _CONTACT: dict[str, Any] = {
 }  # of plan
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     """Adds COMMANDS to an argparse subparsers object."""
 
     def command(name: str, out: str | None = None) -> argparse.ArgumentParser:
@@ -100,7 +101,7 @@ RIVALS = {"bench": ("torch",)}  # packages that are timed beside ours
 def _writer(file: Path | None, command: str, rivals: Sequence[str]) -> Keep:
     """Keeps rows in `file`, if there is one; called again it replaces what it wrote."""
 
-    def keep(rows: list[dict[str, Any]]) -> None:
+    def keep(rows: list[Json]) -> None:
         if file is None:
             return
         from jaxunshear.metrics.machine import machine, versions

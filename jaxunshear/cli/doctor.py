@@ -2,14 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from jaxunshear.cli.options import Commands
 from jaxunshear.storage import check_beside
 
 COMMANDS = ("doctor",)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     """Adds the commands of COMMANDS to an argparse subparsers object."""
     text = "say what a folder of recordings is, what is broken in it, and which commands can use it"
     parser = commands.add_parser("doctor", help=text, description=text)

@@ -1,15 +1,13 @@
 """`--help-fields GROUP`: the fields of a group of settings, each with its value, what it takes and what it means."""
 
 import dataclasses
-import typing
 from collections.abc import Iterator
 from textwrap import wrap
-from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.fields import NOT_SET, show
-from jaxunshear.settings.types import choices, describe, groups, hints
+from jaxunshear.settings.types import choices, describe, groups, hints, origin
 
 FLAG = "--help-fields"
 WIDTH = 100
@@ -50,7 +48,7 @@ def _of_kind(kind: type, prefix: str) -> Iterator[str]:
         hint = hints(kind)[field.name]
         if field.name in NOT_SET or (groups(hint) and prefix + field.name != "sensor"):
             continue
-        several = typing.get_origin(hint) is tuple and choices(hint)
+        several = origin(hint) is tuple and choices(hint)
         takes = f"some of {', '.join(several)}" if several else describe(hint)
         yield f"--{prefix}{field.name} {_default(field)}\n" + "\n".join(
             wrap(
@@ -62,7 +60,7 @@ def _of_kind(kind: type, prefix: str) -> Iterator[str]:
         )
 
 
-def _default(field: Any) -> str:
+def _default(field: dataclasses.Field) -> str:
     if field.default is not dataclasses.MISSING:
         return show(field.default)
     return "" if field.default_factory is dataclasses.MISSING else show(field.default_factory())

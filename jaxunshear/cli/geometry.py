@@ -2,16 +2,15 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.cli import options
-from jaxunshear.cli.options import Model, add_model, new_parser
+from jaxunshear.cli.options import Commands, Model, add_model, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import simulated_of
-from jaxunshear.storage import check_beside
+from jaxunshear.storage import Json, check_beside
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(commands: Commands) -> None:
     parser = new_parser(
         commands, "geometry", "contact geometry of taps, sheared and unsheared images", "for the results (geometry)"
     )
@@ -26,7 +25,7 @@ def add_parser(commands: Any) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any]:
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     from jaxunshear.applications.fresh import fresh_contacts, untouched_images
     from jaxunshear.applications.geometry_scores import geometry_of, geometry_rows
     from jaxunshear.applications.geometry_ways import INVERSE, ways_of

@@ -2,11 +2,12 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
 
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # of the command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
 DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones
 KNOWN = 300  # simulated taps that scales are fitted to
@@ -51,7 +52,7 @@ def add_data(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
 
 
-def new_parser(commands: Any, name: str, text: str, out: str) -> argparse.ArgumentParser:
+def new_parser(commands: Commands, name: str, text: str, out: str) -> argparse.ArgumentParser:
     """Of a command with results in a folder and rows in a file."""
     parser = commands.add_parser(name, help=text, description=text)
     parser.add_argument("--out", metavar="DIR", type=Path, help=out)

@@ -2,15 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from jaxunshear.cli.options import Model, new_parser
+from jaxunshear.cli.options import Commands, Model, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import simulated_of
-from jaxunshear.storage import check_beside
+from jaxunshear.storage import Json, check_beside
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(commands: Commands) -> None:
     parser = new_parser(
         commands, "pins", "find, identify and draw the pins of recorded images", "for the results (pins)"
     )
@@ -27,7 +26,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--size", metavar="PX", type=int, help="of the prepared images (theirs, at most 256)")
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> dict[str, Any]:
+def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> Json:
     from dataclasses import replace
 
     from jaxunshear.applications import pins

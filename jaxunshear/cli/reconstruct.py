@@ -5,15 +5,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxunshear.cli import options
-from jaxunshear.cli.options import Model, add_model, add_stimulus, new_parser, stimuli_of
+from jaxunshear.cli.options import Commands, Model, add_model, add_stimulus, new_parser, stimuli_of
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import simulated_of
+from jaxunshear.storage import Json
 
 if TYPE_CHECKING:
     from jaxunshear.applications.servo import Walks
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(commands: Commands) -> None:
     parser = new_parser(
         commands, "reconstruct", "complete objects from the walks that `servo` left", "where they are, and results go"
     )
@@ -21,7 +22,7 @@ def add_parser(commands: Any) -> None:
     add_stimulus(parser)
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any]:
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     from jaxunshear.applications import perception
     from jaxunshear.applications.fresh import fresh_contacts
     from jaxunshear.applications.objects import makers_for, objects_of
@@ -42,7 +43,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any
         lacking = ", ".join(name for name in asked if name not in names)
         raise UserError(f"--stimulus {lacking}: {out} holds no walk of it; run `jaxunshear servo` for it first")
     networks = perception.unshearers(folder, experiment, perception.unshearing_of(folder))
-    rows: list[dict[str, Any]] = []
+    rows: list[Json] = []
     makers: dict[float, Any] = {}  # by depth
     made: dict[tuple[str, ...], str] = {}  # by ways
     for name in names:

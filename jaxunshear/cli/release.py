@@ -2,12 +2,13 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+
+from jaxunshear.cli.options import Commands
 
 COMMANDS = ("release",)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     text = "make weights with a model card of a finished run, for `unshear` and `pose`"
     parser = commands.add_parser("release", help=text, description=text)
     parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/standard")

@@ -2,14 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from jaxunshear.cli.options import Commands
 from jaxunshear.errors import UserError
 
 COMMANDS = ("report",)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     text = "write the HTML page of a finished run"
     parser = commands.add_parser("report", help=text, description=text)
     parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")

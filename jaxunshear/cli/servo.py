@@ -2,14 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from jaxunshear.cli.options import Model, add_model, add_stimulus, new_parser, stimuli_of
+from jaxunshear.cli.options import Commands, Model, add_model, add_stimulus, new_parser, stimuli_of
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import simulated_of
+from jaxunshear.storage import Json
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(commands: Commands) -> None:
     parser = new_parser(
         commands, "servo", "follow the outlines of objects by touch, in the simulator", "for the results (servo)"
     )
@@ -23,7 +23,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the starts (0)")
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any]:
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     from jaxunshear.applications import perception, servo
     from jaxunshear.applications.walk_scores import walk_rows
     from jaxunshear.report.walk_figure import walk_figure
@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any
     chosen = arguments.ways.split(",") if arguments.ways else (perception.TRUE, *perception.ways_of(folder))
     known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
     ways, digests = {way: known.get(way) for way in chosen}, perception.digests(folder, chosen)
-    rows: list[dict[str, Any]] = []
+    rows: list[Json] = []
     for name in names:
         course = servo.Course(name, arguments.starts, arguments.depth, seed=arguments.seed)
         walks, line = servo.follow_contour(course, experiment.sensor, paired, ways, out / f"{name}.npz", digests)

@@ -2,9 +2,9 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from jaxunshear.cli.options import add_data, add_json
+from jaxunshear.cli.options import Commands, add_data, add_json
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 
@@ -26,7 +26,7 @@ OWN_OPTIONS = (
 COMMANDS = tuple(STAGES)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     for name, text in (
         ("run", "all of the next three and the report; continues where a stopped run left off"),
         ("data", "simulate the two data sets"),
@@ -35,7 +35,7 @@ def add_parsers(commands: Any) -> None:
     ):
         usage = f"jaxunshear {name} FILE [options] [--field value ...]"
         command = commands.add_parser(name, help=text, description=text, usage=usage)
-        command.takes_fields = True
+        command.set_defaults(takes_fields=True)
         command.add_argument("file", metavar="FILE", type=Path, help="a Python file, such as experiments/demo.py")
         command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
         add_data(command)
@@ -55,7 +55,7 @@ def add_parsers(commands: Any) -> None:
     command = commands.add_parser(
         "fit", help=text, description=text, usage="jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]"
     )
-    command.takes_fields = True
+    command.set_defaults(takes_fields=True)
     command.add_argument("--taps", metavar="DIR", type=Path, help="recorded taps")
     command.add_argument("--slides", metavar="DIR", type=Path, help="recorded slides")
     command.add_argument(
@@ -100,11 +100,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     keep_freed_memory()
     results = run_stages(experiment, tuple(stages), out=arguments.out, data=arguments.data, command=command)
-    if getattr(arguments, "json", None):
+    if results and getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import measurements
-        from jaxunshear.storage import write_json
+        from jaxunshear.results.stored import write
 
-        write_json(arguments.json, measurements(results))
+        write(arguments.json, measurements(results))
     return 0
 
 
@@ -166,8 +166,8 @@ def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str
     from jaxunshear.applications.transfer import score_transfer
     from jaxunshear.evaluation.measurements import measurements
     from jaxunshear.evaluation.unseen import score_recordings, table
+    from jaxunshear.results.stored import write
     from jaxunshear.settings.experiment import recorded_of
-    from jaxunshear.storage import write_json
 
     if recorded_of(experiment):
         results = score_recordings(experiment, arguments.file, arguments.recordings, arguments.data, command)
@@ -175,4 +175,4 @@ def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str
         results = score_transfer(experiment, arguments.file, arguments.recordings, command)
     print(table(results))
     if arguments.json:
-        write_json(arguments.json, measurements(results))
+        write(arguments.json, measurements(results))

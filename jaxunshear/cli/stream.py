@@ -3,16 +3,15 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import Any
 
-from jaxunshear.cli.options import SKIN, Model, add_like, add_model
+from jaxunshear.cli.options import SKIN, Commands, Model, add_like, add_model
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import check_beside, check_new_file, check_new_folder
+from jaxunshear.storage import Json, check_beside, check_new_file, check_new_folder
 
 
-def add_parser(commands: Any) -> None:
+def add_parser(commands: Commands) -> None:
     text = "perception for a robot: frames in; unsheared image, pose and confidence out, a JSON line each"
     parser = commands.add_parser("stream", help=text, description=text)
     parser.add_argument("source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N")
@@ -35,7 +34,7 @@ def add_parser(commands: Any) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model) -> dict[str, Any]:
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     import contextlib
 
     from jaxunshear.applications.perceiver import frame_for

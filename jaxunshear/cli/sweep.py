@@ -2,8 +2,8 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from jaxunshear.cli.options import Commands
 from jaxunshear.errors import UserError
 
 COMMANDS = ("sweep",)
@@ -24,12 +24,12 @@ OWN_OPTIONS = (
 )
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     """Adds `sweep` to an argparse subparsers object."""
     text = "run an experiment over grids of settings and seeds; continues where a stopped sweep left off"
     usage = "jaxunshear sweep FILE [options] [--field value ...]"
     parser = commands.add_parser("sweep", help=text, description=text, usage=usage)
-    parser.takes_fields = True
+    parser.set_defaults(takes_fields=True)
     parser.add_argument("file", metavar="FILE", type=Path, help="such as experiments/lambda_split.py, or an experiment")
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("runs/sweeps"), help="DIR/<name> (runs/sweeps)")
     parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     check(sweep, str(arguments.file))
 
     from jaxunshear.owners import check_apart
-    from jaxunshear.storage import write_json
+    from jaxunshear.results.stored import write
     from jaxunshear.sweep import engines
     from jaxunshear.sweep.run import run_sweep
     from jaxunshear.sweep.table import table
@@ -89,5 +89,5 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     print(table(summary))
     print(arguments.out / sweep.name / "sweep.json")
     if arguments.json is not None:
-        write_json(arguments.json, summary)
-    return 1 if any(cell["failures"] for cell in summary["cells"]) else 0
+        write(arguments.json, summary)
+    return 1 if any(cell.failures for cell in summary.cells) else 0

@@ -2,14 +2,13 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from jaxunshear.cli.options import SKIN, add_json, add_like, add_model
+from jaxunshear.cli.options import SKIN, Commands, add_json, add_like, add_model
 
 COMMANDS = ("unshear", "pose")
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     for name, text in (
         ("unshear", "take the slide out of recorded images; also predicts their poses"),
         ("pose", "predict the poses of recorded images, as they are and unsheared"),

@@ -97,5 +97,5 @@ def _kept(run: Run, sheared: np.ndarray) -> list[np.ndarray]:
 
 
 def _view(run: Run) -> dict[str, Any]:
-    settings = run.results["settings"]
+    settings = run.results.settings
     return {"sensor": settings["sensor"]} | {name: settings["paired"].get(name) for name in VIEW}

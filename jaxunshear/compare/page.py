@@ -1,17 +1,17 @@
 """The page of a comparison, and its few lines for a terminal."""
 
 from collections.abc import Sequence
-from typing import Any
 
 from markupsafe import Markup
 
 from jaxunshear.compare.contacts import Contacts
 from jaxunshear.compare.curves import curves
-from jaxunshear.compare.figures import Figure, main_figures
+from jaxunshear.compare.figures import Compared, main_figures
 from jaxunshear.compare.runs import OWN, Run
 from jaxunshear.evaluation.score import BASELINES
 from jaxunshear.progress import duration
 from jaxunshear.report import page, pictures, words
+from jaxunshear.results.sweep import Figure
 from jaxunshear.table import plain_table
 
 GROUPS = {  # table of results: heading, lead
@@ -39,7 +39,7 @@ ONE_TRAINING = (
 def document(
     runs: Sequence[Run],
     apart: dict[str, list[str]],
-    every: Sequence[Figure],
+    every: Sequence[Compared],
     shown: Contacts | None,
     notes: Sequence[str],
 ) -> str:
@@ -64,7 +64,7 @@ def _settings(names: Sequence[str], apart: dict[str, list[str]]) -> Markup:
     return page.section("Settings that differ", lead, page.table(["", *names], rows))
 
 
-def _group(runs: Sequence[Run], every: Sequence[Figure], table: str) -> Markup | str:
+def _group(runs: Sequence[Run], every: Sequence[Compared], table: str) -> Markup | str:
     """The figures of one table of results on all contacts, in the order of the kinds that a report has."""
     rows = [figure for figure in every if figure.table == table and _is_chief(figure)]
     if not rows:
@@ -78,12 +78,12 @@ def _group(runs: Sequence[Run], every: Sequence[Figure], table: str) -> Markup |
     return page.section(title, lead, page.table(_head(runs), lines, (), strong))
 
 
-def _is_chief(figure: Figure) -> bool:
+def _is_chief(figure: Compared) -> bool:
     """Whether it has a table of its own."""
     return figure.table in GROUPS and ": " not in figure.name and not set(figure.name.split("/")) & set(FOLDED)
 
 
-def _kind(figure: Figure) -> str:
+def _kind(figure: Compared) -> str:
     return figure.name.split("/")[1]
 
 
@@ -92,7 +92,7 @@ def _head(runs: Sequence[Run]) -> list[str]:
     return ["", *(run.name for run in runs), *less]
 
 
-def _called(first: Run, figure: Figure) -> str:
+def _called(first: Run, figure: Compared) -> str:
     """A row's name in words."""
     _, kind, *column = figure.name.split("/")
     said = "unsheared, by each run's own network" if kind == OWN else _word(first, kind)
@@ -100,25 +100,25 @@ def _called(first: Run, figure: Figure) -> str:
 
 
 def _word(first: Run, kind: str) -> str:
-    known = words.KINDS if words.simulated(first.results) else words.KINDS | words.OF_RECORDINGS
+    known = words.KINDS if first.results.simulated else words.KINDS | words.OF_RECORDINGS
     return known.get(kind, kind)
 
 
-def _cells(figure: Figure) -> list[str]:
+def _cells(figure: Compared) -> list[str]:
     digits = DIGITS.get(figure.table, 3 if figure.name.endswith("_mm") or ": " in figure.name else 2)
-    values = [page.number(None) if of is None else page.spanned(of["mean"], of["interval"], digits) for of in figure.of]
+    values = [page.number(None) if of is None else page.spanned(of.mean, of.interval, digits) for of in figure.of]
     return [*values, *(_less(figure, run, digits) for run in range(1, len(figure.of)))]
 
 
-def _less(figure: Figure, run: int, digits: int) -> str:
+def _less(figure: Compared, run: int, digits: int) -> str:
     """A difference, its interval and its verdict."""
     less = figure.less[run]
     if less is None:
         return page.number(None)
-    if less["mean"] == 0 and less["interval"] in (None, [0, 0]):
+    if less.mean == 0 and less.interval in (None, [0, 0]):
         return "equal"
     colour = {"better": "good", "worse": "bad"}.get(verdict := figure.verdict(run), "soft")
-    return page.difference(page.spanned(less["mean"], less["interval"], digits + 1), verdict, colour)
+    return page.difference(page.spanned(less.mean, less.interval, digits + 1), verdict, colour)
 
 
 def _montage(names: Sequence[str], shown: Contacts) -> Markup:
@@ -154,21 +154,21 @@ def _training(runs: Sequence[Run]) -> Markup:
 
 
 def _ending(run: Run, network: str) -> list[str]:
-    history, ending = run.histories[network], run.endings.get(network, {})
-    machine = ending.get("trained_on") or {}
-    known = [f"{machine[name]}{unit}" for name, unit in (("device", ""), ("cores", " cores")) if name in machine]
-    speed = ending.get("images_per_second")
+    history, ending = run.histories[network], run.endings.get(network)
+    if ending is None:
+        return [f"{history.epoch[-1]:.3g}", *3 * ["\u2013"], duration(history.train_seconds[-1]), "\u2013"]
+    machine = ending.trained_on
     return [
         f"{history.epoch[-1]:.3g}",
-        str(ending.get("steps", "\u2013")),
-        str(ending.get("best_step", "\u2013")),
-        "\u2013" if speed is None else f"{speed:.3g}",
+        str(ending.steps),
+        str(ending.best_step),
+        f"{ending.images_per_second:.3g}",
         duration(history.train_seconds[-1]),
-        ", ".join(known) or "\u2013",
+        f"{machine.device}, {machine.cores} cores" if machine.device else "\u2013",
     ]
 
 
-def _others(runs: Sequence[Run], every: Sequence[Figure]) -> Markup | str:
+def _others(runs: Sequence[Run], every: Sequence[Compared]) -> Markup | str:
     """All that no table above has, folded away, by its name in results and sweeps."""
     rest = [figure for figure in every if not _is_chief(figure)]
     if not rest:
@@ -183,16 +183,16 @@ def _others(runs: Sequence[Run], every: Sequence[Figure]) -> Markup | str:
 def _provenance(runs: Sequence[Run]) -> Markup:
     rows = []
     for run in runs:
-        machine, versions = run.results["machine"], run.results["versions"]
-        said = f"{machine['processor']}, {machine['cores']} cores, {machine['device']}"
+        machine, versions = run.results.machine, run.results.versions
+        said = f"{machine.processor}, {machine.cores} cores, {machine.device}"
         made = [versions.get(package, "\u2013") for package in ("jaxunshear", "jax")]
         rows.append([run.name, str(run.folder), said, *made])
-    commands = "\n".join(f"{run.name}: {run.results['command']}" for run in runs)
+    commands = "\n".join(f"{run.name}: {run.results.command}" for run in runs)
     table = page.table(["run", "folder", "evaluated on", "jaxunshear", "jax"], rows)
     return page.section("Where they are from", "Folders, machines, versions and commands.", table, page.code(commands))
 
 
-def lines(runs: Sequence[Run], apart: dict[str, list[str]], every: Sequence[Figure], notes: Sequence[str]) -> str:
+def lines(runs: Sequence[Run], apart: dict[str, list[str]], every: Sequence[Compared], notes: Sequence[str]) -> str:
     """What fits a terminal: the main figures, and which settings differ."""
     table = [
         {"": figure.name}
@@ -208,8 +208,8 @@ def lines(runs: Sequence[Run], apart: dict[str, list[str]], every: Sequence[Figu
     )
 
 
-def _short(figure: dict[str, Any] | None, sign: str = "") -> str | None:
+def _short(figure: Figure | None, sign: str = "") -> str | None:
     if figure is None:
         return None
-    value = f"{figure['mean']:{sign}.3g}"
-    return f"{value} [{figure['interval'][0]:.3g}, {figure['interval'][1]:.3g}]" if figure["interval"] else value
+    value = f"{figure.mean:{sign}.3g}"
+    return f"{value} [{figure.interval[0]:.3g}, {figure.interval[1]:.3g}]" if figure.interval else value

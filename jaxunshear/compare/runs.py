@@ -9,30 +9,34 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.folders import names_apart
 from jaxunshear.report.history import History, read_history
-from jaxunshear.report.words import over_pins, simulated
+from jaxunshear.report.making import TRAINED
+from jaxunshear.report.words import over_pins
+from jaxunshear.results.rows import Summary
+from jaxunshear.results.run import EVALUATED, Results
+from jaxunshear.results.stored import read
+from jaxunshear.results.sweep import Outcome
 from jaxunshear.settings.configs import differences
 from jaxunshear.settings.data import RENDERED
 from jaxunshear.settings.earlier import LATER, without_later
 from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.storage import read_json, read_json_if_sound
+from jaxunshear.storage import read_json_if_sound
 from jaxunshear.sweep.scores import Measured, read_tests, same_contacts
 
 OWN = "unsheared"  # in the place of a network's name, where runs are about networks of different names
 NAMES = ("name", "claim", "paired.config", "pose.config")  # settings that change no figure
-NEEDED = ("experiment", "settings", "metric", "ms_ssim", "pose_mae", "tests", "machine", "versions", "command")
 
 
 class Run(NamedTuple):
     name: str  # on the page
     folder: Path
-    measured: Measured  # results.json as outcome["results"], and every test contact's scores
+    measured: Measured  # results.json as its outcome's, and every test contact's scores
     histories: dict[str, History]  # by network, of those with a log
-    endings: dict[str, dict[str, Any]]  # by network: summary.json
+    endings: dict[str, Summary]  # by network
     data: str | None  # version of the data set that a network learnt from
 
     @property
-    def results(self) -> dict[str, Any]:
-        return self.measured.outcome["results"]
+    def results(self) -> Results:
+        return self.measured.outcome.evaluated
 
     @property
     def rows(self) -> dict[int, Measured]:
@@ -42,7 +46,7 @@ class Run(NamedTuple):
     @property
     def shown(self) -> str:
         """The network that the run is about; "sheared" where nothing is unsheared."""
-        return shown_kind(self.results["ms_ssim"] or self.results["pose_mae"])
+        return shown_kind(self.results.ms_ssim or self.results.pose_mae)
 
 
 def read_runs(folders: Sequence[Path]) -> list[Run]:
@@ -65,21 +69,17 @@ def _read(name: str, folder: Path) -> Run:
         if (folder / "experiment.json").is_file():
             raise UserError(f"{folder} is not finished, it holds no results.json: run the command that began it again")
         raise UserError(f"{folder} holds no results.json: name the folder of a finished run, such as runs/demo")
-    remedy = "run `jaxunshear evaluate` again"
-    results = read_json(folder / "results.json")
-    lacking = [field for field in NEEDED if not isinstance(results, dict) or field not in results]
-    if lacking:
-        raise UserError(f"{folder / 'results.json'} lacks '{lacking[0]}': {remedy}")
+    results = read(folder / "results.json", Results, EVALUATED)
     logs = {network: read_history(folder / network / "log.jsonl") for network in TRAINABLE}
-    endings = {network: read_json_if_sound(folder / network / "summary.json") for network in logs}
-    models = (read_json_if_sound(folder / network / "model.json") or {} for network in results["settings"]["networks"])
+    endings = {network: folder / network / "summary.json" for network in logs}
+    models = (read_json_if_sound(folder / network / "model.json") or {} for network in results.settings["networks"])
     versions = [(model.get("origin") or {}).get("version") for model in models]
     return Run(
         name,
         folder,
-        Measured({"results": results}, read_tests(folder, remedy)),
+        Measured(Outcome(status="done", reason=None, results=results), read_tests(folder, EVALUATED)),
         {network: log for network, log in logs.items() if log},
-        {network: ending for network, ending in endings.items() if ending},
+        {network: read(path, Summary, TRAINED) for network, path in endings.items() if path.exists()},
         versions[0] if versions else None,
     )
 
@@ -96,8 +96,8 @@ def _with_own(run: Run) -> Measured:
 
 def settings_apart(runs: Sequence[Run]) -> dict[str, list[str]]:
     """By dotted name of each setting that is not the same in all runs: its value in each."""
-    held = [run.results["settings"] for run in runs]
-    plain = [without_later(settings) for settings in held]
+    held = [run.results.settings for run in runs]
+    plain = [without_later(dict(settings)) for settings in held]
     names = dict.fromkeys(name for other in plain[1:] for name in differences(plain[0], other))
     return {name: [_value(settings, name) for settings in held] for name in sorted(names) if name not in NAMES}
 
@@ -124,7 +124,7 @@ def same_test(run: Run, other: Run) -> bool:
     """Whether both were scored on the same test contacts, of data of one version."""
     if run.data != other.data or "" not in run.measured.tests.keys() & other.measured.tests.keys():
         return False
-    return simulated(run.results) == simulated(other.results) and same_contacts(run.rows, other.rows, "")
+    return run.results.simulated == other.results.simulated and same_contacts(run.rows, other.rows, "")
 
 
 def same_inputs(run: Run, other: Run) -> bool:
@@ -137,9 +137,9 @@ def notes(runs: Sequence[Run]) -> list[str]:
     first, *others = runs
     found = []
     for run in others:
-        if simulated(run.results) != simulated(first.results):
+        if run.results.simulated != first.results.simulated:
             kinds = {True: "simulated touches", False: "recordings"}
-            are, were = kinds[simulated(run.results)], kinds[simulated(first.results)]
+            are, were = kinds[run.results.simulated], kinds[first.results.simulated]
             found.append(
                 f"{run.name} is about {are}, {first.name} about {were}: figures stand beside each other, no more"
             )
@@ -151,11 +151,11 @@ def notes(runs: Sequence[Run]) -> list[str]:
             found.append(
                 f"{run.name} reads {reads}, {first.name} {read}: likeness is of other images, and not compared"
             )
-    if any(run.results.get("pairing", {}).get("way") in RENDERED for run in runs):
+    if any(run.results.pairing and run.results.pairing.way in RENDERED for run in runs):
         found.append("partners are drawn by each run's own renderer: likeness and pins are of each run's own partners")
-    every = dict.fromkeys(network for run in runs for network in run.results["settings"]["networks"])
+    every = dict.fromkeys(network for run in runs for network in run.results.settings["networks"])
     for run in runs:
-        lacks = [network for network in every if network not in run.results["settings"]["networks"]]
+        lacks = [network for network in every if network not in run.results.settings["networks"]]
         if lacks:
             found.append(f"{run.name} has no {', '.join(lacks)}")
     return found

@@ -7,7 +7,6 @@ for key, example in paired_examples(settings, shots, paths, "train"): ...
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from jaxunshear.dataset.shots import Shots
 from jaxunshear.image.png import png
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import SPLITS
+from jaxunshear.storage import Json
 
 PNG_LEVEL = 4
 
@@ -66,7 +66,7 @@ def _by_pose(shots: Shots, rows: np.ndarray) -> dict[tuple[int, int], list[int]]
     return groups
 
 
-def _labels(settings: PairedData | PoseData, shots: Shots, row: int) -> dict[str, Any]:
+def _labels(settings: PairedData | PoseData, shots: Shots, row: int) -> Json:
     return {
         "pose": shots.scenes.pose[row].astype(np.float32),
         "edge": shots.edge[row].astype(np.float32),

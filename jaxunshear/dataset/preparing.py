@@ -6,13 +6,13 @@ training frames alone. A killed run goes on where it stopped, to the same bits.
 
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -27,6 +27,10 @@ from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import write_bytes
 
+if TYPE_CHECKING:
+    from jaxunshear.image.preprocess import View
+    from jaxunshear.image.tracking import Usual
+
 CHUNK = 250  # frames in a file
 NOTHING = np.zeros((0, 1), np.uint8)
 LEAST_FRAMES = 20  # contacts whose mean shows where pins stand
@@ -37,7 +41,7 @@ LATTICE_FRAMES = 60  # training frames that the untouched pins are found from
 class Frame(NamedTuple):
     """What the frames of a sensor have in common: how they are cropped, and where its pins stand untouched."""
 
-    view: Any  # of image.preprocess
+    view: "View"
     place: np.ndarray  # (P, 2) px of the prepared image, as (column, row): the mean place over training taps
     shell: np.ndarray  # (P,) 0 in the middle
     spacing_px: float
@@ -84,7 +88,7 @@ def _first(files: Sequence[Path]) -> np.ndarray:
 
 
 def frame_of_files(
-    files: Sequence[Path], view: Any, size: int, preprocess: Preprocess, sensor: Sensor, turned: bool = False
+    files: Sequence[Path], view: "View", size: int, preprocess: Preprocess, sensor: Sensor, turned: bool = False
 ) -> Frame:
     """From up to LATTICE_FRAMES of the files, evenly spaced, seen at `size` px; `turned` where pins are dark in white."""
     from jaxunshear.image.fitting import fit_lattice, layout_of
@@ -129,7 +133,10 @@ def prepare(
     return paths
 
 
-def _each(work: Any, jobs: list[tuple]) -> Any:
+Done = TypeVar("Done")
+
+
+def _each(work: Callable[..., Done], jobs: list[tuple]) -> Iterator[Done]:
     """`work(*job)` of each job, in order: in processes of their own where there is work enough for two."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if len(jobs) < 2 or cores < 2:
@@ -179,7 +186,7 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
     }
 
 
-def _second_pass(path: Path, frame: Frame, usual: Any) -> dict:
+def _second_pass(path: Path, frame: Frame, usual: "Usual | None") -> dict:
     """The frames that were not sure once more, with the help of the motions that are usual in training."""
     from jaxunshear.image.lattice import make_lattice
     from jaxunshear.image.pins import detect
@@ -196,7 +203,7 @@ def _second_pass(path: Path, frame: Frame, usual: Any) -> dict:
     return chunk | {"tried": np.array(True), "seen": NOTHING}
 
 
-def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> Any:
+def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> "Usual | None":
     """How pins usually move, in training frames; None where no frame needs it."""
     from jaxunshear.image.lattice import make_lattice
     from jaxunshear.image.track import Track

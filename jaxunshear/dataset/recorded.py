@@ -11,7 +11,7 @@ import hashlib
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import SENSORS, Sensor
 from jaxunshear.settings.splits import SPLITS
+
+if TYPE_CHECKING:
+    from jaxunshear.image.preprocess import View
 
 MOVED = 1e-6  # mm or deg: labels of a move below this are of a tap
 SPLIT_NAMES = {"train": "train", "val": "validation", "valid": "validation", "validation": "validation", "test": "test"}
@@ -103,7 +106,7 @@ def probes_of(contacts: Contacts) -> np.ndarray:
     return rows[np.unique(np.linspace(0, len(rows) - 1, min(PROBES, len(rows))).round().astype(int))]
 
 
-def common_view(contacts: Contacts, preprocess: Preprocess) -> Any:
+def common_view(contacts: Contacts, preprocess: Preprocess) -> "View":
     """The crop and whites of the training frames; no crop where these differ in size."""
     from jaxunshear.image import preprocess as frames
 

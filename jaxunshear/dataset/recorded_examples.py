@@ -6,7 +6,6 @@ for key, example in examples(settings, contacts, paths, "train"): ...
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from jaxunshear.image.png import png
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
+from jaxunshear.storage import Json
 
 PNG_LEVEL = 4
 NAMED = 20  # frames left out that metadata name, at most
@@ -30,7 +30,7 @@ def read(settings: Recorded, sensor: Sensor, folder: Path) -> tuple[Contacts, Fr
     return contacts, frame, prepare(contacts, settings, frame, folder)
 
 
-def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[str, Any], dict[str, Any]]:
+def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[Json, Json]:
     """Counts, and what else a reader must know of the set, both plain JSON. Raises UserError where a split holds nothing readable."""
     chunks = [load_chunk(path) for path in paths]
     usable, sure, problem = (
@@ -63,7 +63,7 @@ def summary(contacts: Contacts, frame: Frame, paths: list[Path]) -> tuple[dict[s
     return counts, more
 
 
-def counts_of(contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray) -> dict[str, Any]:
+def counts_of(contacts: Contacts, usable: np.ndarray, sure: np.ndarray, problem: np.ndarray) -> Json:
     """Of contacts (N,): by split, taps and slides apart, and which could not be read (`problem`)."""
     kinds = {"written": np.ones(len(usable), bool), "taps": ~contacts.slid, "slides": contacts.slid}
     return {

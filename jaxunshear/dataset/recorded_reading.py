@@ -8,7 +8,6 @@ pairs = stored.pairs(targets, render)                      # Reader of canonical
 import hashlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from jaxunshear.settings.data import RENDERED, Recorded
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import Targets, of_labels, slides_of
+from jaxunshear.storage import Json
 
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 # images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)
@@ -40,7 +40,7 @@ def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int 
     return RecordedSet(settings, open_set(RECORDED_SET, settings, data_dir, sensor), seed)
 
 
-def frame_from(stored: dict[str, Any]) -> Frame:
+def frame_from(stored: Json) -> Frame:
     """The inverse of what metadata keep of a sensor's frames."""
     box = tuple(stored["box"]) if stored["box"] else None
     view = View(box, tuple((kind, white) for kind, white in stored["whites"]))
@@ -51,7 +51,7 @@ def frame_from(stored: dict[str, Any]) -> Frame:
 class UnstoredSet:
     """Chunks of prepared frames in the place of a stored set: all of them are its test split."""
 
-    def __init__(self, contacts: Contacts, paths: list[Path], frame: dict[str, Any]) -> None:
+    def __init__(self, contacts: Contacts, paths: list[Path], frame: Json) -> None:
         chunks = [load_chunk(path) for path in paths]
         parts = {
             name: np.concatenate([chunk[name] for chunk in chunks])
@@ -68,7 +68,7 @@ class UnstoredSet:
             "pose_id": contacts.pose_id[kept].astype(np.int32),
             "number": np.flatnonzero(kept).astype(np.int32),
         }
-        self.metadata: dict[str, Any] = {
+        self.metadata: Json = {
             "counts": counts_of(contacts, kept, parts["sure"], parts["problem"]),
             "frame": frame,
             "pins": {"sure": round(float(parts["sure"][kept].mean()), 6) if kept.any() else 0.0},
@@ -86,7 +86,7 @@ class RecordedSet:
         self.size = settings.preprocess.size
 
     @property
-    def frame(self) -> dict[str, Any]:
+    def frame(self) -> Json:
         """What the sensor's frames have in common; see `preparing.Frame`."""
         return self.metadata["frame"]
 
@@ -232,7 +232,7 @@ class RecordedSet:
         return _taken(rows | {"stimulus": np.zeros(len(rows["slid"]), np.int32)}, rows["slid"] == int(slid))
 
 
-def _taken(rows: Batch, kept: Any) -> Batch:
+def _taken(rows: Batch, kept: np.ndarray | np.bool) -> Batch:
     return {name: value[kept] for name, value in rows.items()}
 
 

@@ -19,7 +19,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from PIL import Image, ImageOps
@@ -145,7 +145,7 @@ def read_image(file: Path) -> np.ndarray:
     return _unsigned(raw, tags)
 
 
-def _unsigned(raw: np.ndarray, tags: Mapping[int, Any]) -> np.ndarray:
+def _unsigned(raw: np.ndarray, tags: Mapping[int, object]) -> np.ndarray:
     """What Pillow leaves to do for a TIFF with these tags: 32 bits without a sign, and 16 bits of which 0 is white."""
     if tags and raw.dtype == np.int32 and tags.get(SAMPLE_FORMAT, 1) in (1, (1,)):
         return raw.view(np.uint32)

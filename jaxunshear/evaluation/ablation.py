@@ -10,7 +10,6 @@ after it at another; only a split of a single pose has none there.
 import io
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -29,7 +28,7 @@ from jaxunshear.progress import Progress
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import write_bytes, write_json
+from jaxunshear.storage import Json, write_bytes, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples
 from jaxunshear.training.origin import check_origin
@@ -56,7 +55,7 @@ def cell_scores(drawn: dict[str, Array], tap: Array, sheared: Array) -> dict[str
     return scores
 
 
-def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> dict[str, Any]:
+def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> Json:
     """Scores all cells of the disentangled network in `run_dir` on the test split; writes ablation.json and ablation.png there.
 
     Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled, learnt from
@@ -154,7 +153,7 @@ def _next_elsewhere(poses: np.ndarray, row: int, far: int) -> int:
     return int(rows[np.argmax(poses[rows] != poses[row])])
 
 
-def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[dict[str, Any]]:
+def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[Json]:
     """A row a cell: means with 95 % bootstrap intervals over poses (N,), and the paper's figures where it has them."""
     bands = intervals(scores, poses, SEED)
     rows = []
@@ -162,7 +161,7 @@ def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[dict[str, 
         names = [name for name in scores if name.startswith(f"{cell}/")]
         if not names:
             continue
-        row: dict[str, Any] = {"name": cell, "target": target_of(cell), "paper": PAPER["swap"].get(cell)}
+        row: Json = {"name": cell, "target": target_of(cell), "paper": PAPER["swap"].get(cell)}
         for name in names:
             metric = name.removeprefix(f"{cell}/")
             row[metric] = float(np.mean(scores[name], dtype=np.float64))
@@ -171,7 +170,7 @@ def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[dict[str, 
     return rows
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def table(rows: list[Json]) -> str:
     """For people; the paper's figures, of a real sensor, apart."""
     width = max(len(row["name"]) for row in rows)
     lines = [

@@ -1,7 +1,6 @@
 """The cells of appendix D, and more of their kind: which codes each decoder is fed, and what it then draws."""
 
 from collections.abc import Iterable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +8,7 @@ from jax import Array
 
 from jaxunshear.evaluation.score import CELLS
 from jaxunshear.model import unshearnet
+from jaxunshear.model.parts import Variables
 from jaxunshear.settings.networks import UnshearNet
 
 # Codes of DC, or of DS' pose and shear slots: z_p, z_s; 0: blank, ~: its numbers shuffled, *: that of the image half a batch on.
@@ -36,7 +36,7 @@ def target_of(cell: str) -> str:
 
 
 def draw_cells(
-    net: UnshearNet, variables: Any, sheared: Array, names: Iterable[str] = CELLS, key: Array | None = None
+    net: UnshearNet, variables: Variables, sheared: Array, names: Iterable[str] = CELLS, key: Array | None = None
 ) -> dict[str, Array]:
     """Images (B, S, S, 1) in [0, 1] of the named cells that the network has, from the codes of `sheared` (B, S, S, 1).
 

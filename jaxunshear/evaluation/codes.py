@@ -1,13 +1,13 @@
 """Pose code and shear code of a disentangled network, over images or pins, a row for each input."""
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.model import pinnets, unshearnet
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.settings.networks import PinUnshear, UnshearNet
 
 AT_ONCE = 64
@@ -15,7 +15,7 @@ AT_ONCE = 64
 Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F) by name
 
 
-def encoder_of(net: Any, variables: Any) -> Encode | None:
+def encoder_of(net: Net, variables: Variables) -> Encode | None:
     """Inputs -> codes (N, F) by name; None without a shear code."""
     if isinstance(net, PinUnshear):
         run = jax.jit(lambda weights, pins: pinnets.encode(net, weights, pins))
@@ -39,7 +39,7 @@ def encoder_of(net: Any, variables: Any) -> Encode | None:
     return encode
 
 
-def untrained(net: Any, variables: Any, seed: int) -> Any:
+def untrained(net: Net, variables: Variables, seed: int) -> Variables:
     """Fresh variables of the network."""
     key = jax.random.key(seed)
     if isinstance(net, PinUnshear):

@@ -7,10 +7,11 @@ import dataclasses
 import io
 import time
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -33,23 +34,24 @@ from jaxunshear.evaluation.within import coverage, half_widths
 from jaxunshear.image.framing import undeformed
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.results.rows import Machine, Summary
+from jaxunshear.results.run import Bar, Counts, Further, Results, Tables
+from jaxunshear.results.stored import read, write
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
-from jaxunshear.storage import read_json_if_sound, write_bytes, write_json
+from jaxunshear.storage import read_json_if_sound, write_bytes
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
 
 KEPT = 72  # contacts whose pins are found (50 ms an image), and from which the montage is chosen
 BOOTSTRAP_SEED = 0
-Scored = tuple[
-    dict[str, Any], Gathered | None, dict[str, Gathered], tuple[str, ...]
-]  # results, scores, further ones, stimuli
+Scored = tuple[Results, Gathered | None, dict[str, Gathered], tuple[str, ...]]  # results, scores, further ones, stimuli
 
 
-def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> dict[str, Any]:
+def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> Results:
     """Scores the experiment's networks in `run_dir` on the test split of the paired set, and on its further tests.
 
     Writes and returns the results; also writes `montage.npz` and, for who wants to compare runs contact by contact, every score
@@ -70,14 +72,15 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         results, gathered, further, names = _recorded(experiment, run_dir, data_dir)
     else:
         results, gathered, further, names = _simulated(experiment, run_dir, data_dir)
-    results |= {
-        "ms_per_image": ms_per_image(run_dir, experiment.networks, experiment.train.precision),
-        "time_s": (read_json_if_sound(run_dir / "times.json") or {}) | {"evaluate": time.perf_counter() - started},
-        "machine": machine(),
-        "trained_on": _trained_on(experiment, run_dir),
-        "versions": versions(),
-        "command": command,
-    }
+    results = replace(
+        results,
+        ms_per_image=ms_per_image(run_dir, experiment.networks, experiment.train.precision),
+        time_s=(read_json_if_sound(run_dir / "times.json") or {}) | {"evaluate": time.perf_counter() - started},
+        machine=machine(),
+        trained_on=_trained_on(experiment, run_dir),
+        versions=versions(),
+        command=command,
+    )
     results = rounded(results)
     if gathered is not None:
         write_bytes(run_dir / "scores.npz", every_score(gathered))
@@ -85,14 +88,17 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
             write_bytes(run_dir / "montage.npz", montage(names, gathered))
     for name, found in further.items():
         write_bytes(run_dir / f"scores-{name}.npz", every_score(found))
-    write_json(run_dir / "results.json", results)
+    write(run_dir / "results.json", results)
     return results
 
 
-def _trained_on(experiment: Experiment, run_dir: Path) -> dict[str, Any]:
+def _trained_on(experiment: Experiment, run_dir: Path) -> dict[str, Machine]:
     """The machine that trained each network, of those that say so."""
-    reported = {name: read_json_if_sound(run_dir / name / "summary.json") for name in experiment.networks}
-    return {name: summary["trained_on"] for name, summary in reported.items() if summary and summary.get("trained_on")}
+    found = {}
+    for name in experiment.networks:
+        with suppress(UserError):
+            found[name] = read(run_dir / name / "summary.json", Summary, "train again").trained_on
+    return {name: machine for name, machine in found.items() if machine != Machine()}
 
 
 def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
@@ -126,12 +132,20 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
         further[FOUND] = gather(run, batches_of(found, BATCH), count, 0, targets, title, INPUTS, readers=reads)
     results = results_of(experiment, gathered, further)
     if found:
-        results["tests"][FOUND]["followed"] = found.reported
-    results["counts"] |= {split: pairs.length(split) for split in ("train", "validation", "test")}
+        tests = {**results.tests, FOUND: replace(results.tests[FOUND], followed=found.reported)}
+        results = replace(results, tests=tests)
     stored = read_metadata(paired, experiment.sensor, data_dir)["counts"]
-    results["counts"] |= {name: stored[name] for name in ("contacts", "retried", "dropped")}
-    results["counts"]["reader_taps"] = {name: reader.taps for name, reader in readers.items()}
-    return results, gathered, further, paired.stimuli
+    counts = replace(
+        results.counts,
+        train=pairs.length("train"),
+        validation=pairs.length("validation"),
+        test=total,
+        contacts=stored["contacts"],
+        retried=stored["retried"],
+        dropped=stored["dropped"],
+        reader_taps={name: reader.taps for name, reader in readers.items()},
+    )
+    return replace(results, counts=counts), gathered, further, paired.stimuli
 
 
 def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
@@ -144,9 +158,13 @@ def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     slides, taps = recorded.gathered_of(experiment, run, test, targets, of_batches(readers))
     results = recorded.results_of(experiment, stored, targets, slides, taps, test)
     known = recorded.gathered_of(experiment, run, test, targets, split="validation")
-    results["half_width"] = half_widths(recorded.errors_of(*known))
-    results["coverage"] = coverage(results["half_width"], recorded.errors_of(slides, taps))
-    results["counts"]["reader_taps"] = {name: reader.taps for name, reader in readers.items()}
+    widths = half_widths(recorded.errors_of(*known))
+    results = replace(
+        results,
+        half_width=widths,
+        coverage=coverage(widths, recorded.errors_of(slides, taps)),
+        counts=replace(results.counts, reader_taps={name: reader.taps for name, reader in readers.items()}),
+    )
     if slides is None:
         return results, taps, {}, ()
     further = {} if taps is None else {"taps": taps}
@@ -163,7 +181,7 @@ def every_score(gathered: Gathered) -> bytes:
 
 def results_of(
     experiment: Experiment, gathered: Gathered, further: Mapping[str, Gathered] = MappingProxyType({})
-) -> dict[str, Any]:
+) -> Results:
     """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
     labels, (paired, pose) = gathered.labels, simulated_of(experiment, "this")
     names, size = paired.stimuli, paired.preprocess.size
@@ -171,11 +189,10 @@ def results_of(
     targets = of_ranges(experiment.targets, paired.ranges)
     true = true_values(targets, labels)
     tested = further_tests(experiment) | {FOUND: paired}
-    return {
-        "experiment": experiment.name,
-        "claim": experiment.claim,
-        "simulated": True,
-        "metric": {
+    return Results(
+        experiment=experiment.name,
+        claim=experiment.claim,
+        metric={
             "ms_ssim": ms_ssim_name(scales),
             "image_px": size,
             "scales": scales,
@@ -191,58 +208,58 @@ def results_of(
             "readers": "mean absolute error of kernel ridges that learnt from PoseNet's training taps: pixels: their images; pins: "
             "their true pins, to read those found, and known by name, in the images that pin_error is of",
         },
-        **_tables(paired, gathered),
-        "pin_error": pin_errors(
+        **vars(_tables(paired, gathered)),
+        pin_error=pin_errors(
             gathered.images,
             gathered.pins["canonical_pins"],
             gathered.pins["sheared_pins"],
             paired.camera.mm_across / size,
         ),
-        "tests": {name: _further(tested[name], found) for name, found in further.items()},
-        "baselines": {"pose_chance": chance(true, targets)},
-        "contact": contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
-        "counts": {
-            "test_poses": len(np.unique(numbered_poses(labels["stimulus"], labels["pose_id"]))),
-            "test_by_stimulus": {name: int(np.sum(labels["stimulus"] == index)) for index, name in enumerate(names)},
-            "pin_images": len(gathered.kept),
-        },
-        "bars": {name: {"sense": sense, "bar": bar} for name, (sense, bar) in BARS.items()},
-        "paper": PAPER,
-        "seeds": {
+        tests={name: _further(tested[name], found) for name, found in further.items()},
+        baselines={"pose_chance": chance(true, targets)},
+        contact=contact_quality({name: labels[name] for name in CONTACT_FIELDS}),
+        counts=Counts(
+            test_poses=len(np.unique(numbered_poses(labels["stimulus"], labels["pose_id"]))),
+            test_by_stimulus={name: int(np.sum(labels["stimulus"] == index)) for index, name in enumerate(names)},
+            pin_images=len(gathered.kept),
+        ),
+        bars={name: Bar(*bar) for name, bar in BARS.items()},
+        paper=PAPER,
+        seeds={
             "experiment": experiment.seed,
             "paired": paired.seed,
             "pose": pose.seed,
             "bootstrap": BOOTSTRAP_SEED,
         },
-        "settings": dataclasses.asdict(experiment),
-    }
+        settings=dataclasses.asdict(experiment),
+    )
 
 
-def _further(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
+def _further(settings: PairedData, gathered: Gathered) -> Further:
     """The tables of a test of its own, with what it was made of."""
-    return {
-        "stimuli": settings.stimuli,
-        "tap_depth_jitter_mm": settings.tap_depth_jitter_mm,
-        "ranges": dataclasses.asdict(settings.ranges),
-        "contacts": len(gathered.labels["stimulus"]),
-        **_tables(settings, gathered),
-    }
+    return Further(
+        stimuli=settings.stimuli,
+        tap_depth_jitter_mm=settings.tap_depth_jitter_mm,
+        ranges=dataclasses.asdict(settings.ranges),
+        contacts=len(gathered.labels["stimulus"]),
+        **vars(_tables(settings, gathered)),
+    )
 
 
-def _tables(settings: PairedData, gathered: Gathered) -> dict[str, Any]:
+def _tables(settings: PairedData, gathered: Gathered) -> Tables:
     """All that is reported of the scores of one test."""
     labels, ranges = gathered.labels, settings.ranges
     drawn = (labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED)
     poses = numbered_poses(labels["stimulus"], labels["pose_id"])
     read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
     of_pins = {name.removeprefix("pins/"): s for name, s in gathered.scores.items() if name.startswith("pins/")}
-    return {
-        **with_readers(tables(gathered.scores, settings.stimuli, *drawn), read, BOOTSTRAP_SEED),
-        "pins": {kind: {"rms_px": float(np.mean(score, dtype=np.float64))} for kind, score in of_pins.items()},
-        "pose_by_depth": pose_by_size(
+    return replace(
+        with_readers(tables(gathered.scores, settings.stimuli, *drawn), read, BOOTSTRAP_SEED),
+        pins={kind: {"rms_px": float(np.mean(score, dtype=np.float64))} for kind, score in of_pins.items()},
+        pose_by_depth=pose_by_size(
             gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, *drawn
         ),
-    }
+    )
 
 
 def montage(names: tuple[str, ...], gathered: Gathered) -> bytes:

@@ -15,9 +15,11 @@ from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader
 from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
 from jaxunshear.model import pinnets
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinUnshear
 from jaxunshear.settings.registry import DISENTANGLED
+from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.examples import open_examples
 
@@ -53,7 +55,7 @@ def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchange
     return Exchanged(np.asarray(drawn).reshape(true.shape), true)
 
 
-def errors_of(net: Any, variables: Any, reader: Reader) -> dict[str, Any] | None:
+def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     """How far, px (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and slide; None
     where poses share no slides, or the network reads images."""
     if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):

@@ -7,7 +7,7 @@ Slide and tap are both found; what comes out is compared with the tap's true pin
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class FoundPairs(NamedTuple):
 
     pairs: Batch  # `sheared_pins` and SEEN_TAP (N, P, 2) px, NaN where a pin is not seen; `canonical_pins` true ones
     reported: dict[
-        str, Any
+        str, dict[str, float]
     ]  # of taps and slides, what share was followed, how far found pins are off, how many are missing
 
 
@@ -36,7 +36,7 @@ def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str], split: 
     count = reader.length(split)
     rows = np.unique(np.linspace(0, count - 1, min(MOST, count)).round().astype(int))
     batch = reader.take(split, rows, fields)
-    reported: dict[str, Any] = {}
+    reported: dict[str, dict[str, float]] = {}
     places: dict[str, np.ndarray] = {}
     sure = np.ones(len(rows), bool)
     for kind, image, true in (("tap", *_named(0)), ("sheared", *_named(1))):

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -26,11 +25,11 @@ from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.scene.scene import turned
-from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
-from jaxunshear.storage import write_json
+from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
@@ -46,9 +45,7 @@ LABELS = ("pose", "move", "stimulus", "pose_id")
 Known = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
 
 
-def leakage(
-    experiment: Experiment, run_dir: Path, data_dir: Path, command: str, leaks_alone: bool = False
-) -> dict[str, Any]:
+def leakage(experiment: Experiment, run_dir: Path, data_dir: Path, command: str, leaks_alone: bool = False) -> Json:
     """Probes the disentangled network in `run_dir`, over images or pins; writes leakage.json there. `leaks_alone`: not what should be in
     each code, and neither ceiling, floor nor an untrained network beside it.
 
@@ -106,7 +103,7 @@ def _probed(
     groups: np.ndarray,
     poses: np.ndarray,
     leaks_alone: bool,
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """A row for each quantity, code and probe. Of codes, of what stands beside them and of what is wanted, learnt slides
     come first, in `groups` of one pose, then tested ones, of `poses`."""
     shuffled = np.random.default_rng(SEED).permutation(len(groups))
@@ -129,7 +126,7 @@ def _probed(
 
 def _slide(
     experiment: Experiment, reader: Reader, seen: str, encode: Encode, batches: Sequence[Batch], data_dir: Path
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """What both codes together say of the slide, in mm and deg, and how surely."""
     learnt, tested = batches
     between = _taken(experiment, reader, "validation", seen, MOST_TESTED)
@@ -140,7 +137,7 @@ def _slide(
     return slides_read(codes, wanted, groups, poses, slipped)
 
 
-def for_sweep(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+def for_sweep(results: Json) -> list[Json]:
     """Rows of a sweep's ablation."""
     drawn = (results["exchanged"] or {"drawn": {}})["drawn"]
     rows = [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in drawn.items()]
@@ -149,7 +146,7 @@ def for_sweep(results: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [*rows, *read]
 
 
-def table(results: Mapping[str, Any]) -> str:
+def table(results: Json) -> str:
     """For people."""
     lines = [f"{'R2 of':16}  probe   code [95 %]              untrained  input   shuffled"]
     for row in results["rows"]:
@@ -210,7 +207,7 @@ def _slides(experiment: Experiment, batch: Batch, data_dir: Path) -> Known:
     return {name: batch["move"][:, [i]] for name, (_, i) in SLIDES.items() if spread[i] > STILL}
 
 
-def _varied(name: str, ranges: Any) -> tuple[Target, ...]:
+def _varied(name: str, ranges: Ranges) -> tuple[Target, ...]:
     try:
         return of_ranges((name,), ranges)
     except UserError:  # it does not vary
@@ -254,7 +251,7 @@ def _with_interval(
     return {name: r2(*pair) for name, pair in scores.items()}, interval(redrawn)
 
 
-def _independence(what: str, code: str, codes: np.ndarray, wanted: Known, poses: np.ndarray) -> dict[str, Any]:
+def _independence(what: str, code: str, codes: np.ndarray, wanted: Known, poses: np.ndarray) -> Json:
     """Of one slide at each pose: rows are independent draws."""
     first = np.unique(poses, return_index=True)[1]
     rows = first[np.linspace(0, len(first) - 1, min(MOST_COMPARED, len(first))).round().astype(int)]

@@ -1,7 +1,13 @@
 """Results as rows for machines: a name, a value, a unit, and the bar it should clear. Imports no JAX."""
 
+import dataclasses
 import math
+from collections.abc import Mapping
 from typing import Any
+
+from jaxunshear.results.rows import Measured, Measurement
+from jaxunshear.results.run import Results, Swapped, Table
+from jaxunshear.storage import Json, plain
 
 BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
     "ms_ssim.disentangled.overall": (">=", 0.90),
@@ -13,57 +19,44 @@ TABLES = ("ms_ssim", "pose_mae", "pose_ratio", "pose_recovery", "difference", "s
 UNITS = {"_mm": "mm", "_deg": "deg", "_px": "px", "_per_image": "pins/image"}
 
 
-def measurements(results: dict[str, Any]) -> dict[str, Any]:
-    """The rows of a results dict, with the machine and the versions they were measured on and with.
-
-    A row: `name` (the path in results.json, joined by dots), `value` (null where there is none), `unit` ("1" for plain
-    numbers), `bar` and its `sense` (">=" or "<="), `ok` (null where no bar is set), and `metric`, the exact quantity.
-    """
+def measurements(results: Results) -> Measured:
+    """The rows of a run's results, with the machine and the versions they were measured on and with."""
     rows = []
-    for table in (*TABLES, "pin_error", "half_width", "coverage"):
-        rows += _rows(results, table, results["metric"], "")
-    rows += _of_readers(results, results["metric"], "")
-    for test, further in results["tests"].items():
-        for table in TABLES:
-            rows += _rows(further, table, results["metric"], f"{test}.")
-        rows += _of_readers(further, results["metric"], f"{test}.")
-    for network, times in results["ms_per_image"].items():
+    for prefix, found, names in (
+        ("", results, (*TABLES, "pin_error", "half_width", "coverage")),
+        *((f"{test}.", further, TABLES) for test, further in results.tests.items()),
+    ):
+        for name in names:
+            rows += _rows(getattr(found, name, None), name, results.metric.get(name, name), prefix)
+        for reader, kinds in found.readers.items():
+            rows += _rows(kinds, reader, results.metric["readers"], f"{prefix}readers.")
+    for network, times in results.ms_per_image.items():
         rows.append(_row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"))
-    rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results["time_s"].items()]
-    return {"rows": rows, "machine": results["machine"], "versions": results["versions"]}
+    rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results.time_s.items()]
+    return Measured(rows, results.machine, results.versions)
 
 
-def _rows(results: dict[str, Any], table: str, metrics: dict[str, Any], prefix: str) -> list[dict[str, Any]]:
-    metric = metrics.get(table, table)
+def _rows(kinds: Table | Mapping[str, Swapped] | None, table: str, metric: str | int, prefix: str) -> list[Measurement]:
     return [
-        _row(f"{prefix}{table}.{kind}.{column}", value, _unit(table, column), metric)
-        for kind, columns in results.get(table, {}).items()
-        for column, value in columns.items()
+        _row(f"{prefix}{table}.{kind}.{column}", value, _unit(table, column), str(metric))
+        for kind, columns in (kinds or {}).items()
+        for column, value in (vars(columns) if isinstance(columns, Swapped) else columns).items()
         if not isinstance(value, str)
     ]
 
 
-def _of_readers(results: dict[str, Any], metrics: dict[str, Any], prefix: str) -> list[dict[str, Any]]:
-    """`readers.<reader>.<kind>.<column>`; none of runs evaluated by an earlier version."""
-    return [
-        row
-        for reader, kinds in results.get("readers", {}).items()
-        for row in _rows({reader: kinds}, reader, {reader: metrics["readers"]}, f"{prefix}readers.")
-    ]
-
-
-def reproducible(results: dict[str, Any]) -> dict[str, Any]:
+def reproducible(results: Results) -> Json:
     """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
     places = ("time_s", "ms_per_image", "machine", "trained_on", "command")
-    return {name: value for name, value in results.items() if name not in places}
+    return {name: value for name, value in plain(results).items() if name not in places}
 
 
-def _row(name: str, value: float | None, unit: str, metric: str) -> dict[str, Any]:
+def _row(name: str, value: float | None, unit: str, metric: str) -> Measurement:
     sense, bar = BARS.get(name, (None, None))
     ok = None
     if bar is not None:
         ok = value is not None and (value >= bar if sense == ">=" else value <= bar)
-    return {"name": name, "value": value, "unit": unit, "bar": bar, "sense": sense, "ok": ok, "metric": metric}
+    return Measurement(name, value, unit, bar, sense, ok, metric)
 
 
 def _unit(table: str, column: str) -> str:
@@ -74,6 +67,8 @@ def _unit(table: str, column: str) -> str:
 
 def rounded(value: Any) -> Any:
     """Six significant digits are more than any figure here deserves; what is not finite is null, as in the file."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return dataclasses.replace(value, **rounded(vars(value)))
     if isinstance(value, dict):
         return {name: rounded(entry) for name, entry in value.items()}
     if isinstance(value, list | tuple):

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +16,11 @@ from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED
 from jaxunshear.image.dots import dots
 from jaxunshear.model import pinnets, pose_head, posenet, unshearnet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
 from jaxunshear.settings.targets import Targets
+from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from jaxunshear.training.examples import Pins
 
@@ -54,17 +55,15 @@ def load(
 
 
 def run_of(
-    nets: Mapping[str, Any], targets: Mapping[str, Targets], precision: str = "float32"
-) -> Callable[[dict[str, Any], Array | None, Array, Array], tuple[Outputs, dict[str, Array]]]:
+    nets: Mapping[str, Net], targets: Mapping[str, Targets], precision: str = "float32"
+) -> Callable[[Json, Array | None, Array, Array], tuple[Outputs, dict[str, Array]]]:
     """The function (variables, taps or None, tap, sheared) of these networks (settings and pose targets by name), not yet jitted.
 
     Images are uint8 in {0, 255}: taps (M, S, S, 1), tap and sheared (B, S, S, 1). Scores are (B,) each.
     Networks that unshear are given images in `precision`.
     """
 
-    def run(
-        variables: dict[str, Any], taps: Array | None, tap: Array, sheared: Array
-    ) -> tuple[Outputs, dict[str, Array]]:
+    def run(variables: Variables, taps: Array | None, tap: Array, sheared: Array) -> tuple[Outputs, dict[str, Array]]:
         tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
         images, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
         given = in_precision(sheared, precision)
@@ -94,7 +93,7 @@ def run_of(
 
 
 def pin_run_of(
-    nets: Mapping[str, Any], targets: Mapping[str, Targets], pins: Pins
+    nets: Mapping[str, Net], targets: Mapping[str, Targets], pins: Pins
 ) -> Callable[..., tuple[Outputs, dict[str, Array]]]:
     """The function (variables, tap pins, sheared pins), (B, P, 2) px each, of networks over pins, not yet jitted. `seen_tap`: the tap's
     pins as PoseNet is to read them, where all is compared with others.
@@ -103,7 +102,7 @@ def pin_run_of(
     """
 
     def run(
-        variables: dict[str, Any], tap: Array, sheared: Array, seen_tap: Array | None = None
+        variables: Variables, tap: Array, sheared: Array, seen_tap: Array | None = None
     ) -> tuple[Outputs, dict[str, Array]]:
         places, cells, poses = {"tap": tap if seen_tap is None else seen_tap, "sheared": sheared}, {}, {}
         for kind in (name for name in UNSHEARING if name in nets):

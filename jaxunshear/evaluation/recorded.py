@@ -8,7 +8,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,11 +24,14 @@ from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
 from jaxunshear.evaluation.spread import redrawn_means
 from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
+from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores, Tables
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import POSENET, POSENETS
-from jaxunshear.settings.targets import Targets, names_of, to_json, true_values
+from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.targets import Targets, names_of, true_values
 from jaxunshear.training.examples import pairs_of, pins_of
 
+Row = TypeVar("Row")
 KEPT = 72  # slides whose pins are found, and from which the montage is chosen
 SEED = 0  # of the bootstrap
 LABELS = ("pose", "move", "pose_id", "stimulus", "number", "sure")
@@ -100,18 +103,18 @@ def results_of(
     slides: Gathered | None,
     taps: Gathered | None,
     test: Test,
-) -> dict[str, Any]:
+) -> Results:
     """All of the results that follow from the scores alone."""
     size = stored.size
     scales = scales_that_fit(size)
     pins = over_pins(experiment)
     found = _tables(slides, taps, targets)
     labels = slides.labels if slides is not None else taps.labels if taps is not None else {}
-    return {
-        "experiment": experiment.name,
-        "claim": experiment.claim,
-        "simulated": False,
-        "metric": {
+    return Results(
+        experiment=experiment.name,
+        claim=experiment.claim,
+        simulated=False,
+        metric={
             "ms_ssim": ms_ssim_name(scales),
             "image_px": size,
             "scales": scales,
@@ -131,19 +134,17 @@ def results_of(
             "coverage": "share of the errors here that half_width holds",
             "readers": "as pose_mae, of a kernel ridge on the taps that PoseNet learnt from",
         },
-        **found,
-        "pin_error": _pin_error(slides, test, pins),
-        "tests": {},
-        "baselines": {"pose_chance": chance(true_values(targets, labels), targets)},
-        "recordings": _recordings(experiment, stored),
-        "pairing": _pairing(experiment, test, targets),
-        "targets": to_json(targets),
-        "counts": _counts(stored, slides, taps),
-        "bars": {},
-        "paper": PAPER,
-        "seeds": {"experiment": experiment.seed, "splits": stored.settings.seed, "bootstrap": SEED},
-        "settings": dataclasses.asdict(experiment),
-    }
+        **vars(found),
+        pin_error=_pin_error(slides, test, pins),
+        baselines={"pose_chance": chance(true_values(targets, labels), targets)},
+        recordings=_recordings(experiment, stored),
+        pairing=_pairing(experiment, test, targets),
+        targets=targets,
+        counts=_counts(stored, slides, taps),
+        paper=PAPER,
+        seeds={"experiment": experiment.seed, "splits": stored.settings.seed, "bootstrap": SEED},
+        settings=dataclasses.asdict(experiment),
+    )
 
 
 def errors_of(slides: Gathered | None, taps: Gathered | None) -> dict[str, np.ndarray]:
@@ -164,7 +165,7 @@ def as_montage(slides: Gathered) -> Gathered:
     return slides._replace(labels=labels | {"pose": pose, "move": labels["move"][:, :2]})
 
 
-def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) -> dict[str, Any]:
+def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) -> Tables:
     """Tables and their intervals: taps and slides are drawn apart, as they are no pairs."""
     of_taps = {} if taps is None else taps.scores
     tap_means = {} if taps is None or not of_taps else redrawn_means(of_taps, taps.labels["number"], SEED + 1)
@@ -176,20 +177,35 @@ def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) ->
         drawn = (slides.labels["stimulus"], slides.labels["number"], SEED)
         depth, length = slides.labels["pose"][:, 2], np.hypot(*slides.labels["move"][:, :2].T)
         if "z_mm" in names_of(targets):
-            found["pose_by_depth"] = pose_by_size(scores, depth, float(depth.min()), float(depth.max()), *drawn)
+            by = pose_by_size(scores, depth, float(depth.min()), float(depth.max()), *drawn)
+            found = dataclasses.replace(found, pose_by_depth=by)
         if np.isfinite(length).all():
-            found["pose_by_slide"] = pose_by_size(scores, length, 0.0, float(length.max()), *drawn)
+            by = pose_by_size(scores, length, 0.0, float(length.max()), *drawn)
+            found = dataclasses.replace(found, pose_by_slide=by)
     read = [(each.scores, each.labels["number"]) for each in (taps, slides) if each is not None]
     return _with_unsheared(with_readers(found, read, SEED))
 
 
-def _with_unsheared(found: dict[str, Any]) -> dict[str, Any]:
-    kind = shown_kind(found["pose_mae"])
-    for table in (found, found["spread"]):
-        for name in ("pose_mae", "pose_recovery"):
-            if kind in table[name] and kind != "sheared":
-                table[name][UNSHEARED] = table[name][kind]
-    return found
+def _with_unsheared(found: Tables) -> Tables:
+    kind = shown_kind(found.pose_mae)
+    if kind == "sheared":
+        return found
+    spread = dataclasses.replace(
+        found.spread,
+        pose_mae=_renamed(found.spread.pose_mae, kind),
+        pose_recovery=_renamed(found.spread.pose_recovery, kind),
+    )
+    return dataclasses.replace(
+        found,
+        pose_mae=_renamed(found.pose_mae, kind),
+        pose_recovery=_renamed(found.pose_recovery, kind),
+        spread=spread,
+    )
+
+
+def _renamed(table: Mapping[str, Row], kind: str) -> dict[str, Row]:
+    """With the row `kind` once more, as UNSHEARED."""
+    return {**table, UNSHEARED: table[kind]} if kind in table else {**table}
 
 
 def _of_slides(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:
@@ -245,51 +261,46 @@ def _pin_error(slides: Gathered | None, test: Test, over: bool) -> dict[str, dic
     }
 
 
-def _recordings(experiment: Experiment, stored: RecordedSet) -> dict[str, Any]:
+def _recordings(experiment: Experiment, stored: RecordedSet) -> Recordings:
     settings = stored.settings
     counts = stored.metadata["counts"]
-    return {
-        "tap_folder": settings.tap_folder,
-        "slide_folder": settings.slide_folder,
-        "digest": settings.digest,
-        "sensor": experiment.sensor.name,
-        "pins": experiment.sensor.pins,
-        "pins_sure": stored.metadata["pins"]["sure"],
+    return Recordings(
+        tap_folder=settings.tap_folder,
+        slide_folder=settings.slide_folder,
+        digest=settings.digest,
+        sensor=experiment.sensor.name,
+        pins=experiment.sensor.pins,
+        pins_sure=stored.metadata["pins"]["sure"],
         **{name: counts[name] for name in ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")},
-        "labelled": settings.labelled,
-        "notes": stored.metadata["notes"][:20],
-    }
+        labelled=settings.labelled,
+        notes=stored.metadata["notes"][:20],
+    )
 
 
-def _pairing(experiment: Experiment, test: Test, targets: Targets) -> dict[str, Any]:
+def _pairing(experiment: Experiment, test: Test, targets: Targets) -> Pairing:
     """How slides are paired, and how far the partners' poses are off."""
     recorded = recorded_of(experiment)
     if recorded is None or test.slides is None or not test.paired:
-        return {"way": "none", "gaps": {}}
-    shown: dict[str, Any] = {}
+        return Pairing("none", {})
+    shown: dict[str, dict[str, Scores | int]] = {}
     for split in ("train", "test"):
         count = test.slides.length(split)
         if not count:
             continue
         gap = test.slides.take(split, np.arange(count), ("gap",))["gap"]
-        shown[split] = {
-            target.name: {
-                "median": float(np.median(gap[:, target.column])),
-                "p95": float(np.quantile(gap[:, target.column], 0.95)),
-            }
-            for target in targets
-        } | {"pairs": count}
-    return {"way": recorded.pairing, "gaps": shown}
+        shown[split] = {"pairs": count}
+        for target in targets:
+            median, p95 = np.quantile(gap[:, target.column], (0.5, 0.95)).tolist()
+            shown[split][target.name] = {"median": median, "p95": p95}
+    return Pairing(recorded.pairing, shown)
 
 
-def _counts(stored: RecordedSet, slides: Gathered | None, taps: Gathered | None) -> dict[str, Any]:
+def _counts(stored: RecordedSet, slides: Gathered | None, taps: Gathered | None) -> Counts:
     written = stored.metadata["counts"]["written"]
-    unsure = 0 if slides is None else int(np.sum(slides.labels["sure"] == 0))
-    return {
-        **{split: written[split] for split in ("train", "validation", "test")},
-        "test_poses": 0 if slides is None else len(slides.labels["number"]),
-        "test_taps": 0 if taps is None else len(taps.labels["number"]),
-        "test_unsure": unsure,
-        "test_by_stimulus": {},
-        "pin_images": 0 if slides is None else len(slides.kept),
-    }
+    return Counts(
+        **{split: written[split] for split in SPLITS},
+        test_poses=0 if slides is None else len(slides.labels["number"]),
+        test_taps=0 if taps is None else len(taps.labels["number"]),
+        test_unsure=0 if slides is None else int(np.sum(slides.labels["sure"] == 0)),
+        pin_images=0 if slides is None else len(slides.kept),
+    )

@@ -7,12 +7,12 @@ A slide that has slipped cannot be seen in full: where all the skin that touches
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from jaxunshear.evaluation.probes import gaussian
 from jaxunshear.evaluation.spread import LEVEL, interval, redrawn_means
+from jaxunshear.storage import Json
 
 SLIPPED = 0.99  # share of the touching skin that slips, from which on a slide counts as slipped
 SEED = 0
@@ -26,7 +26,7 @@ def slides_read(
     groups: np.ndarray,
     poses: np.ndarray,
     slipped: np.ndarray | None = None,
-) -> list[dict[str, Any]]:
+) -> list[Json]:
     """A row a quantity. `codes` (N, F) and `wanted` of training, validation and test slides; `groups` (N,) of training poses, `poses` of
     test poses; `slipped` (M,) which test slides have, where that is known."""
     names = list(wanted[0])
@@ -53,7 +53,7 @@ def slipping(stuck: np.ndarray, slips: np.ndarray) -> np.ndarray:
     return slips >= SLIPPED * np.maximum(stuck + slips, 1)
 
 
-def _scores(error: np.ndarray, width: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
+def _scores(error: np.ndarray, width: np.ndarray, poses: np.ndarray) -> Json:
     covered = (np.abs(error) <= width).astype(np.float64)
     means = redrawn_means({"mae": np.abs(error), "square": error**2, "coverage": covered}, poses, SEED)
     return {

@@ -10,6 +10,7 @@ from jax import Array
 
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.settings.networks import PinNet, PinUnshear
@@ -23,14 +24,14 @@ def ms_per_image(run_dir: Path, names: Sequence[str], precision: str) -> dict[st
     """`median` and `p95` of milliseconds from a host's image to a host's answer, of each network in `run_dir`; compilation apart."""
     found = {}
     for name in names:
-        net: Any = read_net(Path(run_dir) / name)
+        net = read_net(Path(run_dir) / name)
         answer = function_of(name, net, "float32" if name in POSENETS else precision)
         variables = load_best(Path(run_dir) / name)
         found[name] = timed(ready(answer, variables), _input_of(net, variables))
     return found
 
 
-def function_of(name: str, net: Any, precision: str) -> Callable[[Any, Array], Array]:
+def function_of(name: str, net: Net, precision: str) -> Callable[[Variables, Array], Array]:
     """The network called `name` as (variables, images) -> its answer: images (B, S, S, 1) in [0, 1] unsheared, or PoseNet's
     outputs (B, K). Networks over pins take these, (B, P, 2) px, in the place of images."""
     if isinstance(net, PinNet):
@@ -40,7 +41,7 @@ def function_of(name: str, net: Any, precision: str) -> Callable[[Any, Array], A
     return lambda variables, images: answer(net, variables, in_precision(images, precision))
 
 
-def _input_of(net: Any, variables: Any) -> np.ndarray:
+def _input_of(net: Net, variables: Variables) -> np.ndarray:
     """One image (1, S, S, 1) of random dots, or the untouched pins (1, P, 2)."""
     if isinstance(net, PinNet):
         return np.asarray(variables["batch_stats"]["rest"])[None]

@@ -3,13 +3,16 @@
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
 from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, numbered_poses, redrawn_means
+from jaxunshear.results.run import PartPoses, Parts, Poses, PoseSpread, Span, Spread, Swapped, Tables
 
+Figure = TypeVar("Figure")
 PARTS = 3  # equal parts of the range of a size
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 
@@ -21,7 +24,7 @@ def tables(
     pose_id: np.ndarray,
     seed: int,
     apart: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = ({}, {}),
-) -> dict[str, dict]:
+) -> Tables:
     """The tables `ms_ssim`, `pose_mae`, `pose_ratio`, `pose_recovery`, `difference`, `swap` and their `spread` (95 % intervals).
     Poses of each stimulus alone stand under `pose_by_stimulus`.
 
@@ -42,36 +45,36 @@ def tables(
     similar = [kind for kind in KINDS if f"ms_ssim/{kind}" in scores]
     pose, pose_spread = _poses(scores | apart[0], overall | apart[1])
     differences = {name.removeprefix("difference/"): name for name in scores if name.startswith("difference/")}
-    return {
-        "ms_ssim": {
+    return Tables(
+        ms_ssim={
             kind: {group: _mean(scores[f"ms_ssim/{kind}"][inside]) for group, inside in groups.items()}
             for kind in similar
         },
-        **pose,
-        "pose_by_stimulus": {
+        **vars(pose),
+        pose_by_stimulus={
             name: _poses_of(scores, groups[name], redrawn[name]) if name in redrawn else None for name in names
         },
-        "difference": _by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
-        "swap": {
-            cell: {"target": target} | {m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS}
+        difference=_by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
+        swap={
+            cell: Swapped(target=target, **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS})
             for cell, target in CELLS.items()
             if f"swap/{cell}/mse" in scores
         },
-        "spread": {
-            "what": f"{LEVEL:.0%} bootstrap interval of the mean over test poses, each with all its slides",
-            "over": OVER,
-            "resamples": RESAMPLES,
-            "seed": seed,
-            "ms_ssim": {
+        spread=Spread(
+            what=f"{LEVEL:.0%} bootstrap interval of the mean over test poses, each with all its slides",
+            over=OVER,
+            resamples=RESAMPLES,
+            seed=seed,
+            ms_ssim={
                 kind: {
                     group: interval(redrawn[group][f"ms_ssim/{kind}"]) if group in redrawn else None for group in groups
                 }
                 for kind in similar
             },
-            **pose_spread,
-            "difference": _by_kind({place: interval(overall[name]) for place, name in differences.items()}),
-        },
-    }
+            **vars(pose_spread),
+            difference=_by_kind({place: interval(overall[name]) for place, name in differences.items()}),
+        ),
+    )
 
 
 def pose_by_size(
@@ -82,7 +85,7 @@ def pose_by_size(
     stimulus: np.ndarray,
     pose_id: np.ndarray,
     seed: int,
-) -> dict[str, Any]:
+) -> Parts:
     """What `tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
     shallow touch shows little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
     parts, nor has a test without poses."""
@@ -92,7 +95,7 @@ def pose_by_size(
     bounds = np.linspace(least, most, PARTS + 1)
     part, poses = np.digitize(size, bounds[1:-1]), numbered_poses(stimulus, pose_id)
     digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as distinguish the parts
-    found: dict[str, Any] = {}
+    found: dict[str, PartPoses | None] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
         inside = part == index
         name = f"{low:.{digits}f}-{high:.{digits}f} mm"
@@ -103,17 +106,15 @@ def pose_by_size(
     return found
 
 
-def with_readers(
-    found: dict[str, Any], read: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int
-) -> dict[str, Any]:
+def with_readers(found: Tables, read: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int) -> Tables:
     """`tables` with what other readers than PoseNet err by: `readers`, by reader, kind and quantity; their intervals under `spread`; and
     of how many images they are, `reader_images`.
 
     `read`: scores (N,) by `read/<reader>/<kind>/<quantity>`, NaN of images that were not read, beside others; and their poses (N,).
     """
-    means: dict[str, Any] = {}
-    spans: dict[str, Any] = {}
-    counts: dict[str, Any] = {}
+    means: dict[str, dict[str, dict[str, float | None]]] = {}
+    spans: dict[str, dict[str, dict[str, Span]]] = {}
+    counts: dict[str, dict[str, dict[str, int]]] = {}
     for scores, poses in read:
         for place in (place for place in scores if place.startswith("read/")):
             _, reader, kind, quantity = place.split("/")
@@ -124,43 +125,41 @@ def with_readers(
             spans.setdefault(reader, {}).setdefault(kind, {})[quantity] = span
             counted = {"read": int(finite.sum()), "left_out": int((~finite).sum())}
             counts.setdefault(reader, {})[kind] = counted
-    return found | {"readers": means, "reader_images": counts, "spread": found["spread"] | {"readers": spans}}
+    return replace(found, readers=means, reader_images=counts, spread=replace(found.spread, readers=spans))
 
 
-def _poses_of(
-    scores: dict[str, np.ndarray], inside: np.ndarray, redrawn: dict[str, np.ndarray]
-) -> dict[str, dict[str, Any]]:
+def _poses_of(scores: dict[str, np.ndarray], inside: np.ndarray, redrawn: dict[str, np.ndarray]) -> PartPoses:
     """What `tables` says of poses, of the contacts `inside` (N,) alone."""
     found, spread = _poses({name: score[inside] for name, score in scores.items()}, redrawn)
-    return found | {"spread": spread}
+    return PartPoses(**vars(found), spread=spread)
 
 
-def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tuple[dict[str, Any], dict[str, Any]]:
+def _poses(scores: dict[str, np.ndarray], redrawn: dict[str, np.ndarray]) -> tuple[Poses, PoseSpread]:
     """Errors, their ratios and recoveries, and the intervals of errors and recoveries."""
     names = {kind: [n.rpartition("/")[2] for n in scores if n.startswith(f"pose/{kind}/")] for kind in POSE_KINDS}
     felt = [kind for kind in POSE_KINDS if names[kind]]
     kinds_unsheared = [kind for kind in felt if kind not in ("tap", "sheared")] if "sheared" in felt else []
     error = {kind: {q: _mean(scores[f"pose/{kind}/{q}"]) for q in names[kind]} for kind in felt}
     redone = {kind: {q: redrawn[f"pose/{kind}/{q}"] for q in names[kind]} for kind in felt}
-    found = {
-        "pose_mae": error,
-        "pose_ratio": {
+    found = Poses(
+        pose_mae=error,
+        pose_ratio={
             kind: {q: _ratio(error[kind][q], error["sheared"][q]) for q in names[kind]} for kind in kinds_unsheared
         },
-        "pose_recovery": {
+        pose_recovery={
             kind: {q: _recovery(error["sheared"][q], error[kind][q], error["tap"][q]) for q in names[kind]}
             for kind in kinds_unsheared
             if "tap" in felt
         },
-    }
-    return found, {
-        "pose_mae": {kind: {q: interval(redone[kind][q]) for q in names[kind]} for kind in felt},
-        "pose_recovery": {
+    )
+    return found, PoseSpread(
+        pose_mae={kind: {q: interval(redone[kind][q]) for q in names[kind]} for kind in felt},
+        pose_recovery={
             kind: {q: _recovered(redone["sheared"][q], redone[kind][q], redone["tap"][q]) for q in names[kind]}
             for kind in kinds_unsheared
             if "tap" in felt
         },
-    }
+    )
 
 
 def contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[str, float]]:
@@ -205,9 +204,9 @@ def _recovered(sheared: np.ndarray, unsheared: np.ndarray, tap: np.ndarray) -> l
     return None if np.any(sheared <= tap) else interval((sheared - unsheared) / (sheared - tap))
 
 
-def _by_kind(figures: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def _by_kind(figures: Mapping[str, Figure]) -> dict[str, dict[str, Figure]]:
     """{"<kind>/<column>": ...} as {kind: {column: ...}}."""
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, dict[str, Figure]] = {}
     for place, figure in figures.items():
         kind, column = place.split("/")
         found.setdefault(kind, {})[column] = figure

@@ -1,7 +1,7 @@
 """A finished run scored on recordings that it has never seen: other days, other poses, of the same sensor.
 
 >>> results = score_recordings(experiment, Path("runs/recorded"), Path("other_day"), Path("datasets"), command)
->>> results["pose_mae"]["unsheared"]["y_mm"]
+>>> results.pose_mae["unsheared"]["y_mm"]
 
 All of them are scored; nothing is fitted to them. Pins are identified by the untouched ones of the training taps.
 """
@@ -10,7 +10,6 @@ import shutil
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.preparing import prepare
@@ -21,17 +20,18 @@ from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.evaluation.within import coverage
 from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.results.run import EVALUATED, Full, Results, Table
+from jaxunshear.results.stored import read
+from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, recorded_of
-from jaxunshear.storage import read_json, read_json_if_sound
+from jaxunshear.storage import read_json
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.kept_out import Exam
 from jaxunshear.training.origin import check_kept_out
 
 
-def score_recordings(
-    experiment: Experiment, run_dir: Path, recordings: Path, data_dir: Path, command: str
-) -> dict[str, Any]:
+def score_recordings(experiment: Experiment, run_dir: Path, recordings: Path, data_dir: Path, command: str) -> Results:
     """Results in the form of results.json. Raises UserError where the run is about simulated touches, or nothing can be read or scored."""
     settings = recorded_of(experiment)
     if settings is None:
@@ -60,18 +60,22 @@ def score_recordings(
     run = recorded.networks_of(unseen, run_dir, stored)
     slides, taps = recorded.gathered_of(unseen, run, test, targets)
     results = recorded.results_of(unseen, stored, targets, slides, taps, test)
-    results["half_width"] = (read_json_if_sound(run_dir / "results.json") or {}).get("half_width", {})
-    results["coverage"] = coverage(results["half_width"], recorded.errors_of(slides, taps))
+    widths: Full = {}
+    if (run_dir / "results.json").exists():
+        widths = read(run_dir / "results.json", Results, EVALUATED).half_width or {}
     shutil.rmtree(folder, ignore_errors=True)
-    more = {
-        "trained_in": run_dir.name,
-        "ms_per_image": {},
-        "time_s": {"evaluate": time.perf_counter() - started},
-        "machine": machine(),
-        "versions": versions(),
-        "command": command,
-    }
-    return rounded(results | more)
+    return rounded(
+        replace(
+            results,
+            half_width=widths,
+            coverage=coverage(widths, recorded.errors_of(slides, taps)),
+            trained_in=run_dir.name,
+            time_s={"evaluate": time.perf_counter() - started},
+            machine=machine(),
+            versions=versions(),
+            command=command,
+        )
+    )
 
 
 def _learnt(recordings: Path, folders: tuple[str, ...]) -> bool:
@@ -81,7 +85,9 @@ def _learnt(recordings: Path, folders: tuple[str, ...]) -> bool:
     return any(here.is_relative_to(folder) or folder.is_relative_to(here) for folder in there)
 
 
-def _prepared(experiment: Experiment, run_dir: Path, contacts: Contacts, settings: Any, folder: Path) -> RecordedSet:
+def _prepared(
+    experiment: Experiment, run_dir: Path, contacts: Contacts, settings: Recorded, folder: Path
+) -> RecordedSet:
     """The recordings as a set, seen as the run's sensor sees."""
     known = read_json(run_dir / FRAME)
     frame = frame_from(known)
@@ -89,29 +95,30 @@ def _prepared(experiment: Experiment, run_dir: Path, contacts: Contacts, setting
     return RecordedSet(settings, UnstoredSet(contacts, paths, known))
 
 
-def table(results: dict[str, Any]) -> str:
+def table(results: Results) -> str:
     """What a person wants to know at once: errors of pose by what was read, PoseNet's and, where there are others, theirs."""
-    names = [target["name"] for target in results["targets"]]
-    lines = _errors("error", results["pose_mae"], names)
-    recovery = results["pose_recovery"].get("unsheared")
+    names = [target.name for target in results.targets or ()]
+    lines = _errors("error", results.pose_mae, names)
+    recovery = results.pose_recovery.get("unsheared")
     if recovery:
-        shown = ("      none" if recovery[name] is None else f"{recovery[name]:>10.2f}" for name in names)
-        lines.append(f"{'recovery':<16}" + "".join(shown))
-    for reader, errors in results.get("readers", {}).items():
+        lines.append(f"{'recovery':<16}" + "".join(_figure(recovery[name], 2) for name in names))
+    for reader, errors in results.readers.items():
         lines += _errors(f"reader {reader}", errors, names)
-    for way, shares in results.get("coverage", {}).items():
-        widths = results["half_width"][way]
+    for way, shares in (results.coverage or {}).items():
+        widths = (results.half_width or {})[way]
         lines.append(
             f"{way}: {', '.join(f'{name} {share:.1%} within {widths[name]:.3g}' for name, share in shares.items())}"
         )
-    counts = results["counts"]
-    lines.append(
-        f"{counts['test_taps']} taps, {counts['test_poses']} slides, {counts['test_unsure']} of them with unsure pins"
-    )
+    counts = results.counts
+    lines.append(f"{counts.test_taps} taps, {counts.test_poses} slides, {counts.test_unsure} of them with unsure pins")
     return "\n".join(lines)
 
 
-def _errors(reported: str, errors: dict[str, dict[str, float]], names: list[str]) -> list[str]:
+def _errors(reported: str, errors: Table, names: list[str]) -> list[str]:
     ways = [way for way in ("tap", "sheared", "unsheared", "sheared_learnt") if way in errors]
-    rows = [f"{way:<16}" + "".join(f"{errors[way][name]:>10.3f}" for name in names) for way in ways]
+    rows = [f"{way:<16}" + "".join(_figure(errors[way][name], 3) for name in names) for way in ways]
     return [f"{reported:<16}" + "".join(f"{name:>10}" for name in names), *rows]
+
+
+def _figure(value: float | None, digits: int) -> str:
+    return f"{'none' if value is None else f'{value:.{digits}f}':>10}"

@@ -36,7 +36,7 @@ def white_of(raw: np.ndarray) -> float:
 
 
 def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
-    """Any image array -> (H, W) float32 in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger, or
+    """An image array -> (H, W) float32 in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger, or
     1 itself.
 
     Raises UserError for a wrong shape, no pixels, values that are no numbers, or numbers below zero (floats may overshoot).

@@ -97,7 +97,7 @@ class View(NamedTuple):
 
 
 def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) -> np.ndarray:
-    """Any recorded frame (H, W) or (H, W, 1 to 4 channels), of any number type -> binary image (S, S) uint8 of {0, 255}.
+    """A recorded frame (H, W) or (H, W, 1 to 4 channels), of any number type -> binary image (S, S) uint8 of {0, 255}.
 
     Without a box in `view` the dome is found and cropped. A frame that is binary already is
     not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.

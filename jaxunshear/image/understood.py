@@ -11,7 +11,6 @@ radius and the middle of their circle, and how even their neighbourhoods are. No
 import math
 from dataclasses import asdict, dataclass, fields
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -19,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from jaxunshear.errors import UserError
 from jaxunshear.image.pins import glance
+from jaxunshear.storage import Json
 
 FEWEST = 10  # pins that have a spacing and a circle worth the name
 FINEST_PX = 4.0  # spacing below which dots and gaps are a pixel or two wide: dust, not pins
@@ -48,11 +48,11 @@ class Expected:
     middle: tuple[float, float]  # column and row of the rim's centre; of the side
     regular: float  # share of the pins that stand evenly
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> Json:
         return asdict(self) | {"middle": list(self.middle)}
 
     @staticmethod
-    def from_json(values: dict[str, Any]) -> "Expected":
+    def from_json(values: Json) -> "Expected":
         """Raises UserError for values that `to_json` did not write."""
         try:
             known = {field.name: values[field.name] for field in fields(Expected)}

@@ -5,24 +5,26 @@ import platform
 from importlib import metadata
 from pathlib import Path
 
+from jaxunshear.results.rows import Machine
+
 PACKAGES = (
     *("jaxunshear", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint"),
     *("numpy", "scipy", "scikit-image", "grain", "tensorflow-datasets"),
 )
 
 
-def machine() -> dict[str, str | int]:
+def machine() -> Machine:
     """Processor, usable cores, memory in GiB, system and JAX device of this machine."""
     import jax
 
     device = jax.devices()[0]
-    return {
-        "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
-        "memory_gib": _memory_gib(),
-        "system": f"{platform.system()} {platform.machine()}",
-        "device": f"{device.platform}: {device.device_kind}",
-    }
+    return Machine(
+        processor=_processor(),
+        cores=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        memory_gib=_memory_gib(),
+        system=f"{platform.system()} {platform.machine()}",
+        device=f"{device.platform}: {device.device_kind}",
+    )
 
 
 def versions(*more: str) -> dict[str, str]:

@@ -1,13 +1,18 @@
 """What released weights leave out: the shear code and DS, which unshearing does not need."""
 
 import warnings
-from collections.abc import Mapping
 from typing import Any
 
 from jaxunshear.errors import Note, UserError
 
+Variables = dict[
+    str, Any
+]  # {"params": ..., "batch_stats": ...}, each by module, as E, pose, shear, DC, DS; or one of these
+Net = Any  # settings of a network, of whichever kind
+Tree = Any  # weights, a state or a part of them
 
-def holds(variables: Mapping[str, Any], part: str) -> bool:
+
+def holds(variables: Variables, part: str) -> bool:
     """Whether these weights hold `part` of a network; a note where they do not hold the shear code."""
     there = part in variables["params"]
     if not there and part == "shear":
@@ -16,7 +21,7 @@ def holds(variables: Mapping[str, Any], part: str) -> bool:
     return there
 
 
-def check_sheared(variables: Mapping[str, Any]) -> None:
+def check_sheared(variables: Variables) -> None:
     """Raises UserError for weights without DS."""
     if not holds(variables, "DS"):
         raise UserError(

@@ -18,10 +18,9 @@ import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
-from jaxunshear.model.parts import check_sheared, holds
+from jaxunshear.model.parts import Variables, check_sheared, holds
 from jaxunshear.settings.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
 
-Variables = dict[str, Any]
 LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet is not to agree at any cost
 
 

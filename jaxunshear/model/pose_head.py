@@ -7,13 +7,12 @@
 Ours, not the paper's. It sees the entire code, as PoseNet's two dense layers see their features.
 """
 
-from typing import Any
-
 import flax.linen as nn
 import jax.numpy as jnp
 from jax import Array
 
 from jaxunshear.model.layers import INIT
+from jaxunshear.model.parts import Variables
 
 HIDDEN = 128  # as many as PoseNet has
 
@@ -31,19 +30,19 @@ class Network(nn.Module):
         return nn.sigmoid(nn.Dense(self.outputs, kernel_init=INIT)(x))
 
 
-def init(code: tuple[int, ...], outputs: int, key: Array) -> Any:
+def init(code: tuple[int, ...], outputs: int, key: Array) -> Variables:
     """Fresh parameters for codes of shape `code`, (s, s, channels), and as many `outputs` as the targets have."""
     return Network(outputs).init(key, jnp.zeros((1, *code)))["params"]
 
 
-def of(variables: Any) -> Any:
+def of(variables: Variables) -> Variables | None:
     """The head's parameters among those of the network that it was trained with; None where there is none, or one of an earlier form,
     which was not normalised."""
     head = variables["params"].get("head", {})
     return head if "norm" in head else None
 
 
-def predict(params: Any, z_p: Array) -> Array:
+def predict(params: Variables, z_p: Array) -> Array:
     """Pose codes (B, s, s, channels) -> outputs (B, K) in [0, 1], in float32 or wider."""
     known = len(params["Dense_1"]["bias"])
     outputs: Array = Network(known).apply({"params": params}, z_p.astype(jnp.promote_types(z_p.dtype, jnp.float32)))  # type: ignore[assignment]

@@ -10,7 +10,6 @@ unambiguous where the edge is smooth.
 """
 
 from collections.abc import Mapping
-from typing import Any
 
 import flax.linen as nn
 import jax
@@ -21,10 +20,9 @@ from jax.typing import ArrayLike
 from jaxunshear.model import kernels
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import INIT, Down, Same
+from jaxunshear.model.parts import Variables
 from jaxunshear.settings import networks
 from jaxunshear.settings.targets import Targets
-
-Variables = dict[str, Any]
 
 
 class Network(nn.Module):

@@ -8,12 +8,16 @@ factors) is computed once, by the compiler, where it would cost a single image u
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import TypeVar
 
 import jax
 
+from jaxunshear.model.parts import Variables
 
-def ready(run: Callable[..., Any], variables: Any) -> Any:
+Answer = TypeVar("Answer")
+
+
+def ready(run: Callable[..., Answer], variables: Variables) -> Callable[..., Answer]:
     """`run(variables, ...)` as a jitted function of the rest."""
     constants = jax.device_get(variables)
     return jax.jit(lambda *inputs: run(constants, *inputs))

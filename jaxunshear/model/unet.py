@@ -7,8 +7,6 @@ It is the rival that image-to-image work would try first (Ronneberger et al. 201
 array of its own size, so there is no code that could hold a pose, nor one that could be swapped.
 """
 
-from typing import Any
-
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
@@ -17,9 +15,8 @@ from jax import Array
 from jaxunshear.model import kernels, unshearnet
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Up
+from jaxunshear.model.parts import Variables
 from jaxunshear.settings import networks
-
-Variables = dict[str, Any]
 
 
 class Network(nn.Module):

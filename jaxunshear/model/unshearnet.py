@@ -22,10 +22,8 @@ from jaxunshear.model import kernels
 from jaxunshear.model.fast import layers as fast_layers
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Same, Up
-from jaxunshear.model.parts import check_sheared, holds
+from jaxunshear.model.parts import Variables, check_sheared, holds
 from jaxunshear.settings.networks import UnshearNet
-
-Variables = dict[str, Any]  # {"params": ..., "batch_stats": ...}, each by module: E, pose, shear, DC, DS
 
 
 class Encoder(nn.Module):

@@ -1,7 +1,7 @@
 """What the networks were put to: sections of a run's page, for those of the commands whose results lie in the run's folder."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from markupsafe import Markup, escape
 
@@ -12,7 +12,7 @@ from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.page import number, spanned
 from jaxunshear.report.pictures import address_of
 from jaxunshear.report.walk_figure import WORDS
-from jaxunshear.storage import read_json
+from jaxunshear.storage import Json, read_json
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
     name: WORDS[name] for name in WORDS if "unsheared" in WORDS[name]
@@ -34,7 +34,7 @@ def sections(run_dir: Path) -> list[Markup]:
     return found
 
 
-def _geometry(results: dict[str, Any], folder: Path) -> Markup:
+def _geometry(results: Json, folder: Path) -> Markup:
     rows = [
         [
             KINDS.get(row["kind"], row["kind"]),
@@ -58,8 +58,8 @@ def _geometry(results: dict[str, Any], folder: Path) -> Markup:
     )
 
 
-def _walks(results: dict[str, Any], folder: Path) -> Markup:
-    def cell(row: dict[str, Any]) -> str:
+def _walks(results: Json, folder: Path) -> Markup:
+    def cell(row: Json) -> str:
         distances = (number(row[name]) for name in ("mean_mm", "p95_mm", "largest_mm"))
         return Markup("{} of {}<small>{} / {} / {}</small>").format(row["closed"], row["starts"], *distances)
 
@@ -80,8 +80,8 @@ def _walks(results: dict[str, Any], folder: Path) -> Markup:
     )
 
 
-def _objects(results: dict[str, Any], folder: Path) -> Markup:
-    def cell(row: dict[str, Any]) -> str:
+def _objects(results: Json, folder: Path) -> Markup:
+    def cell(row: Json) -> str:
         distances = number(row["mean_mm"]), number(row["hausdorff_mm"], 1)
         return Markup("{}<small>{} / {}</small>").format(number(row["iou"], 3), *distances)
 
@@ -96,7 +96,7 @@ def _objects(results: dict[str, Any], folder: Path) -> Markup:
     return page.section("Complete objects", lead, _by_way(lines, cell), *pictures, _command(results))
 
 
-def _stream(results: dict[str, Any], folder: Path) -> Markup:
+def _stream(results: Json, folder: Path) -> Markup:
     latency = results["latency_ms"] or {}
     rows = [[name, str(results[name])] for name in ("used", "skipped", "dropped")]
     rows += [[f"{name}, ms", number(value, 1)] for name, value in latency.items()]
@@ -104,7 +104,7 @@ def _stream(results: dict[str, Any], folder: Path) -> Markup:
     return page.section("As a stream", lead, page.table(("frames", ""), rows), _command(results))
 
 
-def _by_way(rows: list[dict[str, Any]], cell: Any) -> Markup:
+def _by_way(rows: list[Json], cell: Callable[[Json], str]) -> Markup:
     """A line an object, a column a way of perceiving."""
     ways = list(dict.fromkeys(row["way"] for row in rows))
     found = {(row["stimulus"], row["way"]): cell(row) for row in rows}
@@ -113,7 +113,7 @@ def _by_way(rows: list[dict[str, Any]], cell: Any) -> Markup:
     return page.table(["object", *(escape(WORDS.get(way, way)).replace(", ", Markup(",<br>")) for way in ways)], lines)
 
 
-def _spanned(row: dict[str, Any], name: str) -> str:
+def _spanned(row: Json, name: str) -> str:
     if name not in row:
         return number(None)
     return spanned(row[name], row[f"{name}_interval"], 3)
@@ -123,5 +123,5 @@ def _picture(file: Path) -> Markup:
     return page.figure(address_of(file.read_bytes()), file.stem) if file.is_file() else Markup()
 
 
-def _command(results: dict[str, Any]) -> Markup:
+def _command(results: Json) -> Markup:
     return page.code(results["command"])

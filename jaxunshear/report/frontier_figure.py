@@ -2,14 +2,15 @@
 
 import io
 from textwrap import wrap
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
+from jaxunshear.results.sweep import CellResult, SweepResult
 from jaxunshear.settings.registry import DISENTANGLED, TEACHER
 from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
 
@@ -39,7 +40,7 @@ def frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
     return kept
 
 
-def efficient(summary: dict[str, Any]) -> dict[str, dict[str, list[str]]]:
+def efficient(summary: SweepResult) -> dict[str, dict[str, list[str]]]:
     """Labels on the frontier, cheapest first, by metric and cost; of the cells that can be ranked, see `ranked`."""
     comparable = ranked(summary)
     named: dict[str, dict[str, list[str]]] = {}
@@ -53,62 +54,63 @@ def efficient(summary: dict[str, Any]) -> dict[str, dict[str, list[str]]]:
     return named
 
 
-def ranked(summary: dict[str, Any]) -> list[str]:
+def ranked(summary: SweepResult) -> list[str]:
     """Labels of the cells tested on the same contacts as the reference: on others an error may be less because they are easier."""
     test = _test(_reference(summary))
-    return [cell["label"] for cell in summary["cells"] if _test(cell) == test]
+    return [cell.label for cell in summary.cells if _test(cell) == test]
 
 
-def _reference(summary: dict[str, Any]) -> dict[str, Any]:
+def _reference(summary: SweepResult) -> CellResult:
     """The reference cell, or the first where there is none, of those that have figures; the first cell where none has."""
-    cells = [cell for cell in summary["cells"] if cell["metrics"]] or summary["cells"]
-    return next((cell for cell in cells if cell["label"] == summary["reference"]), cells[0])
+    cells = [cell for cell in summary.cells if cell.metrics] or summary.cells
+    return next((cell for cell in cells if cell.label == summary.reference), cells[0])
 
 
-def _test(cell: dict[str, Any]) -> dict[str, str]:
-    return {name: value for name, value in cell["settings"].items() if name.startswith(TEST) and name not in SIZES}
+def _test(cell: CellResult) -> dict[str, str]:
+    return {name: value for name, value in cell.settings.items() if name.startswith(TEST) and name not in SIZES}
 
 
-def points(summary: dict[str, Any], metric: str, cost: str) -> tuple[list[str], np.ndarray, np.ndarray]:
+def points(summary: SweepResult, metric: str, cost: str) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
 
     Milliseconds are those of all cells with the same network in the same precision, since nothing else distinguishes them. MS-SSIM of
     other scales than the reference's (other image sizes) is another quantity, and left out.
     """
     found = []
-    cells = [cell for cell in summary["cells"] if metric in cell["metrics"]]
-    scale = _reference(summary)["metric"].get("ms_ssim")
+    cells = [cell for cell in summary.cells if metric in cell.metrics]
+    scale = _reference(summary).metric.get("ms_ssim")
     for cell in cells:
-        if metric.startswith("ms_ssim") and cell["metric"]["ms_ssim"] != scale:
+        if metric.startswith("ms_ssim") and cell.metric["ms_ssim"] != scale:
             continue
         alike = [cell] if cost != "ms_per_image" else [other for other in cells if _network(other) == _network(cell)]
         if spent := [seconds for each in alike for seconds in _spent(each, cost)]:
-            found.append((cell["label"], float(np.mean(spent)), cell["metrics"][metric]["mean"]))
+            found.append((cell.label, float(np.mean(spent)), cell.metrics[metric].mean))
     labels, x, y = zip(*found, strict=True) if found else ((), (), ())
     return list(labels), np.array(x), np.array(y)
 
 
-def _network(cell: dict[str, Any]) -> dict[str, str]:
-    return {name: value for name, value in cell["settings"].items() if name.startswith(("unshear.", "train.precision"))}
+def _network(cell: CellResult) -> dict[str, str]:
+    return {name: value for name, value in cell.settings.items() if name.startswith(("unshear.", "train.precision"))}
 
 
-def _spent(cell: dict[str, Any], cost: str) -> list[float]:
+def _spent(cell: CellResult, cost: str) -> list[float]:
     """Of every seed that has it. The training of a taught network includes its teacher's."""
     spent = []
-    for costs in cell["costs"].values():
-        entries = costs.get(cost, {})
-        if (entry := entries.get(NETWORK)) is not None:
-            spent.append(entry["median"] if isinstance(entry, dict) else entry + entries.get(TEACHER, 0.0))
+    for costs in cell.costs.values():
+        if cost == "ms_per_image" and NETWORK in costs.ms_per_image:
+            spent.append(costs.ms_per_image[NETWORK]["median"])
+        elif cost == "train_seconds" and NETWORK in costs.train_seconds:
+            spent.append(costs.train_seconds[NETWORK] + costs.train_seconds.get(TEACHER, 0.0))
     return spent
 
 
-def frontier_figure(summary: dict[str, Any]) -> bytes | None:
+def frontier_figure(summary: SweepResult) -> bytes | None:
     """PNG: a row a cost, a column an error; what no other setting beats is joined, what cannot be ranked is hollow. None where
     nothing can be drawn."""
     metrics = [metric for metric in ERRORS if len(points(summary, metric, "train_seconds")[0]) > 1]
     if not metrics:
         return None
-    number = {cell["label"]: str(place + 1) for place, cell in enumerate(summary["cells"])}
+    number = {cell.label: str(place + 1) for place, cell in enumerate(summary.cells)}
     with rc_context(STYLE):
         figure = Figure(figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained")
         places = figure.subplots(len(COSTS), len(metrics), squeeze=False)
@@ -119,17 +121,17 @@ def frontier_figure(summary: dict[str, Any]) -> bytes | None:
                 axes.xaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
                 _panel(axes, summary, metric, cost, number)
-        seeds = len(summary["seeds"])
+        seeds = len(summary.seeds)
         names = "      ".join(f"{digit} {label}" for label, digit in number.items())
         names += "      hollow: another test" * (len(ranked(summary)) < len(number))
-        figure.suptitle(f"{summary['sweep']}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none")
+        figure.suptitle(f"{summary.sweep}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none")
         figure.supxlabel("\n".join(wrap(names, 42 * len(metrics))), fontsize=9)
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=100, metadata={"Software": ""})
     return picture.getvalue()
 
 
-def _panel(axes: Any, summary: dict[str, Any], metric: str, cost: str, number: dict[str, str]) -> None:
+def _panel(axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict[str, str]) -> None:
     labels, x, y = points(summary, metric, cost)
     best = [labels.index(label) for label in efficient(summary)[metric][cost]]
     comparable = ranked(summary)

@@ -1,7 +1,5 @@
 """The cards that a run's page opens with."""
 
-from typing import Any
-
 from markupsafe import Markup
 
 from jaxunshear.evaluation.measurements import measurements
@@ -9,6 +7,7 @@ from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.progress import duration
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
+from jaxunshear.results.run import Results, Table
 
 READ = (
     "unsheared",
@@ -18,46 +17,48 @@ READ = (
 )  # of a recorded run: the first of these that it has is what it is about
 
 
-def headlines(results: dict[str, Any]) -> Markup:
-    shown = _simulated(results) if words.simulated(results) else _recorded(results)
+def headlines(results: Results) -> Markup:
+    shown = _simulated(results) if results.simulated else _recorded(results)
     return page.cards(*shown, _run_total(results))
 
 
-def _simulated(results: dict[str, Any]) -> list[Markup]:
-    rows = {row["name"]: row for row in measurements(results)["rows"]}
-    similar, pose, pins = results["ms_ssim"], results["pose_mae"], results["pin_error"]
-    name, kind = results["metric"]["ms_ssim"], shown_kind(similar)
+def _simulated(results: Results) -> list[Markup]:
+    rows = {row.name: row for row in measurements(results).rows}
+    similar, pose, pins = results.ms_ssim, results.pose_mae, results.pin_error
+    name, kind = results.metric["ms_ssim"], shown_kind(similar)
     row, first = rows[f"ms_ssim.{kind}.overall"], rows["ms_ssim.sheared.overall"]
-    held = row["bar"] and kind != "sheared"  # a run without a network that unshears has nothing to hold against a bar
-    note = f"at least {row['bar']:.2f} unsheared, at most {first['bar']:.2f} sheared" if held else ""
+    held = row.bar and kind != "sheared"  # a run without a network that unshears has nothing to hold against a bar
+    note = f"at least {row.bar:.2f} unsheared, at most {first.bar:.2f} sheared" if held else ""
     before, after = number(similar["sheared"]["overall"]), number(similar[kind]["overall"])
-    met = row["ok"] and first["ok"] if held else None
+    met = row.ok and first.ok if held else None
     shown = [page.card(f"Likeness to the tap ({name})", before, after, note, met)]
     for quantity in words.chief(results) if kind in pose else ():
-        row = rows.get(f"pose_ratio.{kind}.{quantity}", {"bar": None, "ok": None})
+        ratio = rows.get(f"pose_ratio.{kind}.{quantity}")
         before, after = (_error(pose[image][quantity], quantity) for image in ("sheared", kind))
-        note = f"at most {row['bar']:g} of the sheared error" if row["bar"] else ""
+        note = f"at most {ratio.bar:g} of the sheared error" if ratio and ratio.bar else ""
         label = "distance to the edge" if quantity == "edge_mm" else words.word(quantity)
-        shown.append(page.card(f"Error in {label}", before, f"{after} {words.unit(quantity)}", note, row["ok"]))
+        shown.append(
+            page.card(f"Error in {label}", before, f"{after} {words.unit(quantity)}", note, ratio.ok if ratio else None)
+        )
     moved = page.card(
         "Pins away from the tap's",
         number(pins["true_slide"]["rms_px"], 1),
         f"{number(pins[kind]['rms_px'], 2)} px",
-        f"of {results['metric']['image_px']} px; root mean square",
+        f"of {results.metric['image_px']} px; root mean square",
     )
     return [*shown, moved]
 
 
-def _recorded(results: dict[str, Any]) -> list[Markup]:
-    pose, similar, chief = results["pose_mae"], results["ms_ssim"], words.chief(results)
+def _recorded(results: Results) -> list[Markup]:
+    pose, similar, chief = results.pose_mae, results.ms_ssim, words.chief(results)
     shown = [_read(pose, quantity) for quantity in chief if pose]
     if similar:
         before, after = (number(similar[kind]["overall"]) for kind in ("sheared", shown_kind(similar)))
-        label = f"Likeness to the {words.truth(results)} ({results['metric']['ms_ssim']})"
+        label = f"Likeness to the {words.truth(results)} ({results.metric['ms_ssim']})"
         shown.append(
             page.card(label, before, after, "of drawn pins; 1 is equal" if words.over_pins(results) else "1 is equal")
         )
-    recovery = results["pose_recovery"].get("unsheared")
+    recovery = results.pose_recovery.get("unsheared")
     if recovery:
         values = ", ".join(number(recovery[quantity]) for quantity in chief)
         note = (
@@ -67,7 +68,7 @@ def _recorded(results: dict[str, Any]) -> list[Markup]:
     return shown
 
 
-def _read(pose: dict[str, dict[str, float | None]], quantity: str) -> Markup:
+def _read(pose: Table, quantity: str) -> Markup:
     """The error in one quantity: of slides before and after, of taps and of the direct way beside it."""
     kind = next(kind for kind in READ if kind in pose)
     before = _error(pose["sheared"][quantity], quantity) if kind in READ[:2] and "sheared" in pose else ""
@@ -85,8 +86,8 @@ def _error(value: float | None, quantity: str) -> str:
     return number(value, 2 if words.unit(quantity) == "mm" else 1)
 
 
-def _run_total(results: dict[str, Any]) -> Markup:
-    machine, total = results["machine"], duration(sum(results["time_s"].values()))
+def _run_total(results: Results) -> Markup:
+    machine, total = results.machine, duration(sum(results.time_s.values()))
     return page.card(
-        "Entire run", "", total, f"sum of its stages; {machine['cores']} cores, {machine['device'].split(':')[0]}"
+        "Entire run", "", total, f"sum of its stages; {machine.cores} cores, {machine.device.split(':')[0]}"
     )

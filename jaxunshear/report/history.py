@@ -2,7 +2,9 @@
 
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from jaxunshear.storage import Json
 
 
 class History(NamedTuple):
@@ -14,7 +16,7 @@ class History(NamedTuple):
     validation: dict[str, list[float]]
 
 
-def read_lines(path: Path) -> list[dict[str, Any]]:
+def read_lines(path: Path) -> list[Json]:
     """Of a training log, those that hold a validation; none where there is no log yet. A line that is damaged, or cut short by a kill, is
     left out."""
     try:
@@ -43,7 +45,7 @@ def read_history(path: Path) -> History | None:
     )
 
 
-def _columns(rows: list[dict[str, Any]]) -> dict[str, list[float]]:
+def _columns(rows: list[Json]) -> dict[str, list[float]]:
     """Those names that every row has."""
     names = [name for name in rows[0] if all(isinstance(row.get(name), int | float) for row in rows)]
     return {name: [float(row[name]) for row in rows] for name in names}

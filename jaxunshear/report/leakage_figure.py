@@ -1,12 +1,15 @@
 """What each code holds, as bars; and where poses share slides, what DS draws of exchanged codes, beside the contacts of just these."""
 
 import io
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from jaxunshear.storage import Json
+
 if TYPE_CHECKING:
+    from matplotlib.figure import FigureBase
+
     from jaxunshear.evaluation.exchange import Exchanged
 
 BARS = {
@@ -18,7 +21,7 @@ BARS = {
 PROBE = "mlp"  # the one that finds more
 
 
-def leakage_figure(results: Mapping[str, Any], exchanged: "Exchanged | None") -> bytes:
+def leakage_figure(results: Json, exchanged: "Exchanged | None") -> bytes:
     """PNG."""
     from matplotlib.figure import Figure
 
@@ -33,7 +36,7 @@ def leakage_figure(results: Mapping[str, Any], exchanged: "Exchanged | None") ->
     return stream.getvalue()
 
 
-def _bars(figure: Any, results: Mapping[str, Any]) -> None:
+def _bars(figure: "FigureBase", results: Json) -> None:
     rows = [row for row in results["rows"] if row["probe"] == PROBE]
     axes = figure.subplots()
     shown = [name for name in BARS if name in rows[0]]
@@ -51,7 +54,7 @@ def _bars(figure: Any, results: Mapping[str, Any]) -> None:
     figure.legend(*axes.get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=2)
 
 
-def _matrix(figure: Any, exchanged: "Exchanged") -> None:
+def _matrix(figure: "FigureBase", exchanged: "Exchanged") -> None:
     side = len(exchanged.true)
     panels = figure.subplots(side, side, squeeze=False)
     middle, reach = exchanged.true.mean(axis=(0, 1, 2)), 1.05 * np.ptp(exchanged.true, axis=(0, 1, 2)).max() / 2

@@ -1,28 +1,30 @@
 """Sections of a run's report: how it was made. Training, times, the contacts behind the images, how to get it again."""
 
 import json
-from typing import Any
 
 from markupsafe import Markup
 
 from jaxunshear.progress import duration
 from jaxunshear.report import figures, page, words
 from jaxunshear.report.history import History
+from jaxunshear.results.rows import Summary
+from jaxunshear.results.run import Results
+from jaxunshear.storage import plain
 
-SHOWN = ("parameters", "steps", "images_per_second", "train_seconds", "best_step")  # of a training's summary
+TRAINED = "delete it, then run the same experiment again, which goes on from the checkpoint"
 
 
-def training(histories: dict[str, History], summaries: dict[str, dict]) -> Markup:
+def training(histories: dict[str, History], summaries: dict[str, Summary]) -> Markup:
     if not histories:
         return page.section("Training", "This run has no training logs.")
     rows = [
         [
             name,
-            f"{summary['parameters']:,}",
-            str(summary["steps"]),
-            f"{summary['images_per_second']:.3g}",
-            duration(summary["train_seconds"]),
-            str(summary["best_step"]),
+            f"{summary.parameters:,}",
+            str(summary.steps),
+            f"{summary.images_per_second:.3g}",
+            duration(summary.train_seconds),
+            str(summary.best_step),
         ]
         for name, summary in summaries.items()
     ]
@@ -32,8 +34,8 @@ def training(histories: dict[str, History], summaries: dict[str, dict]) -> Marku
     return page.section("Training", lead, page.drawing(figures.loss_curves(histories), text), page.table(head, rows))
 
 
-def times(results: dict[str, Any], histories: dict[str, History]) -> Markup:
-    stages = {name: value for name, value in results["time_s"].items() if value is not None}
+def times(results: Results, histories: dict[str, History]) -> Markup:
+    stages = {name: value for name, value in results.time_s.items() if value is not None}
     drawn = []
     if stages:
         text = "; ".join(f"{name} {value:.0f} s" for name, value in stages.items())
@@ -49,7 +51,7 @@ def times(results: dict[str, Any], histories: dict[str, History]) -> Markup:
     )
     waits = "; ".join(
         f"{name} {_short(times['median'])} ms (95th percentile {_short(times['p95'])})"
-        for name, times in results["ms_per_image"].items()
+        for name, times in results.ms_per_image.items()
     )
     note = page.soft(f"One image at a time, compilation apart: {waits}.") if waits else ""
     return page.section("Error against run time", lead, page.row(*drawn), note)
@@ -59,17 +61,17 @@ def _short(milliseconds: float) -> str:
     return f"{milliseconds:.1f}" if milliseconds >= 1 else f"{milliseconds:.2g}"
 
 
-def _over_time(results: dict[str, Any]) -> dict[str, str]:
+def _over_time(results: Results) -> dict[str, str]:
     """A network's validation figures that are drawn over its seconds of training, with their labels."""
     what = "pins" if words.over_pins(results) else "image"
-    form = "{} of taps, {}" if words.simulated(results) else "error in {}, {}"
+    form = "{} of taps, {}" if results.simulated else "error in {}, {}"
     chief = {name: form.format(words.word(name), words.unit(name)) for name in words.chief(results)}
     return {"supervised": f"unsheared {what}, MSE"} | chief
 
 
-def contacts(results: dict[str, Any]) -> Markup:
+def contacts(results: Results) -> Markup:
     """Nothing of recorded contacts, which no solver has solved."""
-    if not words.simulated(results):
+    if not results.simulated:
         return Markup()
     names = {
         "residual_mm": "solver residual, mm",
@@ -81,29 +83,31 @@ def contacts(results: dict[str, Any]) -> Markup:
     head = ["sheared test contacts", "mean", "median", "95th percentile", "largest"]
     rows = [
         [names.get(field, field), *(f"{entry[q]:.3g}" for q in ("mean", "median", "p95", "max"))]
-        for field, entry in results["contact"].items()
+        for field, entry in (results.contact or {}).items()
     ]
-    counts = results["counts"]
+    counts = results.counts
     tried = ""
-    if "contacts" in counts:
-        tried = f"Of {counts['contacts']} contacts {counts['retried']} were solved again more finely and {counts['dropped']} dropped."
+    if counts.contacts is not None:
+        tried = f"Of {counts.contacts} contacts {counts.retried} were solved again more finely and {counts.dropped} dropped."
     pairs = (
-        f"Pairs: {counts['train']} to train, {counts['validation']} to validate, {counts['test']} to test"
-        if "train" in counts
+        f"Pairs: {counts.train} to train, {counts.validation} to validate, {counts.test} to test"
+        if counts.train is not None
         else ""
     )
-    poses = f"{counts['test_poses']} test poses. {counts['pin_images']} images had their pins found."
+    poses = f"{counts.test_poses} test poses. {counts.pin_images} images had their pins found."
     lead = "How well the simulated contacts behind the test images were solved."
     return page.section("Contact quality", lead, page.table(head, rows), page.soft(f"{tried} {pairs}; {poses}"))
 
 
-def provenance(results: dict[str, Any]) -> Markup:
-    parts = (page.table(("", ""), list(results[part].items())) for part in ("seeds", "machine", "versions"))
-    settings = page.code(json.dumps(results["settings"], indent=2))
+def provenance(results: Results) -> Markup:
+    parts = (
+        page.table(("", ""), list(part.items())) for part in (results.seeds, plain(results.machine), results.versions)
+    )
+    settings = page.code(json.dumps(results.settings, indent=2))
     return page.section(
         "How to get this again",
         "The same command, seeds and versions on the same machine give the same numbers.",
-        page.code(results["command"]),
+        page.code(results.command),
         page.row(*parts),
         page.folded("All settings", settings),
     )

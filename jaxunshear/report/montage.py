@@ -2,7 +2,7 @@
 
 import io
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, pictures, words
+from jaxunshear.results.run import Results
 from jaxunshear.storage import BROKEN_NPZ
 
 WIDE = 22  # letters that do not fit above an image
@@ -37,14 +38,14 @@ def read(path: Path) -> Shown:
         raise UserError(f"{path} is missing or damaged: run `jaxunshear evaluate` again") from error
 
 
-def terms(results: dict[str, Any]) -> Terms:
+def terms(results: Results) -> Terms:
     truth = words.truth(results)
     shown = "tap (truth)" if truth == "tap" else truth
     heads = ("sheared (input)", "unsheared", shown, f"sheared against {truth}", f"unsheared against {truth}")
-    return Terms(heads, "depth" if words.simulated(results) else "z", truth)
+    return Terms(heads, "depth" if results.simulated else "z", truth)
 
 
-def section(shown: Shown, results: dict[str, Any]) -> Markup:
+def section(shown: Shown, results: Results) -> Markup:
     """Of the report: one typical contact of each stimulus, and folded away those that went badly and well."""
     middle, others = typical(shown)
     said = terms(results)
@@ -54,14 +55,14 @@ def section(shown: Shown, results: dict[str, Any]) -> Markup:
         summary = "Contacts that went badly, and well (10th and 90th percentile)"
         body.append(page.folded(summary, _table(shown, others, said)))
     lead = "One contact of each shape that is typical of its test set: what was felt, what the network made of it, and the truth."
-    if not words.simulated(results):
+    if not results.simulated:
         lead = f"A held-out slide that is typical: what was felt, what the network made of it, and its {said.truth}."
     if words.over_pins(results):
         lead += " The network reads pins and gives pins: the images are these pins, drawn."
     return page.section("What it does", lead, *body)
 
 
-def drawing(shown: Shown, results: dict[str, Any]) -> bytes:
+def drawing(shown: Shown, results: Results) -> bytes:
     """The typical contacts as one PNG; the same contacts give the same bytes."""
     rows, _ = typical(shown)
     said = terms(results)

@@ -2,7 +2,7 @@
 
 import base64
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -39,7 +39,7 @@ def number(value: float | None, digits: int = 2) -> str:
     return "\u2013" if value is None else f"{value:.{digits}f}"
 
 
-def spanned(value: float | None, interval: list[float] | None, digits: int) -> str:
+def spanned(value: float | None, interval: Sequence[float] | None, digits: int) -> str:
     """A figure with its interval below; without one where there is none."""
     if value is None or interval is None:
         return number(value, digits)

@@ -1,24 +1,23 @@
 """The section on poses: what a PoseNet reads of every kind of contact, and how much of the slide's damage is undone."""
 
-from typing import Any
-
 from markupsafe import Markup
 
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, scores, words
 from jaxunshear.report.page import number, spanned
+from jaxunshear.results.run import Parts, Results, Span
 from jaxunshear.settings.registry import DISENTANGLED
 
 TITLE = "What a pose network reads"
 ALIAS = "unsheared"  # in recorded results: the network that the run is about, once more
 
 
-def poses(results: dict[str, Any]) -> Markup:
-    ours, spread = results["pose_mae"], results["spread"]["pose_mae"]
+def poses(results: Results) -> Markup:
+    ours, spread = results.pose_mae, results.spread.pose_mae
     if not ours:
         return page.section(TITLE, "This run has no PoseNet.")
-    names, paper = words.targets(results), results["paper"]["pose_mae"]
-    known = [name for name in paper["tap"] if name in names and words.simulated(results)]
+    names, paper = words.targets(results), results.paper["pose_mae"]
+    known = [name for name in paper["tap"] if name in names and results.simulated]
     given = "what PoseNet is given" if words.over_pins(results) else "image given to PoseNet"
     head = [given, *map(words.heading, names), *(Markup("{}<br>paper").format(words.heading(q)) for q in known)]
     rows = [
@@ -30,10 +29,10 @@ def poses(results: dict[str, Any]) -> Markup:
         for kind in ours
         if kind != ALIAS
     ]
-    strong, chance = [len(rows) - 1], results["baselines"]["pose_chance"]
+    strong, chance = [len(rows) - 1], results.baselines["pose_chance"]
     rows.append(
         [
-            Markup("<i>one answer to every {}</i>").format("image" if words.simulated(results) else "contact"),
+            Markup("<i>one answer to every {}</i>").format("image" if results.simulated else "contact"),
             *(number(chance.get(q), words.digits(results, q)) for q in names),
             *("" for _ in known),
         ]
@@ -43,22 +42,22 @@ def poses(results: dict[str, Any]) -> Markup:
         _lead(results, names),
         page.table(head, rows, range(1 + len(names), len(head)), strong),
         _recovery(results),
-        _by_part(results, "pose_by_stimulus", "shape"),
-        _by_part(results, "pose_by_depth", "depth" if words.simulated(results) else "z"),
-        _by_part(results, "pose_by_slide", "length of the slide"),
+        _by_part(results, results.pose_by_stimulus, "shape"),
+        _by_part(results, results.pose_by_depth, "depth" if results.simulated else "z"),
+        _by_part(results, results.pose_by_slide, "length of the slide"),
         *_apart(results),
     )
 
 
-def _lead(results: dict[str, Any], names: list[str]) -> str:
-    if words.simulated(results):
+def _lead(results: Results, names: list[str]) -> str:
+    if results.simulated:
         lead = "Mean absolute error of a PoseNet that has only learned from taps."
         if "edge_mm" in names:
             lead += (
                 " x and yaw are ambiguous along a smooth edge; the distance to the edge and its local angle are not."
             )
         return f"{lead} {_brackets(results)}"
-    ours = results["pose_mae"]
+    ours = results.pose_mae
     lead = (
         "Mean absolute errors on held-out contacts, in the labels' own frame, of a PoseNet that has only learned from "
     )
@@ -71,18 +70,18 @@ def _lead(results: dict[str, Any], names: list[str]) -> str:
     return f"{lead} {_brackets(results)}"
 
 
-def _brackets(results: dict[str, Any]) -> str:
+def _brackets(results: Results) -> str:
     reported = words.spread(results)
     return reported[0].upper() + reported[1:]
 
 
-def _recovery(results: dict[str, Any]) -> Markup:
+def _recovery(results: Results) -> Markup:
     """The sentence; nothing where no network unshears, or nothing is known of taps."""
-    kind = shown_kind(results["pose_recovery"])
+    kind = shown_kind(results.pose_recovery)
     if kind == "sheared":
         return Markup()
-    found, spread = results["pose_recovery"][kind], results["spread"]["pose_recovery"][kind]
-    if words.simulated(results):
+    found, spread = results.pose_recovery[kind], results.spread.pose_recovery[kind]
+    if results.simulated:
         undone = [f"{words.word(q)} {x:.0%}{_span(spread[q], '.0%')}" for q, x in found.items() if x is not None]
         text = f"Recovery, the part of the slide's damage that is undone, by the {kind} network: "
         return page.soft(f"{text}{', '.join(undone) or 'none'}.")
@@ -93,13 +92,13 @@ def _recovery(results: dict[str, Any]) -> Markup:
     ).format(kind, reported, page.soft(_of_paper(results)))
 
 
-def _recovered(value: float | None, interval: list[float] | None) -> str:
+def _recovered(value: float | None, interval: Span) -> str:
     return "none, as slides do no harm" if value is None else f"{value:.2f}{_span(interval, '.2f')}"
 
 
-def _of_paper(results: dict[str, Any]) -> str:
+def _of_paper(results: Results) -> str:
     """Its recoveries: of another sensor and other quantities, they give the scale."""
-    error = results["paper"]["pose_mae"]
+    error = results.paper["pose_mae"]
     reported = [
         f"{(felt - error[DISENTANGLED][q]) / (felt - error['tap'][q]):.2f} in {words.word(q)}"
         for q, felt in error["sheared"].items()
@@ -107,24 +106,24 @@ def _of_paper(results: dict[str, Any]) -> str:
     return f"The paper's disentangled network, on another sensor and task, has a recovery of {' and '.join(reported)}."
 
 
-def _span(interval: list[float] | None, form: str) -> str:
+def _span(interval: Span, form: str) -> str:
     return "" if interval is None else f" [{interval[0]:{form}}, {interval[1]:{form}}]"
 
 
-def _by_part(results: dict[str, Any], table: str, by: str) -> Markup:
-    """Each part of `table`, for the network that `poses` names; folded away. Recovery, or where nothing is known of
+def _by_part(results: Results, parts: Parts | None, by: str) -> Markup:
+    """Each of `parts`, for the network that `poses` names; folded away. Recovery, or where nothing is known of
     taps errors. Nothing of runs evaluated by an earlier version."""
-    names, kind = words.targets(results), shown_kind(results["pose_mae"])
+    names, kind = words.targets(results), shown_kind(results.pose_mae)
     digits = [words.digits(results, q) for q in names]
     recovered, rows = False, []
-    for part, found in results.get(table, {}).items():
+    for part, found in (parts or {}).items():
         if not found:
             continue
-        if kind in found["pose_recovery"] and kind != "sheared":
-            recovered, spread = True, found["spread"]["pose_recovery"][kind]
-            rows.append([part, *(spanned(found["pose_recovery"][kind].get(q), spread.get(q), 2) for q in names)])
-        elif not words.simulated(results) and {"sheared", kind} <= set(found["pose_mae"]) and kind != "sheared":
-            felt, unsheared = found["pose_mae"]["sheared"], found["pose_mae"][kind]
+        if kind in found.pose_recovery and kind != "sheared":
+            recovered, spread = True, found.spread.pose_recovery[kind]
+            rows.append([part, *(spanned(found.pose_recovery[kind].get(q), spread.get(q), 2) for q in names)])
+        elif not results.simulated and {"sheared", kind} <= set(found.pose_mae) and kind != "sheared":
+            felt, unsheared = found.pose_mae["sheared"], found.pose_mae[kind]
             rows.append(
                 [
                     part,
@@ -144,23 +143,23 @@ def _by_part(results: dict[str, Any], table: str, by: str) -> Markup:
     return page.folded(f"By {by}", page.table(head, rows))
 
 
-def _apart(results: dict[str, Any]) -> list[Markup]:
+def _apart(results: Results) -> list[Markup]:
     """The disentangled network less each other one, contact by contact, a sentence each."""
-    if words.simulated(results):
+    if results.simulated:
         units = {
             q: "mm from the edge" if q == "edge_mm" else f"{words.unit(q)} of {words.word(q)}"
             for q in words.chief(results)
         }
         shown = ["edge_mm"] if "edge_mm" in units else list(units)
         return [scores.apart(results, q, units[q], 3, -1) for q in shown]
-    return [_against(results, kind) for kind, columns in results["difference"].items() if set(columns) != {"ms_ssim"}]
+    return [_against(results, kind) for kind, columns in results.difference.items() if set(columns) != {"ms_ssim"}]
 
 
-def _against(results: dict[str, Any], kind: str) -> Markup:
-    found, spread = results["difference"][kind], results["spread"]["difference"][kind]
+def _against(results: Results, kind: str) -> Markup:
+    found, spread = results.difference[kind], results.spread.difference[kind]
     reported = []
     for name in words.targets(results):
-        low, high = spread[name]
+        low, high = spread[name] or (0.0, 0.0)
         verdict = "within chance" if low <= 0 <= high else "better" if high < 0 else "worse"
         form = f"+.{words.digits(results, name)}f"
         figure = f"{found[name]:{form}}{_span(spread[name], form)} {words.unit(name)}"

@@ -1,12 +1,14 @@
 """Sections of a recorded run's page: what it learnt from and was scored on, and how its slides are paired."""
 
-from typing import Any
+from collections.abc import Sequence
 
 from markupsafe import Markup
 
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
+from jaxunshear.results.run import Results, Scores
 from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.targets import Target
 
 WAYS = {
     "rendered": "A slide's partner is what a renderer, a network that learnt from the taps, draws at the slide's pose: no tap "
@@ -20,24 +22,26 @@ WAYS = {
 }
 
 
-def recordings(results: dict[str, Any]) -> Markup:
-    reported = results["recordings"]
+def recordings(results: Results) -> Markup:
+    reported, _ = results.recorded
     rows = [
-        [kind, *(str(reported[kind][split]) for split in SPLITS)]
-        for kind in ("taps", "slides")
-        if any(reported[kind].values())
+        [kind, *(str(counted[split]) for split in SPLITS)]
+        for kind, counted in (("taps", reported.taps), ("slides", reported.slides))
+        if any(counted.values())
     ]
-    folders = dict.fromkeys(results["settings"]["paired"][kind] for kind in ("tap_folder", "slide_folder"))
+    folders = dict.fromkeys(results.settings["paired"][kind] for kind in ("tap_folder", "slide_folder"))
     named = Markup(", ").join(Markup("<code>{}</code>").format(folder) for folder in folders if folder)
     facts = [
-        Markup("Folder: {} (digest {digest}); sensor {sensor}, {pins} pins.").format(named, **reported),
-        f"Contacts: {reported['contacts']}, {reported['dropped']} of them left out. Pins are followed for sure in "
-        f"{reported['pins_sure']:.1%} of the others, in {reported['unsure']} they are not.",
-        f"Labels used, by their range in training: {'; '.join(map(_range, results['targets'])) or 'none'}.",
+        Markup("Folder: {} (digest {}); sensor {}, {} pins.").format(
+            named, reported.digest, reported.sensor, reported.pins
+        ),
+        f"Contacts: {reported.contacts}, {reported.dropped} of them left out. Pins are followed for sure in "
+        f"{reported.pins_sure:.1%} of the others, in {reported.unsure} they are not.",
+        f"Labels used, by their range in training: {'; '.join(map(_range, results.targets or ())) or 'none'}.",
     ]
-    if reported["labelled"] < 1:
-        facts.append(f"Labels of {reported['labelled']:.0%} of the training slides teach.")
-    if results["settings"]["paired"].get("unlabelled") == "read":
+    if reported.labelled < 1:
+        facts.append(f"Labels of {reported.labelled:.0%} of the training slides teach.")
+    if results.settings["paired"].get("unlabelled") == "read":
         facts.append(
             Markup("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
         )
@@ -47,14 +51,14 @@ def recordings(results: dict[str, Any]) -> Markup:
         lead,
         page.table(["contacts", *SPLITS], rows),
         *map(page.soft, facts),
-        _listed(f"Frames left out ({reported['dropped']})", reported["dropped_frames"], reported["dropped"]),
-        _listed("Notes from reading them", reported["notes"], len(reported["notes"])),
+        _listed(f"Frames left out ({reported.dropped})", reported.dropped_frames, reported.dropped),
+        _listed("Notes from reading them", reported.notes, len(reported.notes)),
     )
 
 
-def intervals(results: dict[str, Any]) -> Markup:
+def intervals(results: Results) -> Markup:
     """Nothing of runs evaluated by an earlier version, or with few validation contacts."""
-    widths, held = results.get("half_width", {}), results.get("coverage", {})
+    widths, held = results.half_width or {}, results.coverage or {}
     names = [name for name in words.targets(results) if any(name in reported for reported in held.values())]
     rows = [
         [words.kind_of(results, way), *(f"{number(widths[way][name])} ({reported[name]:.1%})" for name in names)]
@@ -69,32 +73,34 @@ def intervals(results: dict[str, Any]) -> Markup:
     )
 
 
-def _range(target: dict[str, Any]) -> str:
-    name = target["name"]
-    if target["circle"]:
+def _range(target: Target) -> str:
+    name = target.name
+    if target.circle:
         return f"{words.word(name)} over the full circle"
-    low, high = target["middle"] - target["reach"], target["middle"] + target["reach"]
+    low, high = target.middle - target.reach, target.middle + target.reach
     return f"{words.word(name)} {low:.2f} to {high:.2f} {words.unit(name)}"
 
 
-def _listed(heading: str, lines: list[str], count: int) -> Markup:
+def _listed(heading: str, lines: Sequence[str], count: int) -> Markup:
     """Folded away; nothing of no lines."""
     if not lines:
         return Markup()
     return page.folded(heading, page.listed(lines, count - len(lines)))
 
 
-def pairing(results: dict[str, Any]) -> Markup:
+def pairing(results: Results) -> Markup:
     """Nothing where there are no pairs."""
-    way, gaps = results["pairing"]["way"], results["pairing"]["gaps"]
-    if way not in WAYS:
+    if results.pairing is None or (way := results.pairing.way) not in WAYS:
         return Markup()
     names = words.targets(results)
-    rows = [[split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)] for split, gap in gaps.items()]
+    rows = [
+        [split, str(gap["pairs"]), *(_gap(gap[name]) for name in names)] for split, gap in results.pairing.gaps.items()
+    ]
     head = ["pose of the partner off by", "pairs", *map(words.heading, names)]
     note = page.soft("Median, and in brackets the 95th percentile.")
     return page.section("How slides are paired", WAYS[way], page.table(head, rows), note)
 
 
-def _gap(gap: dict[str, float | None]) -> str:
+def _gap(gap: Scores | int) -> str:
+    assert not isinstance(gap, int)
     return f"{number(gap['median'])} ({number(gap['p95'])})"

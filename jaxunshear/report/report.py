@@ -3,16 +3,19 @@
 Read `write_report` for the order of the page.
 """
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from markupsafe import Markup
 
 from jaxunshear.errors import UserError
 from jaxunshear.report import applications, headlines, making, montage, page, poses, readers, recordings, scores, words
 from jaxunshear.report.history import read_history
+from jaxunshear.results.rows import Summary
+from jaxunshear.results.run import EVALUATED, Results
+from jaxunshear.results.stored import read
 from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.storage import read_json, read_json_if_sound, write_bytes, write_text
+from jaxunshear.storage import read_json_if_sound, write_bytes, write_text
 
 SIMULATED = Markup(
     "A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "
@@ -34,15 +37,15 @@ def write_report(run_dir: Path) -> Path:
     curves; recorded runs in which nothing is unsheared have no montage.
     """
     run_dir = Path(run_dir)
-    results = read_json(run_dir / "results.json")
+    results = read(run_dir / "results.json", Results, EVALUATED)
     grown = read_json_if_sound(run_dir / "times.json") or {}  # since the evaluation
+    results = replace(results, time_s={**results.time_s, **grown})
     logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}
     endings = {name: run_dir / name / "summary.json" for name in histories}
-    summaries = {name: _ending(path) for name, path in endings.items() if path.exists()}
+    summaries = {name: read(path, Summary, making.TRAINED) for name, path in endings.items() if path.exists()}
     try:
-        results["time_s"] |= grown
-        shown = montage.read(run_dir / "montage.npz") if words.simulated(results) or results["ms_ssim"] else None
+        shown = montage.read(run_dir / "montage.npz") if results.simulated or results.ms_ssim else None
         parts = [
             _heading(results),
             headlines.headlines(results),
@@ -54,7 +57,7 @@ def write_report(run_dir: Path) -> Path:
             scores.pins(results),
             *(
                 []
-                if words.simulated(results)
+                if results.simulated
                 else [recordings.recordings(results), recordings.pairing(results), recordings.intervals(results)]
             ),
             scores.swap(results),
@@ -65,39 +68,28 @@ def write_report(run_dir: Path) -> Path:
             making.provenance(results),
         ]
     except (KeyError, TypeError, AttributeError) as error:
-        raise UserError(f"{run_dir / 'results.json'} lacks {error}: run `jaxunshear evaluate` again") from error
+        raise UserError(f"{run_dir / 'results.json'} lacks {error}: {EVALUATED}") from error
     if shown:
         write_bytes(run_dir / "montage.png", montage.drawing(shown, results))
     path = run_dir / "report.html"
-    write_text(path, page.page(f"jaxunshear: {results['experiment']}", *filter(None, parts)))
+    write_text(path, page.page(f"jaxunshear: {results.experiment}", *filter(None, parts)))
     return path
 
 
-def _ending(path: Path) -> dict[str, Any]:
-    """What a finished training says of itself."""
-    stored = read_json(path)
-    lacking = [name for name in making.SHOWN if not isinstance(stored, dict) or name not in stored]
-    if lacking:
-        raise UserError(
-            f"{path} lacks '{lacking[0]}': delete it, then run the same experiment again, which goes on from the checkpoint"
-        )
-    return stored
+def _heading(results: Results) -> Markup:
+    lead = SIMULATED if results.simulated else _of_recordings(results)
+    return page.opening(results.experiment, results.claim, lead)
 
 
-def _heading(results: dict[str, Any]) -> Markup:
-    lead = SIMULATED if words.simulated(results) else _of_recordings(results)
-    return page.opening(results["experiment"], results["claim"], lead)
-
-
-def _of_recordings(results: dict[str, Any]) -> Markup:
-    counts = results["counts"]
-    if results["ms_ssim"]:
+def _of_recordings(results: Results) -> Markup:
+    counts = results.counts
+    if results.ms_ssim:
         what = "pins" if words.over_pins(results) else "an image"
         about = f"The networks of this run turn {what} of a slide into what a plain tap would have given."
     else:
         about = "Nothing is unsheared here, for which it takes taps and slides: the networks of this run read poses."
     counted = " and ".join(
-        f"{count} {kind}" for kind, count in (("taps", counts["test_taps"]), ("slides", counts["test_poses"])) if count
+        f"{count} {kind}" for kind, count in (("taps", counts.test_taps), ("slides", counts.test_poses)) if count
     )
-    paper = OF_PAPER if results["ms_ssim"] and words.comparable(results) else ""
+    paper = OF_PAPER if results.ms_ssim and words.comparable(results) else ""
     return RECORDED.format(about, counted, paper)

@@ -1,11 +1,10 @@
 """Sections of a run's report: what was measured, image by image, with the paper's figures beside."""
 
-from typing import Any
-
 from markupsafe import Markup
 
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number, spanned
+from jaxunshear.results.run import Results, Table
 
 PIN_COLUMNS = (  # heading, name, digits
     ("error, px rms", "rms_px", 2),
@@ -15,9 +14,9 @@ PIN_COLUMNS = (  # heading, name, digits
 )
 
 
-def similarity(results: dict[str, Any]) -> Markup:
+def similarity(results: Results) -> Markup:
     """Nothing where nothing is unsheared."""
-    ours, spread, paper = results["ms_ssim"], results["spread"]["ms_ssim"], results["paper"]["ms_ssim"]
+    ours, spread, paper = results.ms_ssim, results.spread.ms_ssim, results.paper["ms_ssim"]
     if not ours:
         return Markup()
     groups = list(next(iter(ours.values())))
@@ -35,7 +34,7 @@ def similarity(results: dict[str, Any]) -> Markup:
         ]
         for kind in ours
     ]
-    name, size = results["metric"]["ms_ssim"], results["metric"]["image_px"]
+    name, size = results.metric["ms_ssim"], results.metric["image_px"]
     drawn = " of drawn pins" if words.over_pins(results) else ""
     lead = f"{name}{drawn} at {size} px, 1 is equal; {words.spread(results)}"
     if known and name != "ms_ssim":
@@ -49,13 +48,14 @@ def similarity(results: dict[str, Any]) -> Markup:
     )
 
 
-def apart(results: dict[str, Any], column: str, what: str, digits: int, better: int) -> Markup:
+def apart(results: Results, column: str, what: str, digits: int, better: int) -> Markup:
     """The disentangled network less each other one, contact by contact; `better` is the sign of a gain."""
     said = []
-    for kind, columns in results["difference"].items():
-        if column not in columns:
+    for kind, columns in results.difference.items():
+        less, span = columns.get(column), results.spread.difference[kind].get(column)
+        if less is None or span is None:
             continue
-        low, high = results["spread"]["difference"][kind][column]
+        low, high = span
         verdict = "not distinguishable" if low <= 0 <= high else "better" if low * better > 0 else "worse"
         name = words.KINDS[kind].removeprefix("unsheared, ").removeprefix("sheared, ")
         said.append(f"{name} {columns[column]:+.{digits}f} [{low:+.{digits}f}, {high:+.{digits}f}] ({verdict})")
@@ -64,40 +64,40 @@ def apart(results: dict[str, Any], column: str, what: str, digits: int, better: 
     return page.soft(f"Contact by contact, disentangled less other networks, {what}: {'; '.join(said)}.")
 
 
-def further(results: dict[str, Any]) -> Markup:
+def further(results: Results) -> Markup:
     """The tests of their own: shapes that no network has seen, taps at other depths."""
     parts, names = [], words.targets(results)
-    for name, test in results["tests"].items():
-        ours, pose, spread = test["ms_ssim"], test["pose_mae"], test["spread"]
+    for name, test in results.tests.items():
+        ours, pose, spread = test.ms_ssim, test.pose_mae, test.spread
         groups = list(next(iter(ours.values())))
         head = ["image", *groups, *(words.heading(q) for q in names if pose)]
         rows = [
             [
                 words.KINDS[kind],
-                *(spanned(ours.get(kind, {}).get(g), spread["ms_ssim"].get(kind, {}).get(g), 3) for g in groups),
-                *(spanned(pose[kind].get(q), spread["pose_mae"][kind].get(q), 2) for q in names if kind in pose),
+                *(spanned(ours.get(kind, {}).get(g), spread.ms_ssim.get(kind, {}).get(g), 3) for g in groups),
+                *(spanned(pose[kind].get(q), spread.pose_mae[kind].get(q), 2) for q in names if kind in pose),
             ]
             for kind in words.KINDS
             if kind in pose or kind in ours
         ]
         what = "shapes that no network has seen" if name == "unseen" else "the shapes trained on"
-        jitter = test["tap_depth_jitter_mm"]
+        jitter = test.tap_depth_jitter_mm
         depth = (
             f"taps as deep as the slide, but for up to {jitter:g} mm either way"
             if jitter
             else "taps as deep as the slide"
         )
-        if "followed" in test:
-            depth = f"{depth}, their pins found in the images ({_followed(test['followed'])})"
+        if test.followed:
+            depth = f"{depth}, their pins found in the images ({_followed(test.followed)})"
         ways = {"twist_deg": "slides that twist", "tilt_deg": "sensors that lean"}
-        wide = {reported: size for field, reported in ways.items() if (size := test.get("ranges", {}).get(field))}
+        wide = {reported: size for field, reported in ways.items() if (size := (test.ranges or {}).get(field))}
         depth += "".join(f", {reported} by up to {size:g} deg" for reported, size in wide.items())
-        lead = f"{test['contacts']} slides over {what}, {depth}: likeness of the images, then errors of pose; {words.spread(test)}"
+        lead = f"{test.contacts} slides over {what}, {depth}: likeness of the images, then errors of pose; {words.spread(test)}"
         parts.append(page.section(f"Test of its own: {name}", lead, page.table(head, rows, (), [len(rows) - 1])))
     return Markup().join(parts)
 
 
-def _followed(pins: dict[str, Any]) -> str:
+def _followed(pins: Table) -> str:
     kinds = {"tap": "taps", "sheared": "slides"}
     said = [
         f"{pins[k]['followed']:.1%} of {name} followed, {pins[k]['rms_px']:.2f} px off" for k, name in kinds.items()
@@ -105,50 +105,50 @@ def _followed(pins: dict[str, Any]) -> str:
     return "; ".join(said)
 
 
-def pins(results: dict[str, Any]) -> Markup:
+def pins(results: Results) -> Markup:
     """Columns that nothing is known for are left out, and so is all of it where there are no pairs."""
-    errors = results["pin_error"]
+    errors = results.pin_error
     if not errors:
         return Markup()
     shown = [
         (head, name, digits)
         for head, name, digits in PIN_COLUMNS
-        if name == "rms_px" or words.simulated(results) or any(row.get(name) is not None for row in errors.values())
+        if name == "rms_px" or results.simulated or any(row.get(name) is not None for row in errors.values())
     ]
     rows = [
         [_pinned(results, kind), *(number(errors[kind].get(name), digits) for _, name, digits in shown)]
         for kind in words.KINDS
         if kind in errors
     ]
-    truth = "tap's true pins" if words.simulated(results) else f"{words.truth(results)}'s pins"
+    truth = "tap's true pins" if results.simulated else f"{words.truth(results)}'s pins"
     lead = (
         f"Centroids found in each image, matched one to one with the {truth} within half a pitch. The first row is "
         "what finding pins costs by itself; the last is how far the slide really moved them."
     )
-    if words.over_pins(results) and not words.simulated(results):
+    if words.over_pins(results) and not results.simulated:
         lead = f"How far each pin, known by name, is from the {truth}; the last row is how far the slide moved them."
     return page.section("Where the pins are", lead, page.table(["image", *(head for head, _, _ in shown)], rows))
 
 
-def _pinned(results: dict[str, Any], kind: str) -> str:
+def _pinned(results: Results, kind: str) -> str:
     """Images are compared with one partner or tap, which has a row, too."""
-    return words.truth(results) if kind == "tap" and not words.simulated(results) else words.kind_of(results, kind)
+    return words.truth(results) if kind == "tap" and not results.simulated else words.kind_of(results, kind)
 
 
-def swap(results: dict[str, Any]) -> Markup:
+def swap(results: Results) -> Markup:
     """Nothing of networks without two codes."""
-    paper, name = results["paper"]["swap"], results["metric"]["ms_ssim"]
-    if not results["swap"]:
+    paper, name = results.paper["swap"], results.metric["ms_ssim"]
+    if not results.swap:
         return Markup()
     known = ("mse", "ms_ssim") if words.comparable(results) else ()
     rows = [
         [
             cell,
-            words.truth(results) if entry["target"] == "tap" else entry["target"],
-            *(number(entry[m], 3) for m in ("mse", "ssim", "ms_ssim")),
+            words.truth(results) if entry.target == "tap" else entry.target,
+            *(number(value, 3) for value in (entry.mse, entry.ssim, entry.ms_ssim)),
             *(number(paper[cell][m], 3) for m in known),
         ]
-        for cell, entry in results["swap"].items()
+        for cell, entry in results.swap.items()
     ]
     both = len(rows) > 2  # networks over pins have codes of two widths, which cannot be swapped
     lead = (

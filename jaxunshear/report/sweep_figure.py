@@ -4,12 +4,13 @@ import fnmatch
 import io
 import textwrap
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from jaxunshear.results.sweep import CellResult, Failure, Figures, SweepResult
 from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
 
 SHOWN = (  # in this order; a metric that is the same in all cells says nothing and is left out
@@ -28,10 +29,10 @@ NAMED = {"swap/DC(z_p)/mse": "L_sup, swap/DC(z_p)/mse", "swap/DS(z_p,z_s)/mse": 
 COLUMNS = 4
 
 
-def sweep_figure(summary: dict[str, Any]) -> bytes | None:
+def sweep_figure(summary: SweepResult) -> bytes | None:
     """PNG of a summary as in sweep.json; None for a grid of no axis, or of more than two, or where no cell has figures."""
     panels = shown_metrics(summary)
-    draw = {1: _lines, 2: _heat_map}.get(len(summary["axes"]))
+    draw = {1: _lines, 2: _heat_map}.get(len(summary.axes))
     if draw is None or not panels:
         return None
     rows = -(-len(panels) // COLUMNS)
@@ -44,58 +45,58 @@ def sweep_figure(summary: dict[str, Any]) -> bytes | None:
             axes.set_title(NAMED.get(name, name))
         for axes in places[len(panels) :]:
             axes.set_axis_off()
-        figure.suptitle(f"{summary['sweep']}: means over {len(summary['seeds'])} seeds and the test contacts")
+        figure.suptitle(f"{summary.sweep}: means over {len(summary.seeds)} seeds and the test contacts")
         picture = io.BytesIO()
         figure.savefig(picture, format="png", dpi=110, metadata={"Software": ""})
     return picture.getvalue()
 
 
-def shown_metrics(summary: dict[str, Any]) -> list[str]:
+def shown_metrics(summary: SweepResult) -> list[str]:
     """Names of the metrics worth a panel, in the order of `SHOWN`."""
     found: dict[str, set[float]] = {}
-    cells = [cell for cell in summary["cells"] if cell["seeds"] and cell["point"] is not None]
+    cells = [cell for cell in summary.cells if cell.seeds and cell.point is not None]
     for cell in cells:
         for name, figure in _figures(cell).items():
-            found.setdefault(name, set()).add(figure["mean"])
+            found.setdefault(name, set()).add(figure.mean)
     differing = [name for name, means in found.items() if len(means) > 1 or len(cells) == 1]
     chosen = (name for pattern in SHOWN for name in differing if fnmatch.fnmatchcase(name, pattern))
     return list(dict.fromkeys(chosen))
 
 
-def values_on_grid(summary: dict[str, Any], name: str) -> np.ndarray:
+def values_on_grid(summary: SweepResult, name: str) -> np.ndarray:
     """Means of a metric, in the order of the axes' values; NaN where a cell has none."""
-    values = np.full([len(axis["values"]) for axis in summary["axes"]], np.nan)
+    values = np.full([len(axis.values) for axis in summary.axes], np.nan)
     for place, cell in _places(summary):
         if name in _figures(cell):
-            values[place] = _figures(cell)[name]["mean"]
+            values[place] = _figures(cell)[name].mean
     return values
 
 
-def _figures(cell: dict[str, Any]) -> dict[str, Any]:
-    return cell["metrics"] | {f"ablation/{name}": figure for name, figure in cell["ablation"].items()}
+def _figures(cell: CellResult) -> Figures:
+    return {**cell.metrics, **{f"ablation/{name}": figure for name, figure in cell.ablation.items()}}
 
 
-def _places(summary: dict[str, Any]) -> list[tuple[tuple[int, ...], dict[str, Any]]]:
+def _places(summary: SweepResult) -> list[tuple[tuple[int, ...], CellResult]]:
     """The cells of the grid with their indices along the axes."""
-    orders = [list(axis["values"]) for axis in summary["axes"]]
+    orders = [list(axis.values) for axis in summary.axes]
     return [
-        (tuple(order.index(value) for order, value in zip(orders, cell["point"], strict=True)), cell)
-        for cell in summary["cells"]
-        if cell["point"] is not None
+        (tuple(order.index(value) for order, value in zip(orders, cell.point, strict=True)), cell)
+        for cell in summary.cells
+        if cell.point is not None
     ]
 
 
-def _heat_map(axes: Any, summary: dict[str, Any], name: str) -> None:
+def _heat_map(axes: Axes, summary: SweepResult, name: str) -> None:
     """The first axis downwards, the second to the right; a number in each cell, a failure hatched with its reason."""
     values = values_on_grid(summary, name)
     image = axes.imshow(np.ma.masked_invalid(values), cmap="viridis", aspect="auto")
     for (row, column), cell in _places(summary):
         value = values[row, column]
         if np.isfinite(value):
-            dark = image.norm(value) < 0.6
-            partly = "" if not cell["failures"] else f"\n{len(cell['seeds'])} of {len(summary['seeds'])}"
+            dark = float(np.asarray(image.norm(value))) < 0.6
+            partly = "" if not cell.failures else f"\n{len(cell.seeds)} of {len(summary.seeds)}"
             _write(axes, column, row, f"{value:.3g}{partly}", "white" if dark else INK, 9)
-        elif cell["seeds"]:
+        elif cell.seeds:
             _write(axes, column, row, "none", FAINT, 8)  # the networks of this cell do not have it
         else:
             axes.fill_between(
@@ -107,43 +108,45 @@ def _heat_map(axes: Any, summary: dict[str, Any], name: str) -> None:
                 hatch="///",
                 linewidth=0,
             )
-            _write(axes, column, row, _short(cell["failures"]), INK, LABEL)
-    down, across = summary["axes"]
-    axes.set(xlabel=across["name"], ylabel=down["name"])
-    axes.set_xticks(range(len(across["values"])), across["values"])
-    axes.set_yticks(range(len(down["values"])), down["values"])
+            _write(axes, column, row, _short(cell.failures), INK, LABEL)
+    down, across = summary.axes
+    axes.set(xlabel=across.name, ylabel=down.name)
+    axes.set_xticks(range(len(across.values)), across.values)
+    axes.set_yticks(range(len(down.values)), down.values)
     axes.grid(False)
 
 
-def _lines(axes: Any, summary: dict[str, Any], name: str) -> None:
+def _lines(axes: Axes, summary: SweepResult, name: str) -> None:
     """The mean with its interval over the values of the axis, a point a seed; failures crossed below, with their reasons."""
-    (axis,) = summary["axes"]
-    there = sorted((place[0], cell) for place, cell in _places(summary) if name in _figures(cell))
+    (axis,) = summary.axes
+    there = sorted(
+        ((place[0], cell) for place, cell in _places(summary) if name in _figures(cell)), key=lambda at: at[0]
+    )
     x = [place for place, _ in there]
     figures = [_figures(cell)[name] for _, cell in there]
-    means = np.array([figure["mean"] for figure in figures])
+    means = np.array([figure.mean for figure in figures])
     colour = next((colour for network, colour in COLOURS.items() if f"/{network}" in name), INK)
-    bands = np.array([figure["interval"] or [figure["mean"]] * 2 for figure in figures]).T
+    bands = np.array([figure.interval or [figure.mean] * 2 for figure in figures]).T
     axes.errorbar(x, means, np.abs(bands - means), fmt="o-", color=colour, markersize=4, linewidth=1.5, capsize=3)
     for place, figure in zip(x, figures, strict=True):
-        seeds = list(figure["per_seed"].values())
+        seeds = [mean for mean in (figure.per_seed or {}).values() if mean is not None]
         axes.plot([place] * len(seeds), seeds, ".", color=colour, alpha=0.45, markersize=5)
     for (place,), cell in _places(summary):
-        if cell["failures"]:
+        if cell.failures:
             below = axes.get_xaxis_transform()
             axes.plot(place, 0.03, "x", color=INK, transform=below, clip_on=False)
-            axes.text(place, 0.07, _short(cell["failures"]), transform=below, fontsize=LABEL, ha="center", va="bottom")
-    axes.set_xlabel(axis["name"])
-    axes.set_xticks(range(len(axis["values"])), axis["values"])
+            axes.text(place, 0.07, _short(cell.failures), transform=below, fontsize=LABEL, ha="center", va="bottom")
+    axes.set_xlabel(axis.name)
+    axes.set_xticks(range(len(axis.values)), axis.values)
     axes.margins(x=0.1)
 
 
-def _write(axes: Any, x: float, y: float, text: str, colour: str, size: float) -> None:
+def _write(axes: Axes, x: float, y: float, text: str, colour: str, size: float) -> None:
     box = {"facecolor": "white", "edgecolor": "none", "pad": 1} if colour == INK and size <= LABEL else None
     axes.text(x, y, text, color=colour, fontsize=size, ha="center", va="center", bbox=box)
 
 
-def _short(failures: Sequence[dict[str, Any]]) -> str:
+def _short(failures: Sequence[Failure]) -> str:
     """The first failure's reason in a few short lines, without what led up to it."""
-    reason = failures[0]["reason"].rpartition("stopped: ")[2]
+    reason = str(failures[0].reason).rpartition("stopped: ")[2]
     return "\n".join(textwrap.wrap(reason, 15, max_lines=4, placeholder=" ..."))

@@ -1,9 +1,8 @@
 """What the page of a run calls things, determined from its `results.json`: kinds of contacts, quantities, partners."""
 
-from typing import Any
-
 from markupsafe import Markup
 
+from jaxunshear.results.run import Results, Tables
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.settings.targets import RECORDED
 
@@ -45,42 +44,34 @@ EDGE = ("edge_mm", "edge_deg")  # what an edge does not leave open
 CARDS = 3  # quantities that have a card, at most
 
 
-def simulated(results: dict[str, Any]) -> bool:
-    return results.get("simulated", True)
-
-
-def over_pins(results: dict[str, Any]) -> bool:
+def over_pins(results: Results) -> bool:
     """Whether the networks read pins: images are then pins, drawn."""
-    return results["settings"]["unshear"].get("input") == "pins"
+    return results.settings["unshear"].get("input") == "pins"
 
 
-def truth(results: dict[str, Any]) -> str:
+def truth(results: Results) -> str:
     """What an unsheared slide should be: a tap of the same pose, or whatever stands for one."""
-    return (
-        "partner"
-        if not simulated(results) and results["pairing"]["way"] in ("rendered", "nearest", "simulated")
-        else "tap"
-    )
+    return "partner" if results.pairing and results.pairing.way in ("rendered", "nearest", "simulated") else "tap"
 
 
-def comparable(results: dict[str, Any]) -> bool:
+def comparable(results: Results) -> bool:
     """Whether the paper's likenesses are of the same quantity: images, compared with taps."""
-    return simulated(results) or (truth(results) == "tap" and not over_pins(results))
+    return results.simulated or (truth(results) == "tap" and not over_pins(results))
 
 
-def kind_of(results: dict[str, Any], kind: str) -> str:
+def kind_of(results: Results, kind: str) -> str:
     """A kind of contact in words, plain text."""
-    return KINDS[kind] if simulated(results) else OF_RECORDINGS.get(kind) or KINDS[kind]
+    return KINDS[kind] if results.simulated else OF_RECORDINGS.get(kind) or KINDS[kind]
 
 
-def targets(results: dict[str, Any]) -> list[str]:
+def targets(results: Results) -> list[str]:
     """The quantities that the run's PoseNets read, in its order."""
-    if "targets" in results:
-        return [target["name"] for target in results["targets"]]
-    return list(results["baselines"]["pose_chance"])
+    if results.targets is not None:
+        return [target.name for target in results.targets]
+    return list(results.baselines["pose_chance"])
 
 
-def chief(results: dict[str, Any]) -> list[str]:
+def chief(results: Results) -> list[str]:
     """Those that the page opens with."""
     names = targets(results)
     return [name for name in EDGE if name in names] or names[:CARDS]
@@ -100,13 +91,13 @@ def heading(name: str) -> Markup:
     return Markup("{}<br>{}").format(word(name), unit(name))
 
 
-def digits(results: dict[str, Any], name: str) -> int:
+def digits(results: Results, name: str) -> int:
     """Of an error: a real sensor's pins determine some lengths to a few hundredths of a mm."""
-    return 2 if simulated(results) or unit(name) != "mm" else 3
+    return 2 if results.simulated or unit(name) != "mm" else 3
 
 
-def spread(results: dict[str, Any]) -> str:
+def spread(results: Tables) -> str:
     """What brackets mean, plain text: intervals of one run know nothing of other trainings. Its end is a full stop."""
-    what = f"brackets: {results['spread']['what']}."
-    over = results["spread"].get("over")
+    what = f"brackets: {results.spread.what}."
+    over = results.spread.over
     return f"{what} Intervals are over {over} and say nothing of other trainings." if over else what

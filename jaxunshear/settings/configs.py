@@ -12,6 +12,7 @@ from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
 from jaxunshear.settings.earlier import without_later
 from jaxunshear.settings.image import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
+from jaxunshear.storage import Json
 
 VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"
@@ -26,12 +27,12 @@ NOT_STORED = (
 )  # of `Recorded`: where it lies, and what is made of it
 Settings = PairedData | PoseData | Recorded
 
-FITTED: dict[str, Any] = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share
-FITTED_256: dict[str, Any] = FITTED | {
+FITTED: Json = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share
+FITTED_256: Json = FITTED | {
     "camera": replace(FITTED_CAMERA, frame_px=256),
     "preprocess": Preprocess(size=256),
 }
-SKIN: dict[str, Any] = FITTED | {  # touches as recordings of an edge have them
+SKIN: Json = FITTED | {  # touches as recordings of an edge have them
     "stimuli": ("edge", "disk", "clover", "teardrop"),
     "ranges": Ranges(lateral_mm=6.0, yaw_deg=180.0, depth_min_mm=0.7, depth_max_mm=4.2, move_mm=5.0),
 }

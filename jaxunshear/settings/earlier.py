@@ -4,9 +4,9 @@ A setting that is added does nothing at the value given here. So a file that lac
 names of data sets, of rows and of trainings leave it out at that value: what was made before is found again.
 """
 
-from typing import Any
+from jaxunshear.storage import Json
 
-LATER: dict[str, Any] = {
+LATER: Json = {
     "poses_a_slide": 1,
     "twist_deg": 0.0,
     "tilt_deg": 0.0,
@@ -35,13 +35,13 @@ MOVED = {  # modules that experiment files imported
 }
 
 
-def is_later(name: str, value: Any) -> bool:
+def is_later(name: str, value: object) -> bool:
     """Whether a stored file may lack the setting of this dotted name, which has `value` today."""
     last = name.rpartition(".")[2]
     return last in LATER and LATER[last] == (tuple(value) if isinstance(value, list) else value)
 
 
-def without_later(fields: dict[str, Any]) -> dict[str, Any]:
+def without_later(fields: Json) -> Json:
     """Nested settings without what is LATER and does nothing."""
     kept = {name: value for name, value in fields.items() if not is_later(name, value)}
     return {name: without_later(value) if isinstance(value, dict) else value for name, value in kept.items()}

@@ -13,7 +13,8 @@ from typing import Any
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sensor import Sensor, sensor_named
-from jaxunshear.settings.types import choices, describe, groups, hints, optional
+from jaxunshear.settings.types import Hint, Value, choices, describe, groups, hints, optional, origin
+from jaxunshear.storage import Json
 
 NOT_SET = ("config", "digest")
 
@@ -25,7 +26,7 @@ def override(experiment: Experiment, argv: Sequence[str]) -> Experiment:
     return experiment
 
 
-def replaced(experiment: Experiment, name: str, value: Any) -> Experiment:
+def replaced(experiment: Experiment, name: str, value: object) -> Experiment:
     """`experiment` with the field of this dotted name replaced; its type is for `check_types` to judge.
 
     Raises `UserError` where there is no such field.
@@ -36,7 +37,7 @@ def replaced(experiment: Experiment, name: str, value: Any) -> Experiment:
     return _replaced(experiment, name.split("."), value)
 
 
-def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Any]]:
+def parse_overrides(argv: Sequence[str]) -> list[tuple[str, Value]]:
     """Dotted names and parsed values of `--name value` or `--name=value`; names and types are refused here, by name."""
     kinds, pairs = dict(field_types()), []
     words = iter(argv)
@@ -70,7 +71,7 @@ def split_overrides(argv: Sequence[str], own: Iterable[str], flags: Iterable[str
     return kept, fields
 
 
-def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Any]]:
+def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str, Hint]]:
     """Dotted names and types of all fields that can be overridden; `sensor` itself takes a name.
 
     No `config` and no `digest`: they name settings and set none. A group that may be of several kinds has the fields of all.
@@ -82,13 +83,13 @@ def field_types(kind: type = Experiment, prefix: str = "") -> Iterator[tuple[str
         kinds = groups(hint)
         if not kinds or hint is Sensor:
             yield prefix + field.name, hint
-        known: dict[str, Any] = {}
+        known: Json = {}
         for group in kinds:
             known |= dict(field_types(group, f"{prefix}{field.name}."))
         yield from known.items()
 
 
-def show(value: Any) -> str:
+def show(value: object) -> str:
     """A field's value as it is written on the command line; a sensor by its name."""
     if isinstance(value, Sensor):
         return value.name
@@ -115,7 +116,7 @@ def _suggestion(name: str, kinds: Iterable[str]) -> str:
     return f": did you mean {' or '.join('--' + kind for kind in near)}?" if near else ": see `jaxunshear run --help`"
 
 
-def _replaced(node: Any, path: list[str], value: Any) -> Any:
+def _replaced(node: Any, path: list[str], value: object) -> Any:
     if not hasattr(node, path[0]):
         raise UserError(f"this experiment has no field {path[0]} there: its {type(node).__name__} has other fields")
     if len(path) > 1:
@@ -123,7 +124,7 @@ def _replaced(node: Any, path: list[str], value: Any) -> Any:
     return dataclasses.replace(node, **{path[0]: value})
 
 
-def _parse(text: str, kind: Any, name: str) -> Any:
+def _parse(text: str, kind: Hint, name: str) -> Value:
     """`text` as a value of `kind`; tuples are comma lists, tuples within them are joined by colons."""
     try:
         return _parsed(text.strip(), kind)
@@ -131,10 +132,10 @@ def _parse(text: str, kind: Any, name: str) -> Any:
         raise UserError(f"--{name} takes {describe(kind)}, not '{text}'") from None
 
 
-def _parsed(text: str, kind: Any) -> Any:
+def _parsed(text: str, kind: Hint) -> Value:
     if (inner := optional(kind)) is not None:
         return None if text.lower() == "none" else _parsed(text, inner)
-    if typing.get_origin(kind) is tuple:
+    if origin(kind) is tuple:
         first, *more = typing.get_args(kind)
         if more[-1:] == [...]:
             return tuple(_parsed(item.strip(), first) for item in text.split(",")) if text else ()

@@ -6,21 +6,22 @@ from typing import Any
 from jaxunshear.errors import UserError
 from jaxunshear.settings.earlier import LATER
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.types import describe, fits, groups, hints
+from jaxunshear.settings.types import Hint, describe, fits, groups, hints
+from jaxunshear.storage import Json
 
 
-def to_json(experiment: Experiment) -> dict[str, Any]:
+def to_json(experiment: Experiment) -> Json:
     """`experiment` as nested dictionaries and lists."""
     return dataclasses.asdict(experiment)
 
 
-def from_json(data: Any, source: str = "experiment.json") -> Experiment:
+def from_json(data: object, source: str = "experiment.json") -> Experiment:
     """The inverse of `to_json`; unknown and missing fields and wrong types are refused by name, but those that an earlier version did not
     write (`earlier.py`)."""
     return build(data, Experiment, source, "")
 
 
-def build(data: Any, kind: Any, source: str, name: str) -> Any:
+def build(data: object, kind: Hint, source: str, name: str) -> Any:
     """A value of type `kind` out of JSON; `name` is where in `source` it stands. Raises `UserError`."""
     if kinds := groups(kind):
         given = set(data) if isinstance(data, dict) else set()
@@ -49,5 +50,5 @@ def _fills(given: set[str], fields: set[str]) -> bool:
     return given <= fields and fields - given <= set(LATER)
 
 
-def _tupled(data: Any) -> Any:
+def _tupled(data: object) -> object:
     return tuple(_tupled(item) for item in data) if isinstance(data, list) else data

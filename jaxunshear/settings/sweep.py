@@ -8,7 +8,6 @@ import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
@@ -16,11 +15,11 @@ from jaxunshear.settings.fields import override, parse_overrides, replaced
 from jaxunshear.settings.load import load_variable
 from jaxunshear.settings.registry import Network
 from jaxunshear.settings.rules import validate
-from jaxunshear.settings.types import check_types
+from jaxunshear.settings.types import Value, check_types
 
 Fields = str | tuple[str, ...]  # dotted names; several vary together
-Axis = tuple[Fields, tuple[Any, ...]]
-Change = tuple[Fields, Any]
+Axis = tuple[Fields, tuple[Value, ...]]
+Change = tuple[Fields, Value]
 LARGEST_SEED = 2**31 - 1
 
 
@@ -167,7 +166,7 @@ def _rules(sweep: Sweep) -> Iterator[tuple[bool, str, str]]:
     yield sweep.reference is None or isinstance(sweep.reference, str), "reference", "is no label of a cell"
 
 
-def _is_change(pair: Any) -> bool:
+def _is_change(pair: object) -> bool:
     if not isinstance(pair, tuple) or len(pair) != 2:
         return False
     fields = pair[0]
@@ -175,5 +174,5 @@ def _is_change(pair: Any) -> bool:
     return isinstance(fields, str) or several
 
 
-def _suits(fields: Fields, value: Any) -> bool:
+def _suits(fields: Fields, value: Value) -> bool:
     return isinstance(fields, str) or (isinstance(value, tuple) and len(value) == len(fields))

@@ -8,7 +8,7 @@ A target is written `name`, `name:range`, `name:circle` or with a loss weight be
 about its middle; an angle over the full circle is two outputs, its cosine and sine, and its errors go the short way round.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Ranges
+from jaxunshear.storage import Json
 
 RANGE, CIRCLE = "range", "circle"
 SIMULATED = {  # name: the field of a simulated set and its column
@@ -59,7 +60,7 @@ class Target:
 Targets = tuple[Target, ...]
 
 
-def parsed(text: str, known: Mapping[str, Any]) -> tuple[str, str | None, float]:
+def parsed(text: str, known: Iterable[str]) -> tuple[str, str | None, float]:
     """Name, kind (None: to be chosen) and weight of `name[:kind[:weight]]`. Raises UserError."""
     name, *more = text.split(":")
     if name not in known:
@@ -112,7 +113,10 @@ def slides_of(wanted: Sequence[str]) -> list[str]:
 
 
 def _targets(
-    wanted: Sequence[str], usual: Sequence[str], known: Mapping[str, Any], spans: Mapping[str, tuple[float, float]]
+    wanted: Sequence[str],
+    usual: Sequence[str],
+    known: Mapping[str, tuple[str, int]],
+    spans: Mapping[str, tuple[float, float]],
 ) -> Targets:
     targets = []
     for text in wanted or usual:
@@ -138,12 +142,12 @@ def names_of(targets: Targets) -> tuple[str, ...]:
     return tuple(target.name for target in targets)
 
 
-def true_values(targets: Targets, batch: Mapping[str, Any]) -> dict[str, Any]:
+def true_values(targets: Targets, batch: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The labels (B,) by name, of a batch with the fields of `fields_of`."""
     return {target.name: batch[target.field][:, target.column] for target in targets}
 
 
-def to_json(targets: Targets) -> list[dict[str, Any]]:
+def to_json(targets: Targets) -> list[Json]:
     return [asdict(target) for target in targets]
 
 

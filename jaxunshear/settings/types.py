@@ -15,15 +15,17 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 
+Hint = Any  # a type as annotations write it
+Value = Any  # of a field, or of each of several
 Rule = tuple[bool, str, str]
 
 
-def check_types(settings: Any) -> None:
+def check_types(settings: object) -> None:
     """Refuses, by dotted name, values that an experiment file gave the wrong type; NaN and infinity count as wrong."""
     _check(settings, type(settings), "")
 
 
-def own_rules(settings: Any, group: str = "") -> Iterator[Rule]:
+def own_rules(settings: object, group: str = "") -> Iterator[Rule]:
     """The rules of `settings` and of the groups in it, each beside its definition; fields by dotted name."""
     kind: type = type(settings)
     for field, hint in hints(kind).items():
@@ -40,37 +42,42 @@ def own_rules(settings: Any, group: str = "") -> Iterator[Rule]:
 
 
 @functools.cache
-def hints(kind: type) -> dict[str, Any]:
+def hints(kind: type) -> dict[str, Hint]:
     """Fields of a group of settings and their types."""
     return typing.get_type_hints(kind)
 
 
-def groups(kind: Any) -> list[type]:
+def origin(kind: Hint) -> object:
+    """`tuple` of `tuple[int, ...]`; None of a plain type."""
+    return typing.get_origin(kind)
+
+
+def groups(kind: Hint) -> list[type]:
     """The dataclasses that a field may hold: none, one, or those of a union."""
-    kinds = typing.get_args(kind) if typing.get_origin(kind) in (types.UnionType, typing.Union) else (kind,)
+    kinds = typing.get_args(kind) if origin(kind) in (types.UnionType, typing.Union) else (kind,)
     return [typing.cast(type, each) for each in kinds if dataclasses.is_dataclass(each)]
 
 
-def optional(kind: Any) -> Any:
+def optional(kind: Hint) -> Hint:
     """The X of `X | None`, else None."""
-    if typing.get_origin(kind) in (types.UnionType, typing.Union) and not groups(kind):
+    if origin(kind) in (types.UnionType, typing.Union) and not groups(kind):
         (inner,) = [arg for arg in typing.get_args(kind) if arg is not types.NoneType]
         return inner
     return None
 
 
-def choices(kind: Any) -> tuple[str, ...]:
+def choices(kind: Hint) -> tuple[str, ...]:
     """The names that a field takes, or a tuple of them; none where it takes others."""
-    if typing.get_origin(kind) is tuple:
+    if origin(kind) is tuple:
         return choices(typing.get_args(kind)[0])
-    return typing.get_args(kind) if typing.get_origin(kind) is typing.Literal else ()
+    return typing.get_args(kind) if origin(kind) is typing.Literal else ()
 
 
-def describe(kind: Any) -> str:
+def describe(kind: Hint) -> str:
     """What a field takes, in words."""
     if optional(kind) is not None:
         return f"{describe(optional(kind))}, or none"
-    if typing.get_origin(kind) is tuple:
+    if origin(kind) is tuple:
         inner, *more = typing.get_args(kind)
         if more[-1:] != [...]:
             return "numbers joined by ':'"
@@ -85,11 +92,11 @@ def describe(kind: Any) -> str:
     return {int: "an integer", float: "a number", bool: "true or false", str: "text"}[kind]
 
 
-def fits(value: Any, kind: Any) -> bool:
+def fits(value: Any, kind: Hint) -> bool:
     """Whether a value is of a field's type; whether a name is a known one is for `own_rules`."""
     if (inner := optional(kind)) is not None:
         return value is None or fits(value, inner)
-    if typing.get_origin(kind) is tuple:
+    if origin(kind) is tuple:
         first, *more = typing.get_args(kind)
         if not isinstance(value, tuple):
             return False
@@ -102,7 +109,7 @@ def fits(value: Any, kind: Any) -> bool:
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))
 
 
-def _check(value: Any, kind: Any, name: str) -> None:
+def _check(value: object, kind: Hint, name: str) -> None:
     if kinds := groups(kind):
         own = next((group for group in kinds if isinstance(value, group)), None)
         if own is None:

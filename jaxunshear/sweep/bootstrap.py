@@ -6,7 +6,6 @@ between cells are those of pairs.
 """
 
 import functools
-from typing import Any
 
 import numpy as np
 
@@ -16,7 +15,7 @@ SEED = 0
 OVER = "training seeds and test poses"  # what the intervals of several seeds are over
 
 
-def spread_of(seeds: int) -> dict[str, Any]:
+def spread_of(seeds: int) -> dict[str, str | int]:
     """Of sweep.json: what its intervals are."""
     slides = "each drawn pose with all its slides"
     drawn = (

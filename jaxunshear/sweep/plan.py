@@ -5,18 +5,19 @@ FOLDER/shared/<network>-<digest>/  a training that rows share
 FOLDER/data/                       the making of the data sets, which lie elsewhere
 """
 
-import dataclasses
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.errors import UserError
+from jaxunshear.results.stored import write
 from jaxunshear.settings.experiment import Experiment, needed, trained
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json
-from jaxunshear.storage import read_json, write_json
+from jaxunshear.storage import read_json
 from jaxunshear.sweep.rows import Row, training_part
-from jaxunshear.sweep.tasks import TASK, Task, outcome_file, read_outcome
+from jaxunshear.sweep.tasks import TASK, Order, Task, outcome_file, read_outcome
 from jaxunshear.training.origin import check_origin
 
 FINISHED = "summary.json"  # of a training
@@ -38,7 +39,7 @@ def forget_failures(folder: Path, rows: Iterable[Row]) -> None:
     tried += [(path, "training") for path in (folder / "shared").glob("*/")]
     for path, kind in tried:
         outcome = read_outcome(path, kind)
-        if outcome and outcome["status"] == "failed":
+        if outcome and outcome.status == "failed":
             outcome_file(path, kind).unlink()
 
 
@@ -48,7 +49,7 @@ def unfinished(folder: Path, rows: Iterable[Row]) -> list[Row]:
     for row in rows:
         path = row_folder(folder, row)
         if not outcome_file(path, "row").exists():
-            found[row.digest] = dataclasses.replace(row, experiment=dataclasses.replace(row.experiment, name=path.name))
+            found[row.digest] = replace(row, experiment=replace(row.experiment, name=path.name))
     return list(found.values())
 
 
@@ -58,19 +59,19 @@ def data_task(folder: Path, rows: list[Row], data: Path) -> Task:
     for row in rows:
         plain = {field: getattr(Experiment(name="", claim=""), field) for field in NOT_FOR_DATA}
         taught = float(row.experiment.train.pose_weight > 0)  # a teacher needs its taps, whatever its weight
-        plain["train"] = dataclasses.replace(plain["train"], pose_weight=taught)
-        experiment = to_json(dataclasses.replace(row.experiment, **plain))
+        plain["train"] = replace(plain["train"], pose_weight=taught)
+        experiment = to_json(replace(row.experiment, **plain))
         if experiment not in experiments:
             experiments.append(experiment)
     task = Task(folder / "data", "data")
     outcome_file(task.folder, task.kind).unlink(missing_ok=True)  # a set may have been deleted since
-    write_json(task.folder / TASK, {"kind": task.kind, "experiments": experiments, "data": str(data)})
+    write(task.folder / TASK, Order(kind=task.kind, experiments=experiments, data=str(data)))
     return task
 
 
 def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: str) -> list[Task]:
     """The tasks of the unfinished `rows`, the trainings that they share before them; writes each one's task.json."""
-    common = {"data": str(data), "command": command}
+    order = Order(kind="", data=str(data), command=command)
     finished = _finished_trainings(folder)
     parts = {
         (row.digest, network): training_part(row.experiment, network)
@@ -95,23 +96,21 @@ def lay_out(folder: Path, rows: list[Row], ablation: bool, data: Path, command: 
             elif users[part.name] > 1:
                 sources[network] = str(own.folder / network)
                 outcome = read_outcome(own.folder, own.kind)
-                if outcome is None or outcome["status"] == "done":  # done, but its folder was deleted since
+                if outcome is None or outcome.status == "done":  # done, but its folder was deleted since
                     outcome_file(own.folder, own.kind).unlink(missing_ok=True)
                     awaited[network] = own.folder
                     if part.name not in shared:
                         shared[part.name] = own
                         places = {n: finished.get(training_part(row.experiment, n).name, sources.get(n)) for n in first}
-                        copied = {"sources": {n: str(place) for n, place in places.items() if place}}
-                        write_json(own.folder / TASK, _described(part, own, (*first, network)) | copied | common)
+                        copied = {n: str(place) for n, place in places.items() if place}
+                        asked = replace(order, networks=(*first, network), sources=copied)
+                        write(own.folder / TASK, replace(asked, kind=own.kind, experiment=to_json(part)))
         task = Task(folder / "rows" / row.experiment.name, "row", tuple(awaited.values()))
-        more = {"ablation": ablation, "sources": sources, "label": row.label, "seed": row.experiment.seed}
-        write_json(task.folder / TASK, _described(row.experiment, task, trained(row.experiment)) | more | common)
+        asked = replace(order, networks=trained(row.experiment), sources=sources, ablation=ablation)
+        asked = replace(asked, label=row.label, seed=row.experiment.seed)
+        write(task.folder / TASK, replace(asked, kind=task.kind, experiment=to_json(row.experiment)))
         tasks.append(task)
     return [*shared.values(), *tasks]
-
-
-def _described(experiment: Experiment, task: Task, networks: tuple[str, ...]) -> dict:
-    return {"kind": task.kind, "experiment": to_json(experiment), "networks": networks}
 
 
 def _finished_trainings(folder: Path) -> dict[str, Path]:

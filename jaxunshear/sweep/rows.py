@@ -12,7 +12,6 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import VERSION, floats
@@ -32,7 +31,8 @@ from jaxunshear.settings.registry import (
 )
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.stored import to_json
-from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, base_of, names_of
+from jaxunshear.settings.sweep import Axis, Change, Fields, Sweep, Value, base_of, names_of
+from jaxunshear.storage import Json
 
 LONGEST_NAME = 90  # of a folder, before its digest
 # what is trained and tested beside a training is not for it
@@ -161,7 +161,7 @@ def name_of(fields: Fields, sweep: Sweep) -> str:
     return ":".join(short if shorts.count(short) == 1 else name for name, short in parts)
 
 
-def value_label(fields: Fields, value: Any) -> str:
+def value_label(fields: Fields, value: Value) -> str:
     """`8:120` for fields that vary together."""
     return show(value) if isinstance(fields, str) else ":".join(show(part) for part in value)
 
@@ -191,7 +191,7 @@ def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experimen
     return experiment
 
 
-def _digest(thing: Any) -> str:
+def _digest(thing: Json) -> str:
     text = json.dumps(floats(thing) | {"data": VERSION}, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 

@@ -2,9 +2,10 @@
 the rows' own processes need the device."""
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,16 +14,20 @@ from jaxunshear.locks import locked
 from jaxunshear.progress import Progress
 from jaxunshear.report.frontier_figure import frontier_figure
 from jaxunshear.report.sweep_figure import sweep_figure
+from jaxunshear.results.stored import write
+from jaxunshear.results.sweep import SweepResult
 from jaxunshear.run import check_start
 from jaxunshear.settings.experiment import trained
 from jaxunshear.settings.sweep import Sweep
-from jaxunshear.storage import write_bytes, write_json
+from jaxunshear.storage import write_bytes
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.engines import Engine, serial
 from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
 from jaxunshear.sweep.scores import Measured, read_tests
 from jaxunshear.sweep.summary import summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, read_outcome
+
+Thing = TypeVar("Thing")
 
 
 def run_sweep(
@@ -33,7 +38,7 @@ def run_sweep(
     engine: Engine = serial,
     retry_failed: bool = False,
     worker: Sequence[str] = WORKER,
-) -> dict[str, Any]:
+) -> SweepResult:
     """Runs the rows of a checked `sweep` that have no outcome yet; returns the summary that it writes to out/<name>/sweep.json.
 
     Raises `UserError` where a cell cannot work (before any work), the data sets cannot be made, or another sweep is at work there.
@@ -52,13 +57,13 @@ def run_sweep(
             _check_contacts(
                 {plan.row_folder(folder, rows[cell.label, s]): measured[cell.label, s] for s in sweep.seeds}
             )
-        summary = summarise(sweep, cells, measured, reference) | _made_with(measured, command)
+        summary = _made_with(summarise(sweep, cells, measured, reference), measured, command)
         picture = sweep_figure(summary) or (None if sweep.grid else frontier_figure(summary))
         if picture:
             write_bytes(folder / "sweep.png", picture)
         else:
             (folder / "sweep.png").unlink(missing_ok=True)  # an earlier one shows other rows
-        write_json(folder / "sweep.json", summary)
+        write(folder / "sweep.json", summary)
     return summary
 
 
@@ -75,8 +80,8 @@ def _run_rows(
     task = plan.data_task(folder, left, data)
     carry_out(task.folder, task.kind, worker, quiet=False)
     made = read_outcome(task.folder, task.kind)
-    if made and made["status"] == "failed":
-        raise UserError(made["reason"])
+    if made and made.status == "failed":
+        raise UserError(str(made.reason))
     tasks = plan.lay_out(folder, left, sweep.ablation, data, command)
     with Progress(f"sweep {sweep.name}", total, unit="rows", done=total - len(left)) as progress:
         for task in engine(tasks, worker):
@@ -87,7 +92,7 @@ def _measured(folder: Path) -> Measured:
     outcome = read_outcome(folder, "row")
     if outcome is None:
         raise UserError(f"{folder} was not finished: run the same command again")
-    if outcome["status"] == "failed":
+    if outcome.status == "failed":
         return Measured(outcome, {})
     return Measured(outcome, read_tests(folder, f"delete {folder} and run the same command"))
 
@@ -104,18 +109,17 @@ def _check_contacts(rows: Mapping[Path, Measured]) -> None:
             )
 
 
-def _made_with(measured: dict[tuple[str, int], Measured], command: str) -> dict[str, Any]:
-    """Command, machines and versions: each different one of those that the rows were run on and with."""
-    results = [row.outcome["results"] for row in measured.values() if row.outcome["status"] == "done"]
-    distinct = {
-        name: [found for found, _ in itertools.groupby(sorted((result[name] for result in results), key=str))]
-        for name in ("machine", "versions")
-    }
-    trained = (machine for result in results for machine in result.get("trained_on", {}).values())
-    trained_on = [found for found, _ in itertools.groupby(sorted(trained, key=str))]
-    return {
-        "command": command,
-        "machines": distinct["machine"],
-        "trained_on": trained_on,
-        "versions": distinct["versions"],
-    }
+def _made_with(summary: SweepResult, measured: Mapping[tuple[str, int], Measured], command: str) -> SweepResult:
+    """With command, machines and versions: each different one of those that the rows were run on and with."""
+    results = [row.outcome.evaluated for row in measured.values() if row.outcome.status == "done"]
+    return replace(
+        summary,
+        command=command,
+        machines=_distinct(result.machine for result in results),
+        trained_on=_distinct(machine for result in results for machine in result.trained_on.values()),
+        versions=_distinct(result.versions for result in results),
+    )
+
+
+def _distinct(things: Iterable[Thing]) -> list[Thing]:
+    return [found for found, _ in itertools.groupby(sorted(things, key=str))]

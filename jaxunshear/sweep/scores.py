@@ -2,11 +2,13 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.results.run import Notes
+from jaxunshear.results.sweep import Outcome
 from jaxunshear.storage import BROKEN_NPZ, os_error
 
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
@@ -31,7 +33,7 @@ class Measured(NamedTuple):
     `tests` is by test, "" for the main one: arrays (N,) by the names of the scores, which have a slash; `stimulus` and `pose_id`.
     """
 
-    outcome: dict[str, Any]
+    outcome: Outcome
     tests: Mapping[str, Mapping[str, np.ndarray]]
 
 
@@ -62,9 +64,9 @@ def names_in(rows: Mapping[int, Measured]) -> list[tuple[str, str]]:
     ]
 
 
-def metric_of(rows: Mapping[int, Measured]) -> dict[str, Any]:
+def metric_of(rows: Mapping[int, Measured]) -> Notes:
     """What exactly the evaluation calls MS-SSIM, and other such notes."""
-    return next(iter(rows.values())).outcome["results"]["metric"] if rows else {}
+    return next(iter(rows.values())).outcome.evaluated.metric if rows else {}
 
 
 def called(test: str, name: str) -> str:
@@ -79,9 +81,10 @@ def stacked(rows: Mapping[int, Measured], test: str, name: str) -> np.ndarray:
 def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     """Which contacts (N,) of a test are with which shape."""
     first = next(iter(rows.values()))
-    results = first.outcome["results"]
-    own = results["tests"].get(test, {}) if test else results["settings"]["paired"]
-    names = own.get("stimuli", ())  # of recordings none is known
+    results = first.outcome.evaluated
+    names = results.settings["paired"].get("stimuli", ())  # of recordings none is known
+    if test:
+        names = results.tests[test].stimuli if test in results.tests else ()
     stimulus = np.asarray(first.tests[test]["stimulus"])
     return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
 
@@ -93,11 +96,15 @@ def same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], t
     )
 
 
-def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, Any]:
+def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, object]:
     """The settings that decide the contacts of a test."""
-    results = next(iter(rows.values())).outcome["results"]
-    settings, own = results["settings"], results["tests"].get(test, {}) if test else {}
-    paired = {name: own.get(name, value) for name, value in settings["paired"].items() if name not in NOT_CONTACTS}
+    results = next(iter(rows.values())).outcome.evaluated
+    settings, own = results.settings, results.tests.get(test)
+    paired = {
+        name: value if (drawn := getattr(own, name, None)) is None else drawn
+        for name, value in settings["paired"].items()
+        if name not in NOT_CONTACTS
+    }
     return paired | {"sensor": settings["sensor"]}
 
 

@@ -1,59 +1,53 @@
 """From the rows of a sweep to one figure a cell, its interval, and its difference from a reference: pure functions."""
 
 from collections.abc import Container, Mapping, Sequence
-from typing import Any
+from dataclasses import fields as dataclass_fields
+from dataclasses import replace
 
 import numpy as np
 
 from jaxunshear.evaluation import spread
 from jaxunshear.report.frontier_figure import efficient
+from jaxunshear.results.sweep import Axis, CellResult, Costs, Failure, Figure, SweepResult
 from jaxunshear.settings.experiment import recorded_of
 from jaxunshear.settings.fields import show
 from jaxunshear.settings.stored import to_json
-from jaxunshear.settings.sweep import Sweep, base_of, names_of
+from jaxunshear.settings.sweep import Fields, Sweep, Value, base_of, names_of
 from jaxunshear.sweep.bootstrap import interval, resampled, spread_of
 from jaxunshear.sweep.rows import Cell, axis_values, name_of
 from jaxunshear.sweep.scores import Measured, called, metric_of, names_in, poses_of, same_contacts, shapes_of, stacked
 
 TABLES = ("pin_error", "half_width", "coverage")  # of a run's results: figures that are no means over contacts
 TAPS = "taps"  # the test of recorded taps, which are no pairs of the slides
-COSTS = ("train_seconds", "images_per_second", "ms_per_image", "wall_seconds", "peak_memory_bytes", "device", "host")
 
 
 def summarise(
     sweep: Sweep, cells: Sequence[Cell], measured: Mapping[tuple[str, int], Measured], reference: str | None
-) -> dict[str, Any]:
+) -> SweepResult:
     """sweep.json, but for command and versions. `measured` by (label of the cell, seed), for all of them."""
     done = {
-        cell.label: {
-            seed: row for seed in sweep.seeds if (row := measured[cell.label, seed]).outcome["status"] == "done"
-        }
+        cell.label: {seed: row for seed in sweep.seeds if (row := measured[cell.label, seed]).outcome.status == "done"}
         for cell in cells
     }
-    summary = {
-        "sweep": sweep.name,
-        "claim": sweep.claim,
-        "simulated": recorded_of(sweep.base) is None,
-        "axes": [
-            {"name": name_of(axis[0], sweep), "fields": names_of(axis[0]), "values": axis_values(axis)}
-            for axis in sweep.grid
-        ],
-        "seeds": sweep.seeds,
-        "networks": list(dict.fromkeys(network for cell in cells for network in cell.experiment.networks)),
-        "spread": spread_of(len(sweep.seeds)),
-        "reference": reference,
-        "cells": [_cell(cell, sweep, measured, done, reference) for cell in cells],
-        "base": to_json(base_of(sweep)),
-    }
-    return summary | {"efficient": {} if sweep.grid else efficient(summary)}
+    summary = SweepResult(
+        sweep=sweep.name,
+        claim=sweep.claim,
+        simulated=recorded_of(sweep.base) is None,
+        axes=[Axis(name_of(axis[0], sweep), names_of(axis[0]), axis_values(axis)) for axis in sweep.grid],
+        seeds=sweep.seeds,
+        networks=list(dict.fromkeys(network for cell in cells for network in cell.experiment.networks)),
+        spread=spread_of(len(sweep.seeds)),
+        reference=reference,
+        cells=[_cell(cell, sweep, measured, done, reference) for cell in cells],
+        base=to_json(base_of(sweep)),
+    )
+    return summary if sweep.grid else replace(summary, efficient=efficient(summary))
 
 
-def reproducible(summary: dict[str, Any]) -> dict[str, Any]:
+def reproducible(summary: SweepResult) -> SweepResult:
     """What must come out equal, bit for bit, from the same sweep on the same machine: all but times, memory and places."""
-    cells = [{name: value for name, value in cell.items() if name != "costs"} for cell in summary["cells"]]
-    return {
-        name: value for name, value in summary.items() if name not in ("command", "machines", "trained_on", "efficient")
-    } | {"cells": cells}
+    cells = [replace(cell, costs={}) for cell in summary.cells]
+    return replace(summary, cells=cells, command="", machines=(), trained_on=(), efficient={})
 
 
 def _cell(
@@ -62,34 +56,33 @@ def _cell(
     measured: Mapping[tuple[str, int], Measured],
     done: Mapping[str, Mapping[int, Measured]],
     reference: str | None,
-) -> dict[str, Any]:
+) -> CellResult:
     rows = done[cell.label]
     other = done[reference] if reference is not None else {}
-    failed = {
-        seed: row.outcome for seed in sweep.seeds if (row := measured[cell.label, seed]).outcome["status"] != "done"
-    }
-    return {
-        "label": cell.label,
-        "point": cell.point,
-        "settings": {name: text for fields, value in cell.changes for name, text in _settings(fields, value)},
-        "seeds": list(rows),
-        "metric": metric_of(rows),
-        "metrics": metrics(rows),
-        "difference": differences(rows, other) if cell.label != reference else {},
-        "ablation": ablation(rows),
-        "failures": [{"seed": seed, "reason": outcome["reason"]} for seed, outcome in failed.items()],
-        "costs": {
-            str(seed): {name: row.outcome[name] for name in COSTS if name in row.outcome} for seed, row in rows.items()
+    ended = {seed: measured[cell.label, seed].outcome for seed in sweep.seeds}
+    return CellResult(
+        label=cell.label,
+        point=cell.point,
+        settings={name: text for fields, value in cell.changes for name, text in _settings(fields, value)},
+        seeds=list(rows),
+        metric=metric_of(rows),
+        metrics=metrics(rows),
+        difference=differences(rows, other) if cell.label != reference else {},
+        ablation=ablation(rows),
+        failures=[Failure(seed, outcome.reason) for seed, outcome in ended.items() if outcome.status != "done"],
+        costs={
+            str(seed): Costs(**{each.name: getattr(row.outcome, each.name) for each in dataclass_fields(Costs)})
+            for seed, row in rows.items()
         },
-    }
+    )
 
 
-def _settings(fields: Any, value: Any) -> list[tuple[str, str]]:
+def _settings(fields: Fields, value: Value) -> list[tuple[str, str]]:
     values = (value,) if isinstance(fields, str) else value
     return [(name, show(part)) for name, part in zip(names_of(fields), values, strict=True)]
 
 
-def metrics(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
+def metrics(rows: Mapping[int, Measured]) -> dict[str, Figure]:
     """By metric: `mean` over seeds and contacts, its `interval`, and the mean of every seed; figures of `TABLES` without one.
 
     Those of further tests are called `<test>: <metric>`, likeness on one shape `<shape>: ms_ssim/<kind>`.
@@ -102,27 +95,31 @@ def metrics(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
             found[called(f"{test}, {shape}" if test else shape, name)] = _figure(rows, values[:, inside], poses[inside])
     found |= recoveries(rows)
     plain = {
-        seed: _flat({table: row.outcome["results"].get(table, {}) for table in TABLES}) for seed, row in rows.items()
+        seed: {
+            f"{name}/{kind}/{column}": value
+            for name in TABLES
+            for kind, columns in (getattr(row.outcome.evaluated, name) or {}).items()
+            for column, value in columns.items()
+            if value is not None
+        }
+        for seed, row in rows.items()
     }
     return found | _over_seeds(plain)
 
 
-def _figure(rows: Mapping[int, Measured], values: np.ndarray, poses: np.ndarray) -> dict[str, Any]:
+def _figure(rows: Mapping[int, Measured], values: np.ndarray, poses: np.ndarray) -> Figure:
     """Of values (seeds, N) at poses (N,)."""
-    return {
-        "mean": float(values.mean()),
-        "interval": interval(values, poses),
-        "per_seed": {str(seed): float(mean) for seed, mean in zip(rows, values.mean(axis=1), strict=True)},
-    }
+    by_seed = {str(seed): float(mean) for seed, mean in zip(rows, values.mean(axis=1), strict=True)}
+    return Figure(float(values.mean()), interval(values, poses), by_seed)
 
 
-def recoveries(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
+def recoveries(rows: Mapping[int, Measured]) -> dict[str, Figure]:
     """`pose_recovery/<kind>/<quantity>`: (sheared - unsheared) / (sheared - tap) of the mean errors, and its interval; on one shape
     `<shape>: ...`.
 
     Left out where the slide does no damage; without an interval where it does none in some of the resamples.
     """
-    found: dict[str, dict[str, Any]] = {}
+    found: dict[str, Figure] = {}
     names = dict.fromkeys(names_in(rows))
     for test, name in names:
         errors = recovery_errors(rows, names, test, name)
@@ -155,21 +152,21 @@ def recovery_errors(
     ]
 
 
-def _recovery(seeds: Sequence[int], errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> dict[str, Any] | None:
+def _recovery(seeds: Sequence[int], errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> Figure | None:
     """Of errors of tap, sheared and unsheared, (seeds, N) at poses (N,) each; None where the slide does no damage."""
     tap, sheared, unsheared = (values.mean() for values, _ in errors)
     if sheared <= tap:
         return None
     redrawn = redrawn_recovery(errors)
     by_seed = zip(*(values.mean(axis=1) for values, _ in errors), strict=True)
-    return {
-        "mean": float((sheared - unsheared) / (sheared - tap)),
-        "interval": None if redrawn is None else spread.interval(redrawn),
-        "per_seed": {
+    return Figure(
+        float((sheared - unsheared) / (sheared - tap)),
+        None if redrawn is None else spread.interval(redrawn),
+        {
             str(seed): float((row[1] - row[2]) / (row[1] - row[0])) if row[1] > row[0] else None
             for seed, row in zip(seeds, by_seed, strict=True)
         },
-    }
+    )
 
 
 def redrawn_recovery(errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
@@ -178,7 +175,7 @@ def redrawn_recovery(errors: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndar
     return (sheared - unsheared) / (sheared - tap) if np.all(sheared > tap) else None
 
 
-def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
+def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> dict[str, Figure]:
     """By metric that both have: `mean` and `interval` of this less the other, over the seeds that both have.
 
     Empty where there is no such seed, or the test contacts are not the same. Likeness of images of different sizes is not compared.
@@ -192,54 +189,34 @@ def differences(rows: Mapping[int, Measured], other: Mapping[int, Measured]) -> 
             continue
         if (test, name) in names_in(other) and same_contacts(rows, other, test):
             values = stacked(rows, test, name) - stacked(other, test, name)
-            found[called(test, name)] = {
-                "mean": float(values.mean()),
-                "interval": interval(values, poses_of(rows, test)),
-            }
+            found[called(test, name)] = Figure(float(values.mean()), interval(values, poses_of(rows, test)))
     return found
 
 
-def ablation(rows: Mapping[int, Measured]) -> dict[str, dict[str, Any]]:
+def ablation(rows: Mapping[int, Measured]) -> dict[str, Figure]:
     """`<cell of the codes>/<metric>`: mean over seeds and each seed's; empty where it was not asked for."""
     plain = {
         seed: {
             f"{line['name']}/{name}": value
-            for line in row.outcome["ablation"]
+            for line in row.outcome.ablation
             for name, value in line.items()
-            if _number(value)
+            if isinstance(value, int | float) and not isinstance(value, bool)
         }
         for seed, row in rows.items()
-        if row.outcome["ablation"]
+        if row.outcome.ablation
     }
     return _over_seeds(plain)
 
 
-def _over_seeds(plain: Mapping[int, Mapping[str, float]]) -> dict[str, dict[str, Any]]:
+def _over_seeds(plain: Mapping[int, Mapping[str, float]]) -> dict[str, Figure]:
     """Figures that every seed has."""
     first, *more = plain.values() or [{}]
     names = [name for name in first if all(name in others for others in more)]
     return {
-        name: {
-            "mean": float(np.mean([figures[name] for figures in plain.values()])),
-            "interval": None,
-            "per_seed": {str(seed): figures[name] for seed, figures in plain.items()},
-        }
+        name: Figure(
+            float(np.mean([figures[name] for figures in plain.values()])),
+            None,
+            {str(seed): figures[name] for seed, figures in plain.items()},
+        )
         for name in names
     }
-
-
-def _flat(tree: Any, prefix: str = "") -> dict[str, float]:
-    """Numbers of nested dictionaries by their path."""
-    if _number(tree):
-        return {prefix: tree}
-    if not isinstance(tree, dict):
-        return {}
-    return {
-        path: value
-        for name, entry in tree.items()
-        for path, value in _flat(entry, f"{prefix}/{name}" if prefix else name).items()
-    }
-
-
-def _number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

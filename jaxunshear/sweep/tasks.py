@@ -9,19 +9,19 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.environment import settled
 from jaxunshear.errors import UserError
-from jaxunshear.storage import read_json, write_json
+from jaxunshear.results.run import Settings
+from jaxunshear.results.stored import read, write
+from jaxunshear.results.sweep import Outcome
 
 TASK, LOG, LOCK = "task.json", "log.txt", "lock"
 WORKER = (sys.executable, "-m", "jaxunshear.sweep.work")
 DISK_FULL = 75  # exit code of a task that has no outcome, since the disk is full
-SAID = ("label", "seed", "networks")  # what the outcome repeats of the task
 
 
 @dataclass(frozen=True)
@@ -33,27 +33,46 @@ class Task:
     needs: tuple[Path, ...] = ()  # folders of tasks
 
 
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """task.json: what the process of a task is to do."""
+
+    kind: str
+    data: str = ""  # folder of the data sets
+    command: str = ""
+    experiments: Sequence[Settings] = ()  # whose data sets are made
+    experiment: Settings | None = None
+    networks: Sequence[str] | None = None  # to be trained, in this order
+    sources: Mapping[str, str] = field(default_factory=dict)  # by network: the folder of a training to be copied
+    ablation: bool = False
+    label: str | None = None
+    seed: int | None = None
+
+
 def outcome_file(folder: Path, kind: str) -> Path:
     """Where the outcome of a task is, once it has one."""
     return Path(folder) / f"{kind}.json"
 
 
-def read_outcome(folder: Path, kind: str) -> dict[str, Any] | None:
-    """`status` ("done" or "failed") with its `reason` and figures; None while the task is not finished."""
+def read_outcome(folder: Path, kind: str) -> Outcome | None:
+    """None while the task is not finished."""
     path = outcome_file(folder, kind)
-    return read_json(path) if path.exists() else None
+    return read(path, Outcome, "delete it and run the same command") if path.exists() else None
 
 
-def failure(task: dict[str, Any], reason: str, folder: Path) -> dict[str, Any]:
+def read_order(folder: Path) -> Order:
+    return read(folder / TASK, Order, "delete that folder and run the same command")
+
+
+def failure(order: Order, reason: str, folder: Path) -> Outcome:
     """The outcome of a task that failed in `folder`; the reason is one line, and names files from there."""
     line = " ".join(reason.replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name).split())
-    return {"status": "failed", "reason": line} | repeated(task)
+    return repeated(order, Outcome(status="failed", reason=line))
 
 
-def repeated(task: dict[str, Any]) -> dict[str, Any]:
-    """What stands in an outcome whatever it is: for whom it was done, with which settings."""
-    settings = {"settings": task["experiment"]} if "experiment" in task else {}
-    return {name: task[name] for name in SAID if name in task} | settings
+def repeated(order: Order, outcome: Outcome) -> Outcome:
+    """`outcome` with what stands in it whatever it is: for whom it was done, with which settings."""
+    return replace(outcome, label=order.label, seed=order.seed, networks=order.networks, settings=order.experiment)
 
 
 def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bool = True) -> None:
@@ -63,7 +82,7 @@ def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bo
     `quiet`: what the process prints goes to log.txt, else where this process prints.
     """
     with (folder / LOG).open("ab") as log:
-        output: Any = log if quiet else None
+        output = log if quiet else None
         process = subprocess.Popen(
             [*worker, str(folder), str(os.getpid())],
             stdin=subprocess.DEVNULL,
@@ -89,7 +108,7 @@ def give_up(folder: Path, kind: str, reason: str) -> None:
     """Writes the outcome of a task that cannot do so itself, unless it did."""
     path = outcome_file(folder, kind)
     if not path.exists():
-        write_json(path, failure(read_json(folder / TASK), reason, folder))
+        write(path, failure(read_order(folder), reason, folder))
 
 
 def _ending(code: int, folder: Path) -> str:

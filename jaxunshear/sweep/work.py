@@ -12,17 +12,30 @@ import signal
 import sys
 import time
 import traceback
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
 from jaxunshear.memory import keep_freed_memory, restart_with_large_pages
+from jaxunshear.results.rows import Summary
+from jaxunshear.results.stored import read, write
+from jaxunshear.results.sweep import Outcome
 from jaxunshear.run import run_stages
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.stored import from_json
-from jaxunshear.storage import disk_is_full, read_json, write_json
-from jaxunshear.sweep.tasks import DISK_FULL, LOCK, TASK, failure, outcome_file, read_outcome, repeated
+from jaxunshear.storage import disk_is_full
+from jaxunshear.sweep.tasks import (
+    DISK_FULL,
+    LOCK,
+    TASK,
+    Order,
+    failure,
+    outcome_file,
+    read_order,
+    read_outcome,
+    repeated,
+)
 
 PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
@@ -32,11 +45,11 @@ def main(folder: Path, parent: int) -> int:
     die_with(parent)
     keep_freed_memory()
     with locked(folder / LOCK, wait=True):  # one left over from a killed sweep may still be at its end
-        task = read_json(folder / TASK)
-        outcome = outcome_file(folder, task["kind"])
+        order = read_order(folder)
+        outcome = outcome_file(folder, order.kind)
         if not outcome.exists():
             try:
-                write_json(outcome, attempt(task, folder))
+                write(outcome, attempt(order, folder))
             except Exception as error:
                 if disk_is_full(error):
                     print(f"{type(error).__name__}: {error}", file=sys.stderr)
@@ -53,28 +66,29 @@ def die_with(parent: int) -> None:
         sys.exit("the sweep has ended")
 
 
-def attempt(task: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """The outcome of `task`: what it made, or why it failed, and what it took. A full disk is no failure of the task: raised."""
+def attempt(order: Order, folder: Path) -> Outcome:
+    """What the task made, or why it failed, and what it took. A full disk is no failure of the task: raised."""
     began = time.perf_counter()
     try:
-        made = {"data": _data, "training": _training, "row": _row}[task["kind"]](task, folder)
-        outcome = {"status": "done", "reason": None} | repeated(task) | made
+        made = {"data": _data, "training": _training, "row": _row}[order.kind](order, folder)
+        outcome = repeated(order, made)
     except UserError as error:
         if disk_is_full(error):
             raise
-        outcome = failure(task, str(error) if task["kind"] == "data" else _to_retry(str(error)), folder)
+        outcome = failure(order, str(error) if order.kind == "data" else _to_retry(str(error)), folder)
     except Exception as error:  # also a MemoryError, and what XLA makes of one
         if disk_is_full(error):
             raise
         traceback.print_exc()
-        outcome = failure(task, f"{type(error).__name__}: {error}"[:500], folder)
+        outcome = failure(order, f"{type(error).__name__}: {error}"[:500], folder)
     kilobyte = 1 if sys.platform == "darwin" else 1024
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * kilobyte
-    return outcome | {
-        "wall_seconds": time.perf_counter() - began,
-        "peak_memory_bytes": max(peak, outcome.get("peak_memory_bytes", 0)),
-        "host": platform.node(),
-    }
+    return replace(
+        outcome,
+        wall_seconds=time.perf_counter() - began,
+        peak_memory_bytes=max(peak, outcome.peak_memory_bytes),
+        host=platform.node(),
+    )
 
 
 def _to_retry(reason: str) -> str:
@@ -83,31 +97,31 @@ def _to_retry(reason: str) -> str:
     return reason if option in reason else reason.replace("the same command", f"the same command with {option}")
 
 
-def _data(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _data(order: Order, folder: Path) -> Outcome:
     from jaxunshear.dataset.making import make_sets
 
-    for wanted in task["experiments"]:
-        make_sets(from_json(wanted, str(folder / TASK)), Path(task["data"]))
-    return {}
+    for wanted in order.experiments:
+        make_sets(from_json(wanted, str(folder / TASK)), Path(order.data))
+    return Outcome(status="done", reason=None)
 
 
-def _training(task: dict[str, Any], folder: Path) -> dict[str, Any]:
-    experiment = _started(task, folder)
-    run_stages(experiment, tuple(task["networks"]), folder.parent, Path(task["data"]), task["command"])
-    return _trained(task, folder)
+def _training(order: Order, folder: Path) -> Outcome:
+    experiment = _started(order, folder)
+    run_stages(experiment, tuple(order.networks or ()), folder.parent, Path(order.data), order.command)
+    return _trained(order, folder)
 
 
-def _row(task: dict[str, Any], folder: Path) -> dict[str, Any]:
-    experiment = _started(task, folder)
-    stages, data = (*task["networks"], "evaluate"), Path(task["data"])
-    results = run_stages(experiment, stages, folder.parent, data, task["command"])
-    spoilt = _spoilt(experiment, folder, data, task["command"]) if task["ablation"] else None
-    device = results["machine"]["device"]
-    made = {"results": results, "ablation": spoilt, "device": device, "ms_per_image": results["ms_per_image"]}
-    return made | _trained(task, folder)
+def _row(order: Order, folder: Path) -> Outcome:
+    experiment = _started(order, folder)
+    stages, data = (*(order.networks or ()), "evaluate"), Path(order.data)
+    results = run_stages(experiment, stages, folder.parent, data, order.command)
+    assert results is not None
+    spoilt = _spoilt(experiment, folder, data, order.command) if order.ablation else None
+    made = replace(_trained(order, folder), results=results, ablation=spoilt)
+    return replace(made, device=results.machine.device, ms_per_image=results.ms_per_image)
 
 
-def _spoilt(experiment: Experiment, folder: Path, data: Path, command: str) -> list[dict[str, Any]]:
+def _spoilt(experiment: Experiment, folder: Path, data: Path, command: str) -> list[dict[str, object]]:
     """What decoders make of exchanged codes, and what each code holds that it should not."""
     from jaxunshear.evaluation.ablation import ablate
     from jaxunshear.evaluation.leakage import for_sweep, leakage
@@ -119,11 +133,11 @@ def _spoilt(experiment: Experiment, folder: Path, data: Path, command: str) -> l
     return rows
 
 
-def _started(task: dict[str, Any], folder: Path) -> Experiment:
+def _started(order: Order, folder: Path) -> Experiment:
     """The task's experiment, and in `folder` copies of the trainings that others have finished for it."""
-    for network, source in task["sources"].items():
+    for network, source in order.sources.items():
         _reuse(Path(source), folder / network)
-    return from_json(task["experiment"], str(folder / TASK))
+    return from_json(order.experiment, str(folder / TASK))
 
 
 def _reuse(source: Path, target: Path) -> None:
@@ -131,8 +145,9 @@ def _reuse(source: Path, target: Path) -> None:
     if (target / "summary.json").exists():
         return
     if not (source / "summary.json").exists():
-        outcome = read_outcome(source.parent, "training") or {"reason": "it was not finished"}
-        raise UserError(f"its {target.name}, which other rows share, failed: {outcome['reason']}")
+        outcome = read_outcome(source.parent, "training")
+        reason = outcome.reason if outcome else "it was not finished"
+        raise UserError(f"its {target.name}, which other rows share, failed: {reason}")
     _check_checkpoints(source)
     part = target.with_name(target.name + ".part")
     for old in (part, target):
@@ -150,14 +165,21 @@ def _check_checkpoints(source: Path) -> None:
     load_best(source)
 
 
-def _trained(task: dict[str, Any], folder: Path) -> dict[str, Any]:
+def _trained(order: Order, folder: Path) -> Outcome:
     """Time and memory of the trainings, those of other tasks with them."""
-    summaries = {network: read_json(folder / network / "summary.json") for network in task["networks"]}
-    names = ("train_seconds", "images_per_second")
-    speeds = {name: {network: summary[name] for network, summary in summaries.items()} for name in names}
-    others = {Path(source).parent for source in task["sources"].values()}
+    ended = {
+        network: read(folder / network / "summary.json", Summary, "delete it and run the same command")
+        for network in order.networks or ()
+    }
+    others = {Path(source).parent for source in order.sources.values()}
     outcomes = [read_outcome(other, kind) for other in sorted(others) for kind in ("training", "row")]
-    return speeds | {"peak_memory_bytes": max((one.get("peak_memory_bytes", 0) for one in outcomes if one), default=0)}
+    return Outcome(
+        status="done",
+        reason=None,
+        train_seconds={network: summary.train_seconds for network, summary in ended.items()},
+        images_per_second={network: summary.images_per_second for network, summary in ended.items()},
+        peak_memory_bytes=max((one.peak_memory_bytes for one in outcomes if one), default=0),
+    )
 
 
 if __name__ == "__main__":

@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
@@ -14,6 +13,7 @@ from jax import Array
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.unshearnet import as_large_entangled
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of, trained, training_of
@@ -40,6 +40,7 @@ from jaxunshear.settings.registry import (
 )
 from jaxunshear.settings.targets import fields_of
 from jaxunshear.settings.training import exchanged, labelled
+from jaxunshear.storage import Json
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.drawing import drawing_of
@@ -114,18 +115,18 @@ _NETS: dict[str, Callable[[UnshearNet], UnshearNet | UNet]] = {
 }
 
 
-def renamed(batch: dict[str, Any]) -> dict[str, Any]:
+def renamed(batch: Json) -> Json:
     """Trainings that read poses name their input "image", or "pins"."""
     if "canonical" in batch or "canonical_pins" in batch:
         return batch
     return {{"sheared": "image", "sheared_pins": "pins"}.get(name, name): x for name, x in batch.items()}
 
 
-def first(split: Callable[..., Iterator[Any]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Any]]:
+def first(split: Callable[..., Iterator[Batch]], count: int, fields: tuple[str, ...]) -> Callable[[], Iterator[Batch]]:
     """The first `count` validation examples, in batches."""
     batch = 64
 
-    def batches() -> Iterator[Any]:
+    def batches() -> Iterator[Batch]:
         taken = 0
         for examples in split("validation", batch, fields):
             examples = {name: values[: count - taken] for name, values in examples.items()}
@@ -145,11 +146,11 @@ def _turns(examples: Examples) -> Turns:
     return turns_of(examples.pins.rest, sense_of(examples.pins.rest, known[field], known["pose"], examples.targets))
 
 
-def _teacher(experiment: Experiment, folder: Path, predict: Callable[..., Any]) -> Callable[[Any], Any]:
+def _teacher(experiment: Experiment, folder: Path, predict: Callable[..., Array]) -> Callable[[Array], Array]:
     return partial(predict, *_of_taps(experiment, TEACHER, folder))
 
 
-def _of_taps(experiment: Experiment, network: str, folder: Path) -> tuple[Any, Any]:
+def _of_taps(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:
     """Settings and variables of a network that another learns from. Raises UserError."""
     path = folder / network
     if not (path / "summary.json").exists():

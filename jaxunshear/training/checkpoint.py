@@ -19,7 +19,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -27,10 +27,13 @@ import orbax.checkpoint as ocp
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.settings.earlier import LATER, is_later
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
 from jaxunshear.settings.targets import Targets, from_json
+from jaxunshear.storage import Json
 
+State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
 WEIGHTS, DIGEST = "weights.npz", "digest"
 NETS = {
@@ -43,7 +46,7 @@ NETS = {
 }
 
 
-def save(folder: Path, step: int, state: Any, record: dict[str, Any]) -> None:
+def save(folder: Path, step: int, state: object, record: Json) -> None:
     """Write the tree `state` and the JSON `record` (with "best_step") as checkpoint `step`; then drop all but it and
     the best.
 
@@ -85,7 +88,7 @@ def kept(folder: Path) -> list[int]:
     return [] if step is None else list(dict.fromkeys((step, _record(folder, step)["best_step"])))
 
 
-def restore(folder: Path, step: int, like: Any) -> tuple[Any, dict[str, Any]]:
+def restore(folder: Path, step: int, like: State) -> tuple[State, Json]:
     """The state of checkpoint `step`, in the form of the tree `like`, and its record. Raises UserError if it is
     damaged."""
     arrays, record = _read(folder, step)
@@ -115,7 +118,7 @@ def check_finished(folder: Path) -> None:
         storage.read_json(folder / SUMMARY)
 
 
-def load_best(folder: Path) -> dict[str, Any]:
+def load_best(folder: Path) -> Json:
     """Variables (averaged weights and statistics) of the best checkpoint by validation loss, or those released. Raises UserError."""
     if (Path(folder) / WEIGHTS).exists():
         return _tree(_read_weights(Path(folder) / WEIGHTS))
@@ -132,7 +135,7 @@ def digest_of(folder: Path) -> str:
     return _digest(_named(load_best(folder)))
 
 
-def write_weights(folder: Path, variables: dict[str, Any], modules: Sequence[str] = ()) -> None:
+def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = ()) -> None:
     """Writes the arrays of `variables` to weights.npz in `folder`; with `modules` named, those of these parts of the network.
 
     Kernels are kept as float16, which halves the file; biases and statistics as they are.
@@ -160,9 +163,9 @@ def _read_weights(path: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
-def _tree(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def _tree(arrays: Mapping[str, np.ndarray]) -> Json:
     """{"params.E.First_0.kernel": ...} as nested dictionaries of arrays on the device, of 32 bits at least."""
-    variables: dict[str, Any] = {}
+    variables: Variables = {}
     for name, array in arrays.items():
         *modules, last = name.split(".")
         place = variables
@@ -172,7 +175,7 @@ def _tree(arrays: Mapping[str, np.ndarray]) -> dict[str, Any]:
     return variables
 
 
-def write_settings(folder: Path, settings: dict[str, Any]) -> None:
+def write_settings(folder: Path, settings: Json) -> None:
     """Keep what a training was asked for in model.json. Raises UserError if the folder holds a training of other
     settings."""
     path = Path(folder) / MODEL
@@ -186,7 +189,7 @@ def write_settings(folder: Path, settings: dict[str, Any]) -> None:
             raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
 
 
-def read_net(folder: Path) -> Any:
+def read_net(folder: Path) -> Net:
     """The network's settings from model.json. Raises UserError."""
     path = Path(folder) / MODEL
     if not path.exists():
@@ -210,7 +213,7 @@ def read_targets(folder: Path) -> Targets:
     return from_json(stored.get("targets"), str(path))  # a PoseNet that gives none was trained by an earlier version
 
 
-def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], Json]:
     path, record = _path(folder, step), _record(folder, step)
     try:
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as reader:
@@ -224,7 +227,7 @@ def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], dict[str, Any
     return arrays, record
 
 
-def _record(folder: Path, step: int) -> dict[str, Any]:
+def _record(folder: Path, step: int) -> Json:
     path = _path(folder, step)
     try:
         record = storage.read_json(path / "record.json")
@@ -247,13 +250,13 @@ def _path(folder: Path, step: int) -> Path:
     return Path(folder) / "checkpoints" / f"{step:08d}"
 
 
-def _named(tree: Any) -> dict[str, Any]:
+def _named(tree: object) -> Json:
     """Leaves by dotted path, in the tree's order."""
     name = partial(jax.tree_util.keystr, simple=True, separator=".")
     return {name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
 
 
-def _digest(arrays: dict[str, Any]) -> str:
+def _digest(arrays: Json) -> str:
     digest = hashlib.blake2b(digest_size=16)
     for name in sorted(arrays):
         array = np.asarray(arrays[name])
@@ -261,16 +264,16 @@ def _digest(arrays: dict[str, Any]) -> str:
     return digest.hexdigest()
 
 
-def _flat(tree: Any, prefix: str = "") -> dict[str, Any]:
+def _flat(tree: object, prefix: str = "") -> Json:
     """Nested JSON as {"train.epochs": 5}; tuples and lists are the same to it."""
     if not isinstance(tree, dict):
         return {prefix: _as_json(tree)}
-    flat: dict[str, Any] = {}
+    flat: Json = {}
     for name, value in tree.items():
         flat |= _flat(value, f"{prefix}.{name}" if prefix else name)
     return flat
 
 
-def _as_json(value: Any) -> Any:
+def _as_json(value: object) -> object:
     """Tuples as the lists that JSON makes of them."""
     return [_as_json(item) for item in value] if isinstance(value, list | tuple) else value

@@ -9,7 +9,6 @@ canonical pins keep their places, so that unshearing takes these away as well.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,12 +16,13 @@ import numpy as np
 from jax import Array
 from scipy.spatial import cKDTree
 
+from jaxunshear.storage import Json
 from jaxunshear.training.turning import ANGLES, Turns, turned, turns_of
 
 FOLLOW = (0.5, 2.5)  # times the simulated motion of a slide: recorded pins went 1.5 times as far
 TURNED_DEG, SHIFTED = 4.0, 0.065  # standard deviations of the camera's place; the latter in the pins' spacing
 
-Batch = dict[str, Any]
+Batch = Json
 
 
 def drawing_of(rest: np.ndarray, share: float) -> Callable[[Batch, Array], Batch]:

@@ -7,10 +7,11 @@
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxunshear.dataset.factorial import FactorialReader
 from jaxunshear.dataset.making import read_metadata
@@ -18,12 +19,14 @@ from jaxunshear.dataset.reading import Reader, SetReader, open_set
 from jaxunshear.dataset.recorded_reading import Drag, Read, RecordedSet, Render, open_recorded
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.settings import configs
 from jaxunshear.settings.data import RENDERED, PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment, learnt_from, over_pins, recorded_of
 from jaxunshear.settings.registry import OF_TAPS, POSENET_SHEARED, RENDERER
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.targets import RECORDED, Targets, of_ranges
+from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
 POSES_AT_ONCE = 1024
@@ -92,7 +95,7 @@ def _drag(experiment: Experiment, stored: RecordedSet, data_dir: Path) -> Drag |
     return drag_of(stored, experiment.sensor, data_dir)
 
 
-def pins_of(frame: dict[str, Any]) -> Pins:
+def pins_of(frame: Json) -> Pins:
     return Pins(np.array(frame["place_px"], np.float32), float(frame["radius_px"]), int(frame["size"]))
 
 
@@ -158,14 +161,14 @@ def _read(folder: Path, pins: bool) -> Read:
     return read
 
 
-def _trained(folder: Path, what: str) -> tuple[Any, Any, Targets]:
+def _trained(folder: Path, what: str) -> tuple[Net, Variables, Targets]:
     """Settings, variables and targets of a trained network. Raises UserError: `what` needs it."""
     if not (folder / SUMMARY).exists():
         raise UserError(f"{folder} is missing, and {what} need it: train {folder.name} first")
     return read_net(folder), load_best(folder), read_targets(folder)
 
 
-def _in_parts(function: Callable[[np.ndarray], Any], values: np.ndarray, at_once: int) -> np.ndarray:
+def _in_parts(function: Callable[[np.ndarray], ArrayLike], values: np.ndarray, at_once: int) -> np.ndarray:
     """`function` of `values` (N, ...), so many at a time: one shape to compile."""
     parts = []
     for start in range(0, max(1, len(values)), at_once):

@@ -3,16 +3,16 @@
 An origin is the description of a set as it stands in model.json: {"set": ..., "version": ..., "settings": {...}}.
 """
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxunshear.dataset.digests import folders_in, pairs_in
 from jaxunshear.settings.configs import RECORDED_SET, set_name, version_of
 from jaxunshear.settings.data import PairedData, Recorded
 from jaxunshear.settings.experiment import Experiment, further_tests
+from jaxunshear.storage import Json
 
 BY_POSE = 3  # major version of the simulated data since which a pose's split is its own
-Origin = Mapping[str, Any]
+Origin = Json
 
 
 class Exam(NamedTuple):

@@ -8,14 +8,13 @@ finite one. All randomness of a step follows from the seed and the step's number
 the very bits of an undisturbed one. (The losses are in tasks.py, the step in step.py.)
 """
 
-import dataclasses
 import json
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -28,8 +27,11 @@ from jaxunshear.memory import keep_freed_memory
 from jaxunshear.metrics.machine import machine
 from jaxunshear.model import kernels
 from jaxunshear.progress import Progress
+from jaxunshear.results import stored
+from jaxunshear.results.rows import Summary
 from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
@@ -39,25 +41,7 @@ from jaxunshear.training.tasks import Batch, Task, Tree
 
 Batches = Callable[[int], Iterator[Batch]]
 Validation = Callable[[], Iterator[Batch]]
-
-
-@dataclass(frozen=True)
-class Summary:
-    """What a finished training says of itself; also in FOLDER/summary.json."""
-
-    kind: str
-    steps: int
-    images: int  # seen, with repeats
-    parameters: int
-    best_step: int
-    best_loss: float  # validation
-    train_seconds: float  # steps and their data, without compilation, validation and checkpoints
-    compile_seconds: float
-    images_per_second: float
-    trained_on: dict[str, Any] = field(default_factory=dict)  # the machine that ended it; of earlier versions unknown
-
-
-SUMMED = tuple(each.name for each in dataclasses.fields(Summary) if each.name != "trained_on")
+AGAIN = "delete it to go on from the latest checkpoint"
 
 
 class _Length(NamedTuple):
@@ -73,7 +57,7 @@ class _Reached:
     """How far a training has come: what a checkpoint keeps beside its state."""
 
     step: int = 0
-    history: list[dict[str, Any]] = field(default_factory=list)  # a line a checkpoint
+    history: list[Json] = field(default_factory=list)  # a line a checkpoint
     best_step: int = 0
     best_loss: float = math.inf
     seconds: float = 0.0
@@ -89,8 +73,8 @@ def train(
     folder: Path,
     *,
     epoch_images: int,
-    origin: Any = None,
-    taken_over: Sequence[Any] = (),
+    origin: object = None,
+    taken_over: Sequence[object] = (),
     start: Start | None = None,
 ) -> Summary:
     """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
@@ -107,7 +91,7 @@ def train(
     asked |= {"taken_over": taken_over}
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
-        return _summary(folder / checkpoint.SUMMARY)
+        return stored.read(folder / checkpoint.SUMMARY, Summary, AGAIN)
     keep_freed_memory()
     steps_per_epoch = epoch_images / training.batch
     length = _Length(max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch)
@@ -185,7 +169,7 @@ def _run(
     return state
 
 
-def _keep(state: State, reached: _Reached, length: _Length, scores: dict[str, Any], rank: str, folder: Path) -> None:
+def _keep(state: State, reached: _Reached, length: _Length, scores: Json, rank: str, folder: Path) -> None:
     """A line of the history and a checkpoint that holds it."""
     loss = _ranked(scores["validation"][rank])
     if reached.best_step == 0 or loss < reached.best_loss:
@@ -219,9 +203,9 @@ def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, fold
         train_seconds=reached.seconds,
         compile_seconds=reached.compile_seconds,
         images_per_second=images / reached.seconds,
-        trained_on=machine() | {"kernels": kernels.described()},
+        trained_on=replace(machine(), kernels=kernels.described()),
     )
-    storage.write_json(folder / checkpoint.SUMMARY, asdict(summary))
+    stored.write(folder / checkpoint.SUMMARY, summary)
     return summary
 
 
@@ -257,15 +241,6 @@ def _ranked(loss: float | None) -> float:
     return math.inf if loss is None else loss
 
 
-def _write_log(folder: Path, history: list[dict[str, Any]]) -> None:
+def _write_log(folder: Path, history: list[Json]) -> None:
     """log.jsonl anew from the checkpoint's history, so that it never holds a line twice or one of a lost step."""
     storage.write_text(folder / "log.jsonl", "".join(json.dumps(line) + "\n" for line in history))
-
-
-def _summary(path: Path) -> Summary:
-    stored = storage.read_json(path)
-    try:
-        known = {name: stored[name] for name in SUMMED}
-        return Summary(**known, trained_on=stored.get("trained_on", {}))
-    except (KeyError, TypeError) as error:
-        raise UserError(f"{path} lacks {error}: delete it to go on from the latest checkpoint") from error

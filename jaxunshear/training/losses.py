@@ -4,11 +4,11 @@ One sum gives every module the gradient the paper lists for it: E sees all terms
 `reconstruction`, since no other path leads from a term to a module.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jax import Array
+
+from jaxunshear.model.parts import Variables
 
 
 def supervised(canonical: Array, target: Array) -> Array:
@@ -55,7 +55,7 @@ def absolute_pose(outputs: Array, targets: Array, weights: tuple[float, ...]) ->
     return jnp.mean(jnp.asarray(weights, outputs.dtype) * jnp.abs(outputs - targets), -1)
 
 
-def regularisation(params: Any, l1: float, l2: float, kernels: str = "sum") -> Array:
+def regularisation(params: Variables, l1: float, l2: float, kernels: str = "sum") -> Array:
     """l1 sum |w| + l2 sum w^2 over each kernel (no biases, no normalisation), or their "mean"; added up over all of
     them. A weight of zero computes nothing."""
     over = {"sum": jnp.sum, "mean": jnp.mean}[kernels]
@@ -66,12 +66,12 @@ def regularisation(params: Any, l1: float, l2: float, kernels: str = "sum") -> A
     return total
 
 
-def kernel_sizes(params: Any) -> dict[str, Array]:
+def kernel_sizes(params: Variables) -> dict[str, Array]:
     """The root of the mean square of each kernel's weights, by its dotted name: 0.02 in fresh networks."""
     return {name: jnp.sqrt(jnp.mean(kernel**2)) for name, kernel in kernels_of(params).items()}
 
 
-def kernels_of(params: Any) -> dict[str, Array]:
+def kernels_of(params: Variables) -> dict[str, Array]:
     """The kernels of convolution and dense layers, by dotted name."""
     leaves = jax.tree_util.tree_leaves_with_path(params)
     return {

@@ -8,12 +8,12 @@ than half a per cent, and gives the same to rounding else. Its iteration multipl
 step, which takes longer than the step itself; here all but two products are between square matrices of the shorter side.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import optax
 from jax import Array
+
+from jaxunshear.model.parts import Variables
 
 COEFFICIENTS = (
     3.4445,
@@ -63,7 +63,7 @@ def _kernel_update(kernel: Array) -> Array:
     return RMS * max(matrix.shape) ** 0.5 * orthogonal(matrix).reshape(kernel.shape)
 
 
-def _labels(params: Any) -> Any:
+def _labels(params: Variables) -> Variables:
     def label(path: tuple, leaf: Array) -> str:
         inner = path[-1].key == "kernel" and leaf.shape[-2] > 1 and leaf.shape[-1] >= READ_OUT
         return "muon" if inner else "adam"

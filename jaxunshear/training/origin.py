@@ -6,20 +6,19 @@ reader of poses, and of whatever these took over.
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import PAIRED_SET, POSE_SET, RECORDED_SET, RECORDED_VERSION, describe, differences
 from jaxunshear.settings.data import PoseData, Recorded
 from jaxunshear.settings.experiment import Experiment, learnt_from, needed, training_of
 from jaxunshear.settings.registry import OF_TAPS, POSENETS
-from jaxunshear.storage import read_json, read_json_if_sound
+from jaxunshear.storage import Json, read_json, read_json_if_sound
 from jaxunshear.training.kept_out import Exam, exams_of, known
 
 TRAININGS = ("train", "train_posenet", "train_teacher", "train_pins")
 
 
-def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
+def origin_of(experiment: Experiment, network: str) -> Json:
     """The description of the data set that `network` is to learn from, and of what is made of it."""
     settings = learnt_from(experiment, network)
     described = describe(settings, experiment.sensor)
@@ -32,7 +31,7 @@ def origin_of(experiment: Experiment, network: str) -> dict[str, Any]:
     return described
 
 
-def taken_over(experiment: Experiment, network: str, run_dir: Path, begin: Path | None) -> list[dict[str, Any]]:
+def taken_over(experiment: Experiment, network: str, run_dir: Path, begin: Path | None) -> list[Json]:
     """The origins, beside its own, that `network` is to learn from taps without slides, and through networks of `run_dir` and the weights
     in `begin`."""
     helpers = [run_dir / name for name in needed(experiment, network) if name != network]
@@ -45,12 +44,12 @@ def taken_over(experiment: Experiment, network: str, run_dir: Path, begin: Path 
     return kept[1:]
 
 
-def _split_rule(origin: dict[str, Any]) -> dict[str, Any]:
+def _split_rule(origin: Json) -> Json:
     """What of an origin decides which contacts were learnt."""
     return {name: origin[name] for name in ("set", "version", "settings")}
 
 
-def origins_of(folder: Path) -> list[dict[str, Any]]:
+def origins_of(folder: Path) -> list[Json]:
     """Of all that the weights in `folder` have learnt from, their own set first. Raises UserError where they do not say."""
     model = read_json(folder / "model.json")
     if isinstance(model, dict) and model.get("origin") and "taken_over" in model:
@@ -58,7 +57,7 @@ def origins_of(folder: Path) -> list[dict[str, Any]]:
     return _earlier_origins(folder, model if isinstance(model, dict) else {})
 
 
-def _earlier_origins(folder: Path, model: dict[str, Any]) -> list[dict[str, Any]]:
+def _earlier_origins(folder: Path, model: Json) -> list[Json]:
     """Of weights that do not list what they took over: at most both sets of their experiment, unless they began from others."""
     experiment = read_json_if_sound(folder.parent / "experiment.json") or {}
     own = model.get("origin")

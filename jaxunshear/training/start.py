@@ -1,6 +1,6 @@
 """Training that goes on from weights there are: `train.start`."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,8 +8,7 @@ from jax.tree_util import KeyPath
 from jax.typing import ArrayLike
 
 from jaxunshear.errors import UserError
-
-Tree = Any
+from jaxunshear.model.parts import Tree
 
 
 class Start(NamedTuple):

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from types import ModuleType
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +12,14 @@ from jax import Array
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unet, unshearnet
 from jaxunshear.model.layers import in_precision
+from jaxunshear.model.parts import Net, Tree
 from jaxunshear.settings import networks
 from jaxunshear.settings.targets import Targets, true_values
 from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
 from jaxunshear.training import losses
 
-Batch = dict[str, Any]
-Tree = Any
+Batch = Json
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Task:
     """What differs between the networks. Terms are losses per example (B,), by name."""
 
     kind: str
-    net: Any  # the network's settings
+    net: Net  # the network's settings
     targets: Targets
     init: Callable[[Array], Tree]
     terms: Callable[[Tree, Batch, Array], tuple[dict[str, Array], Tree]]  # variables, batch, key -> terms, batch_stats
@@ -51,7 +52,7 @@ def unshear_task(
     _check_crops(net, training)
     watch = _watcher(training, teacher, targets)
     kind = "unet" if isinstance(net, networks.UNet) else "unshear"
-    module: Any = unet if kind == "unet" else unshearnet
+    module: ModuleType = unet if kind == "unet" else unshearnet
     _checked(module.check, net)
     reconstruct = partial(module.reconstruct, net)
     init, labelled = _head(net, targets) if training.label_weight else (partial(module.init, net), None)
@@ -203,7 +204,7 @@ def _wrapped(difference: Array, turn: float | None) -> Array:
     return difference if turn is None else (difference + turn / 2) % turn - turn / 2
 
 
-def _checked(check: Callable[[Any], None], net: Any) -> None:
+def _checked(check: Callable[[Net], None], net: Net) -> None:
     try:
         check(net)
     except ValueError as error:

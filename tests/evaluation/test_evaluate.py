@@ -86,28 +86,28 @@ def results(gathered):
 
 
 def test_an_oracle_is_perfect_and_doing_nothing_changes_nothing(results):
-    found = results["ms_ssim"]
+    found = results.ms_ssim
     assert found["disentangled"]["overall"] == pytest.approx(1, abs=1e-5)
     assert found["entangled"] == found["sheared"]
     assert found["sheared"]["overall"] < 0.7
-    assert results["pose_mae"]["tap"]["edge_deg"] == pytest.approx(0, abs=1e-4)
-    assert results["pose_mae"]["sheared"]["edge_deg"] == pytest.approx(4, abs=1e-4)
-    assert results["pose_recovery"]["disentangled"]["edge_mm"] == pytest.approx(0.75, abs=1e-4)
-    assert results["pose_recovery"]["entangled"]["edge_mm"] == pytest.approx(0, abs=1e-4)
+    assert results.pose_mae["tap"]["edge_deg"] == pytest.approx(0, abs=1e-4)
+    assert results.pose_mae["sheared"]["edge_deg"] == pytest.approx(4, abs=1e-4)
+    assert results.pose_recovery["disentangled"]["edge_mm"] == pytest.approx(0.75, abs=1e-4)
+    assert results.pose_recovery["entangled"]["edge_mm"] == pytest.approx(0, abs=1e-4)
 
 
 def test_the_swap_gives_right_codes_from_wrong_ones(results):
-    swap = results["swap"]
+    swap = results.swap
     assert set(swap) == set(CELLS)
     for right, wrong in (("DC(z_p)", "DC(z_s)"), ("DS(z_p,z_s)", "DS(z_p,z_p)")):
-        assert swap[right]["mse"] == 0
-        assert swap[right]["ssim"] == pytest.approx(1, abs=1e-5)
-        assert swap[wrong]["mse"] > 0.02
-        assert swap[wrong]["ms_ssim"] < 0.7
+        assert swap[right].mse == 0
+        assert swap[right].ssim == pytest.approx(1, abs=1e-5)
+        assert swap[wrong].mse > 0.02
+        assert swap[wrong].ms_ssim < 0.7
 
 
 def test_pin_error_is_that_of_the_known_shift(results):
-    pins = results["pin_error"]
+    pins = results.pin_error
     assert pins["disentangled"]["rms_px"] < 0.15
     assert pins["disentangled"]["missed_per_image"] == 0
     assert pins["sheared"]["rms_px"] == pytest.approx(np.hypot(2, 1), abs=0.15)
@@ -117,12 +117,12 @@ def test_pin_error_is_that_of_the_known_shift(results):
 
 
 def test_what_is_measured_is_named(results):
-    assert results["metric"]["ms_ssim"] == "ms_ssim@4"
-    assert results["metric"]["image_px"] == SIZE
-    assert results["counts"]["test_by_stimulus"] == {"disk": 3, "clover": 3, "teardrop": 3}
-    assert results["counts"]["test_poses"] == 6
-    assert results["paper"]["ms_ssim"]["disentangled"]["overall"] == 0.93
-    assert results["seeds"]["bootstrap"] == 0
+    assert results.metric["ms_ssim"] == "ms_ssim@4"
+    assert results.metric["image_px"] == SIZE
+    assert results.counts.test_by_stimulus == {"disk": 3, "clover": 3, "teardrop": 3}
+    assert results.counts.test_poses == 6
+    assert results.paper["ms_ssim"]["disentangled"]["overall"] == 0.93
+    assert results.seeds["bootstrap"] == 0
 
 
 def test_results_are_the_same_bits_again_and_go_into_json(gathered, results):
@@ -132,24 +132,24 @@ def test_results_are_the_same_bits_again_and_go_into_json(gathered, results):
 
 def test_networks_are_compared_contact_by_contact(gathered, results):
     apart = gathered.scores["ms_ssim/disentangled"] - gathered.scores["ms_ssim/entangled"]
-    found = results["difference"]["entangled"]
+    found = results.difference["entangled"]
     assert found["ms_ssim"] == pytest.approx(float(apart.mean()))
     assert found["edge_mm"] == pytest.approx(-3, abs=1e-4)
-    low, high = results["spread"]["difference"]["entangled"]["edge_mm"]
+    low, high = results.spread.difference["entangled"]["edge_mm"]
     assert high - low < 1e-4 < abs(low)  # both err by a fixed amount, so nothing is uncertain about the difference
-    assert results["spread"]["pose_recovery"]["disentangled"]["edge_mm"] == pytest.approx([0.75, 0.75], abs=1e-4)
+    assert results.spread.pose_recovery["disentangled"]["edge_mm"] == pytest.approx([0.75, 0.75], abs=1e-4)
 
 
 def test_a_test_of_its_own_has_tables_of_its_own(gathered):
     experiment = Experiment(name="made up", claim="none", unseen=("flower", "leaf", "spiral_1"))
     found = results_of(experiment, gathered, {"unseen": gathered})
-    test = found["tests"]["unseen"]
-    assert list(test["ms_ssim"]["disentangled"]) == ["flower", "leaf", "spiral_1", "overall"]
-    assert test["contacts"] == 9
-    assert test["pose_mae"] == found["pose_mae"]
-    rows = measurements(found | {"time_s": {}, "ms_per_image": {}, "machine": {}, "versions": {}})["rows"]
-    assert "unseen.ms_ssim.disentangled.flower" in {row["name"] for row in rows}
-    assert sum(row["ok"] is not None for row in rows) == 4  # the bars are for the test split alone
+    test = found.tests["unseen"]
+    assert list(test.ms_ssim["disentangled"]) == ["flower", "leaf", "spiral_1", "overall"]
+    assert test.contacts == 9
+    assert test.pose_mae == found.pose_mae
+    rows = measurements(found).rows
+    assert "unseen.ms_ssim.disentangled.flower" in {row.name for row in rows}
+    assert sum(row.ok is not None for row in rows) == 4  # the bars are for the test split alone
 
 
 def test_scores_are_kept_contact_by_contact(gathered):
@@ -159,8 +159,8 @@ def test_scores_are_kept_contact_by_contact(gathered):
 
 
 def test_measurements_of_results_have_the_bars(results):
-    rows = measurements(results | {"time_s": {}, "ms_per_image": {}, "machine": {}, "versions": {}})["rows"]
-    barred = {row["name"]: row["ok"] for row in rows if row["ok"] is not None}
+    rows = measurements(results).rows
+    barred = {row.name: row.ok for row in rows if row.ok is not None}
     assert len(barred) == 4
     assert barred["ms_ssim.disentangled.overall"]
     assert barred["pose_ratio.disentangled.edge_mm"]

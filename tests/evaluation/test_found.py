@@ -1,5 +1,6 @@
 """Pins found in simulated images: which pairs are scored, what is told of them, and what is compared with what."""
 
+from dataclasses import replace
 from functools import partial
 
 import jax
@@ -89,6 +90,7 @@ def test_the_page_gives_how_many_were_followed():
     gathered = made_up_gathered()
     results = results_of(Experiment("made up", "none"), gathered, {FOUND: gathered})
     reported = {"images": 480, "followed": 0.975, "rms_px": 0.18, "missing_per_image": 0.0}
-    results["tests"][FOUND]["followed"] = {"tap": reported, "sheared": reported | {"followed": 0.5}}
+    followed = {"tap": reported, "sheared": reported | {"followed": 0.5}}
+    results = replace(results, tests={FOUND: replace(results.tests[FOUND], followed=followed)})
     page = scores.further(results)
     assert "97.5% of taps followed, 0.18 px off; 50.0% of slides followed" in page

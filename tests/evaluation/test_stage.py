@@ -11,9 +11,12 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import reproducible
+from jaxunshear.results.run import Results
+from jaxunshear.results.stored import SCHEMA, read
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.storage import plain
 from jaxunshear.training import examples
 from jaxunshear.training.origin import origin_of
 
@@ -86,21 +89,22 @@ def run_dir(trained, experiment, tmp_path, monkeypatch):
 def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment, tmp_path):
     (run_dir / "times.json").write_text(json.dumps({"data": 12.5}))
     results = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
-    assert json.loads((run_dir / "results.json").read_text()) == results
-    assert results["metric"]["ms_ssim"] == "ms_ssim@2"
-    assert results["time_s"]["data"] == 12.5
-    assert results["time_s"]["evaluate"] > 0
-    assert results["counts"]["test"] == COUNT
-    assert set(results["ms_per_image"]) == set(experiment.networks)
-    assert all(0 < times["median"] <= times["p95"] for times in results["ms_per_image"].values())
-    assert results["counts"]["dropped"] == 1
-    assert results["counts"]["reader_taps"] == {"pixels": 18, "pins": 18}
-    assert set(results["readers"]["pixels"]) == {"tap", "sheared", "entangled", "disentangled"}
-    assert results["readers"]["pixels"]["disentangled"]["edge_mm"] > 0
-    assert results["reader_images"]["pixels"]["tap"] == {"read": COUNT, "left_out": 0}
-    assert results["reader_images"]["pins"]["tap"] == {"read": 0, "left_out": COUNT}  # random dots are no pins
-    assert results["readers"]["pins"]["tap"]["edge_mm"] is None
-    assert results["ms_ssim"]["disentangled"]["teardrop"] is None
+    assert json.loads((run_dir / "results.json").read_text()) == {"schema": SCHEMA} | plain(results)
+    assert read(run_dir / "results.json", Results, "again") == results
+    assert results.metric["ms_ssim"] == "ms_ssim@2"
+    assert results.time_s["data"] == 12.5
+    assert results.time_s["evaluate"] > 0
+    assert results.counts.test == COUNT
+    assert set(results.ms_per_image) == set(experiment.networks)
+    assert all(0 < times["median"] <= times["p95"] for times in results.ms_per_image.values())
+    assert results.counts.dropped == 1
+    assert results.counts.reader_taps == {"pixels": 18, "pins": 18}
+    assert set(results.readers["pixels"]) == {"tap", "sheared", "entangled", "disentangled"}
+    assert results.readers["pixels"]["disentangled"]["edge_mm"] > 0
+    assert results.reader_images["pixels"]["tap"] == {"read": COUNT, "left_out": 0}
+    assert results.reader_images["pins"]["tap"] == {"read": 0, "left_out": COUNT}  # random dots are no pins
+    assert results.readers["pins"]["tap"]["edge_mm"] is None
+    assert results.ms_ssim["disentangled"]["teardrop"] is None
     for name in (
         "ms_ssim",
         "pose_mae",
@@ -113,11 +117,11 @@ def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment,
         "command",
         "paper",
     ):
-        assert results[name], name
+        assert getattr(results, name), name
     montage = (run_dir / "montage.npz").read_bytes()
     again = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
     assert reproducible(again) == reproducible(results)
-    assert list(results["ms_ssim"]) == ["sheared", "mean_tap", "nearest_tap", "translated", "entangled", "disentangled"]
+    assert list(results.ms_ssim) == ["sheared", "mean_tap", "nearest_tap", "translated", "entangled", "disentangled"]
     assert (run_dir / "montage.npz").read_bytes() == montage
 
 
@@ -125,13 +129,13 @@ def test_evaluate_scores_further_tests_with_all_of_their_splits(run_dir, experim
     further = replace(experiment, unseen=("flower", "leaf"), other_jitters_mm=(0.5,), networks=ALL_NETWORKS)
     further = replace(further, other_twists_deg=(5.0,))
     results = evaluate(further, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
-    assert list(results["tests"]) == ["unseen", "depth_0.5mm", "twist_5deg"]
-    assert [test["ranges"]["twist_deg"] for test in results["tests"].values()] == [0, 0, 5]
-    test = results["tests"]["unseen"]
-    assert test["contacts"] == 18 + 6 + COUNT
-    assert test["ms_ssim"]["unet"]["leaf"] > 0
-    assert test["pose_mae"]["sheared_learnt"]["edge_mm"] > 0
-    assert list(test["readers"]) == ["pixels"] and set(test["readers"]["pixels"]) == {"tap", "sheared", *UNSHEARING}
+    assert list(results.tests) == ["unseen", "depth_0.5mm", "twist_5deg"]
+    assert [test.ranges["twist_deg"] for test in results.tests.values()] == [0, 0, 5]
+    test = results.tests["unseen"]
+    assert test.contacts == 18 + 6 + COUNT
+    assert test.ms_ssim["unet"]["leaf"] > 0
+    assert test.pose_mae["sheared_learnt"]["edge_mm"] > 0
+    assert list(test.readers) == ["pixels"] and set(test.readers["pixels"]) == {"tap", "sheared", *UNSHEARING}
     assert (run_dir / "scores-unseen.npz").exists()
 
 

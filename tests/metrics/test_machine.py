@@ -4,14 +4,17 @@ import json
 import platform
 
 from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.results.rows import Machine
+from jaxunshear.results.stored import record_of
+from jaxunshear.storage import plain
 
 
 def test_machine_is_plain_and_says_something():
     found = machine()
-    assert found["cores"] >= 1
-    assert found["processor"]
-    assert found["device"].count(":") >= 1
-    assert json.loads(json.dumps(found)) == found
+    assert found.cores >= 1
+    assert found.processor
+    assert found.device.count(":") >= 1
+    assert record_of(json.loads(json.dumps(plain(found))), Machine, "it", "again") == found
 
 
 def test_versions_name_python_and_jax():

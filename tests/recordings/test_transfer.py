@@ -23,7 +23,7 @@ from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.settings.sensor import TACTIP_127
 from jaxunshear.settings.stored import to_json
-from jaxunshear.storage import write_json
+from jaxunshear.storage import plain, write_json
 from jaxunshear.training import checkpoint
 
 RNG = np.random.default_rng(0)
@@ -113,18 +113,18 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path, monkeyp
 
     monkeypatch.setattr(transfer, "_read", with_labels)
     results = score_transfer(Experiment("small", "none"), tmp_path / "weights", folder, "a command")
-    mae = results["pose_mae"]
+    mae = results.pose_mae
     assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)
     assert mae["sheared"] == pytest.approx({"y_mm": 1, "z_mm": 0, "Rz_deg": 10}, abs=1e-3)
     assert mae["unsheared"] == pytest.approx({"y_mm": 0.5, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
-    assert results["pose_recovery"]["unsheared"]["y_mm"] == pytest.approx(0.5)
-    reader = results["readers"]["pins"]
+    assert results.pose_recovery["unsheared"]["y_mm"] == pytest.approx(0.5)
+    reader = results.readers["pins"]
     assert [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")] == pytest.approx([0, 1, 0.5], abs=0.05)
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
     assert "reader pins" in table(results)
-    counts = results["counts"]
-    assert counts["told_taps"] + counts["test_taps"] == 60 and counts["test_poses"] == 40 and counts["test_unsure"] == 0
-    json.dumps(results)
+    counts = results.counts
+    assert counts.told_taps + counts.test_taps == 60 and counts.test_poses == 40 and counts.test_unsure == 0
+    json.dumps(plain(results))
 
 
 def test_too_few_taps_are_refused_by_name(tmp_path):

@@ -6,13 +6,15 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 from jaxunshear.report.frontier_figure import ERRORS, _panel, efficient, frontier, frontier_figure, points
+from jaxunshear.results.stored import record_of
+from jaxunshear.results.sweep import SweepResult
 
 
 def summary(settings, seeds=("0", "1")):
     """A sweep's summary with (label, seconds, ms, error) for each cell; likeness is 1 less the error."""
     cells = []
     for label, seconds, ms, error in settings:
-        value = {name: {"mean": 1 - error if more else error} for name, (_, more) in ERRORS.items()}
+        value = {name: {"mean": 1 - error if more else error, "interval": None} for name, (_, more) in ERRORS.items()}
         costs = {
             seed: {
                 "train_seconds": {"disentangled": seconds},
@@ -23,6 +25,7 @@ def summary(settings, seeds=("0", "1")):
         cells.append(
             {
                 "label": label,
+                "point": None,
                 "settings": {"unshear.size": label},
                 "metric": {"ms_ssim": "ms_ssim@4"},
                 "metrics": value,
@@ -30,6 +33,10 @@ def summary(settings, seeds=("0", "1")):
             }
         )
     return {"sweep": "frontier", "seeds": [0, 1], "reference": None, "cells": cells}
+
+
+def record(made):
+    return record_of(made, SweepResult, "made up", "again")
 
 
 THREE = [("small", 10, 2, 0.4), ("middling", 100, 4, 0.3), ("wasteful", 200, 3, 0.35), ("large", 400, 9, 0.1)]
@@ -47,7 +54,7 @@ def test_only_what_nothing_beats_is_on_the_frontier():
 
 
 def test_the_frontier_is_named_by_metric_and_cost():
-    found = efficient(summary(THREE))
+    found = efficient(record(summary(THREE)))
     for metric in ERRORS:
         assert found[metric]["train_seconds"] == ["small", "middling", "large"]
         assert found[metric]["ms_per_image"] == ["small", "wasteful", "middling", "large"]
@@ -58,7 +65,7 @@ def test_costs_are_means_over_seeds_and_cells_without_figures_are_left_out():
     made["cells"][0]["costs"]["1"]["train_seconds"]["disentangled"] = 30
     made["cells"][1]["metrics"] = {}
     made["cells"][2]["costs"] = {}  # it failed
-    labels, cost, _ = points(made, "pose/disentangled/edge_mm", "train_seconds")
+    labels, cost, _ = points(record(made), "pose/disentangled/edge_mm", "train_seconds")
     assert labels == ["small", "large"]
     assert cost == pytest.approx([20, 400])
 
@@ -68,27 +75,27 @@ def test_a_reference_without_figures_stops_nothing(reference):
     found = summary(THREE[:2])
     found["reference"] = reference
     found["cells"][0] |= {"metrics": {}, "metric": {}}
-    assert efficient(found)["ms_ssim/disentangled"]["train_seconds"] == ["middling"]
+    assert efficient(record(found))["ms_ssim/disentangled"]["train_seconds"] == ["middling"]
     found["cells"][1] |= {"metrics": {}, "metric": {}}
-    assert set(efficient(found)) == set(ERRORS) and frontier_figure(found) is None
+    assert set(efficient(record(found))) == set(ERRORS) and frontier_figure(record(found)) is None
 
 
 def test_a_taught_network_took_the_time_of_its_teacher_too():
     found = summary(THREE[:2])
-    before = points(found, "ms_ssim/disentangled", "train_seconds")[1]
+    before = points(record(found), "ms_ssim/disentangled", "train_seconds")[1]
     for costs in found["cells"][1]["costs"].values():
         costs["train_seconds"]["posenet_teacher"] = 30.0
-    np.testing.assert_allclose(points(found, "ms_ssim/disentangled", "train_seconds")[1] - before, [0, 30])
+    np.testing.assert_allclose(points(record(found), "ms_ssim/disentangled", "train_seconds")[1] - before, [0, 30])
 
 
 def test_likeness_of_other_scales_is_not_compared():
     made = summary(THREE)
     made["cells"][3]["metric"] = {"ms_ssim": "ms_ssim@5"}
-    assert points(made, "ms_ssim/disentangled", "train_seconds")[0] == ["small", "middling", "wasteful"]
-    assert len(points(made, "pose/disentangled/edge_mm", "train_seconds")[0]) == 4
+    assert points(record(made), "ms_ssim/disentangled", "train_seconds")[0] == ["small", "middling", "wasteful"]
+    assert len(points(record(made), "pose/disentangled/edge_mm", "train_seconds")[0]) == 4
     for cell in made["cells"][:3]:
         cell["settings"]["paired.preprocess.size"] = "64"
-    assert points(made | {"reference": "large"}, "ms_ssim/disentangled", "train_seconds")[0] == ["large"]
+    assert points(record(made | {"reference": "large"}), "ms_ssim/disentangled", "train_seconds")[0] == ["large"]
 
 
 @pytest.mark.parametrize("changed", ["paired.slides", "paired.ranges.move_mm", "paired.camera.mm_across", "sensor"])
@@ -96,22 +103,22 @@ def test_cells_with_another_test_than_the_reference_are_not_ranked(changed):
     made = summary(THREE)
     made["cells"][3]["settings"][changed] = "another"
     for metric in ERRORS:
-        assert efficient(made)[metric]["train_seconds"] == ["small", "middling"]
-        assert efficient(made)[metric]["ms_per_image"] == ["small", "wasteful", "middling"]
-        assert efficient(made | {"reference": "large"})[metric]["train_seconds"] == ["large"]
+        assert efficient(record(made))[metric]["train_seconds"] == ["small", "middling"]
+        assert efficient(record(made))[metric]["ms_per_image"] == ["small", "wasteful", "middling"]
+        assert efficient(record(made | {"reference": "large"}))[metric]["train_seconds"] == ["large"]
 
 
 def test_images_of_another_size_are_ranked_by_their_errors_in_mm():
     made = summary(THREE)
     made["cells"][3]["settings"]["paired.preprocess.size"] = "256"
-    assert efficient(made) == efficient(summary(THREE))
+    assert efficient(record(made)) == efficient(record(summary(THREE)))
 
 
 def test_what_is_not_ranked_is_drawn_hollow_and_not_joined():
     made = summary(THREE)
     made["cells"][3]["settings"]["paired.slides"] = "8"
     axes = Figure().subplots()
-    _panel(axes, made, "pose/disentangled/edge_mm", "train_seconds", {label: label for label, *_ in THREE})
+    _panel(axes, record(made), "pose/disentangled/edge_mm", "train_seconds", {label: label for label, *_ in THREE})
     assert axes.lines[0].get_xdata().tolist() == [10, 100]
     colours = {text.get_text(): to_hex(text.get_bbox_patch().get_facecolor()) for text in axes.texts}
     assert colours["large"] == "#ffffff" and len(colours) == 4
@@ -119,15 +126,15 @@ def test_what_is_not_ranked_is_drawn_hollow_and_not_joined():
 
 
 def test_a_picture_is_drawn_where_there_is_something_to_draw():
-    assert frontier_figure(summary(THREE)).startswith(b"\x89PNG")
-    assert frontier_figure(summary(THREE[:1])) is None
+    assert frontier_figure(record(summary(THREE))).startswith(b"\x89PNG")
+    assert frontier_figure(record(summary(THREE[:1]))) is None
 
 
 def test_cells_of_one_network_take_equally_long_for_an_image():
     made = summary(THREE)
     for cell in (0, 1, 3):
         made["cells"][cell]["settings"] = {"train.epochs": str(cell)}
-    cost = dict(zip(*points(made, "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
+    cost = dict(zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
     assert cost == pytest.approx({"small": 5, "middling": 5, "wasteful": 3, "large": 5})
 
 
@@ -136,5 +143,5 @@ def test_another_precision_takes_its_own_time_for_an_image():
     for cell in made["cells"]:
         cell["settings"] = {}
     made["cells"][3]["settings"] = {"train.precision": "bfloat16"}
-    cost = dict(zip(*points(made, "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
+    cost = dict(zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
     assert cost == pytest.approx({"small": 3, "middling": 3, "wasteful": 3, "large": 9})

@@ -8,6 +8,8 @@ import pytest
 from PIL import Image
 
 from jaxunshear.report.sweep_figure import shown_metrics, sweep_figure, values_on_grid
+from jaxunshear.results.stored import record_of
+from jaxunshear.results.sweep import SweepResult
 
 REASON = "training disentangled stopped: supervised not finite at step 300"
 
@@ -21,6 +23,7 @@ def cell(point, mean: float | None) -> dict:
     metrics = {} if mean is None else {name: figure(mean + n) for n, name in enumerate(names)}
     metrics |= {} if mean is None else {"ms_ssim/sheared": figure(0.5), "contact/other": figure(mean)}
     return {
+        "label": "a cell",
         "point": point,
         "seeds": [] if mean is None else [0, 1],
         "metrics": metrics,
@@ -39,14 +42,19 @@ def summary(axes: int, failing: bool = True) -> dict:
         cells[-1] = cell(cells[-1]["point"], None)
     return {
         "sweep": "small",
+        "reference": None,
         "seeds": [0, 1],
-        "axes": [{"name": f"axis {number}", "values": value} for number, value in enumerate(values)],
+        "axes": [{"name": f"axis {number}", "fields": [], "values": value} for number, value in enumerate(values)],
         "cells": [*cells, cell(None, 77.0)],
     }
 
 
+def record(made):
+    return record_of(made, SweepResult, "made up", "again")
+
+
 def test_metrics_that_differ_between_cells_are_shown_in_order():
-    assert shown_metrics(summary(2)) == [
+    assert shown_metrics(record(summary(2))) == [
         "ms_ssim/disentangled",
         "pose/disentangled/edge_mm",
         "swap/DS(z_p,z_s)/mse",
@@ -55,21 +63,21 @@ def test_metrics_that_differ_between_cells_are_shown_in_order():
 
 
 def test_means_lie_where_their_cell_is():
-    values = values_on_grid(summary(2), "ms_ssim/disentangled")
+    values = values_on_grid(record(summary(2)), "ms_ssim/disentangled")
     assert np.array_equal(values[:2], [[0, 1], [2, 3]]) and values[2, 0] == 4 and np.isnan(values[2, 1])
 
 
 @pytest.mark.parametrize("axes", [1, 2])
 def test_it_can_be_drawn_and_the_same_again(axes):
-    picture = sweep_figure(summary(axes))
-    assert picture is not None and picture == sweep_figure(summary(axes))
+    picture = sweep_figure(record(summary(axes)))
+    assert picture is not None and picture == sweep_figure(record(summary(axes)))
     assert np.asarray(Image.open(io.BytesIO(picture)).convert("L")).std() > 10
-    assert picture != sweep_figure(summary(axes, failing=False))
+    assert picture != sweep_figure(record(summary(axes, failing=False)))
 
 
 def test_no_axis_or_nothing_done_is_no_picture():
-    assert sweep_figure(summary(0)) is None
+    assert sweep_figure(record(summary(0))) is None
     nothing = summary(2)
     for each in nothing["cells"]:
         each |= {"seeds": [], "metrics": {}, "ablation": {}}
-    assert sweep_figure(nothing) is None
+    assert sweep_figure(record(nothing)) is None

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.results.stored import record_of
+from jaxunshear.results.sweep import SweepResult
 from jaxunshear.sweep import engines
 from jaxunshear.sweep.summary import reproducible
 
@@ -45,8 +47,8 @@ def test_workers_that_are_killed_change_nothing(stand_in, tmp_path):
             break
     out, _ = process.communicate(timeout=300)
     assert process.returncode == 0 and len(killed) == 2
-    found = json.loads(out.splitlines()[-1])
-    assert reproducible(found) == reproducible(json.loads(serial.stdout))
+    found = record_of(json.loads(out.splitlines()[-1]), SweepResult, "it", "again")
+    assert reproducible(found) == reproducible(record_of(json.loads(serial.stdout), SweepResult, "it", "again"))
     lines = (tmp_path / "ray" / "data" / "steps.txt").read_text().splitlines()
     assert len(lines) - len(set(lines)) <= len(killed)
 

@@ -17,8 +17,9 @@ import pytest
 from jaxunshear.dataset.making import sets_of
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
+from jaxunshear.results.stored import SCHEMA
 from jaxunshear.settings.stored import from_json
-from jaxunshear.storage import read_json, write_json
+from jaxunshear.storage import plain, read_json, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.rows import cells_of, rows_of
 from jaxunshear.sweep.summary import reproducible
@@ -34,8 +35,8 @@ def rows(tmp_path: Path) -> dict[str, dict]:
 
 def test_every_row_is_done_once_and_what_rows_share_is_trained_once(stand_in, swept, steps, tmp_path):
     summary = swept(stand_in.SWEEP)
-    assert [len(cell["seeds"]) for cell in summary["cells"]] == [2, 2, 2, 2]
-    assert read_json(tmp_path / "small" / "sweep.json") == json.loads(json.dumps(summary))
+    assert [len(cell.seeds) for cell in summary.cells] == [2, 2, 2, 2]
+    assert read_json(tmp_path / "small" / "sweep.json") == {"schema": SCHEMA} | json.loads(json.dumps(plain(summary)))
     assert (tmp_path / "small" / "sweep.png").exists()
     assert set(steps().values()) == {1}
     trained = {name for name, _ in steps()}
@@ -114,12 +115,12 @@ def test_a_training_that_lost_its_checkpoints_is_the_one_to_delete(stand_in, swe
     swept(sweep)
     (lost,) = (tmp_path / "small" / "rows").glob("*/posenet/checkpoint.json")
     lost.unlink()
-    (failed,) = (cell["failures"][0]["reason"] for cell in swept(more)["cells"] if cell["failures"])
+    (failed,) = (cell.failures[0].reason for cell in swept(more).cells if cell.failures)
     assert (
         f"{lost.parent} has lost its checkpoints: delete that folder, then run the same command with --retry" in failed
     )
     shutil.rmtree(lost.parent)
-    assert not any(cell["failures"] for cell in swept(more, retry_failed=True)["cells"])
+    assert not any(cell.failures for cell in swept(more, retry_failed=True).cells)
 
 
 def test_a_teacher_that_rows_share_is_trained_once(stand_in, swept, steps):
@@ -148,7 +149,7 @@ def test_memory_is_that_of_the_trainings_too(stand_in, swept, tmp_path):
     write_json(path, read_json(path) | {"peak_memory_bytes": 10**15})
     for row in (tmp_path / "small" / "rows").glob("*"):
         shutil.rmtree(row)
-    assert {cell["costs"]["0"]["peak_memory_bytes"] for cell in swept(sweep)["cells"]} == {10**15}
+    assert {cell["costs"]["0"]["peak_memory_bytes"] for cell in swept(sweep).cells} == {10**15}
 
 
 @pytest.mark.long
@@ -188,17 +189,17 @@ def test_a_failed_row_is_reported_left_alone_and_tried_again_when_asked(stand_in
     }
     sweep = replace(stand_in.SWEEP, grid=(("train.learning_rate", (0.001, *rates)),), seeds=(0,))
     summary = swept(sweep)
-    assert [len(cell["failures"]) for cell in summary["cells"]] == [0, 1, 1, 1]
-    for cell, reason in zip(summary["cells"][1:], rates.values(), strict=True):
-        assert cell["failures"][0]["reason"].startswith(reason) and cell["metrics"] == {}
-        assert f"failed: {cell['label']}, seed 0: {reason}" in table(summary)
+    assert [len(cell.failures) for cell in summary.cells] == [0, 1, 1, 1]
+    for cell, reason in zip(summary.cells[1:], rates.values(), strict=True):
+        assert cell.failures[0].reason.startswith(reason) and cell.metrics == {}
+        assert f"failed: {cell.label}, seed 0: {reason}" in table(summary)
     assert {row["status"] for row in rows(tmp_path).values()} == {"done", "failed"}
     assert all(row["settings"]["seed"] == row["seed"] == 0 for row in rows(tmp_path).values())
     log = next((tmp_path / "small" / "rows").glob("learning_rate-0.125*")) / "log.txt"
     assert "ZeroDivisionError" in log.read_text()
     done = steps()
     assert swept(sweep) == summary and steps() == done
-    assert swept(sweep, retry_failed=True)["cells"][1:] == summary["cells"][1:]
+    assert swept(sweep, retry_failed=True).cells[1:] == summary.cells[1:]
     tried = steps() - done
     assert sum(tried.values()) == 3 and {step for _, step in tried} == {"5"}  # each from its checkpoint
 
@@ -215,7 +216,7 @@ def test_a_full_disk_stops_the_sweep_and_the_same_command_goes_on(
         swept(sweep)
     assert rows(tmp_path) == {}
     monkeypatch.delenv("STAND_IN_FULL")
-    assert not any(cell["failures"] for cell in swept(sweep)["cells"])
+    assert not any(cell.failures for cell in swept(sweep).cells)
     assert steps().total() == 1 + 10 * (1 + len(sweep.grid[0][1]))  # goes on from its checkpoint
 
 
@@ -223,7 +224,7 @@ def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, s
     base = replace(stand_in.BASE, train=replace(stand_in.BASE.train, learning_rate=0.5))
     sweep = replace(stand_in.SWEEP, base=base, grid=(("posenet.hidden", (8, 16)),), seeds=(0,))
     summary = swept(sweep)
-    reasons = [cell["failures"][0]["reason"] for cell in summary["cells"]]
+    reasons = [cell.failures[0].reason for cell in summary.cells]
     assert (
         reasons
         == [
@@ -347,5 +348,5 @@ def test_figures_of_equal_settings_are_equal_numbers(stand_in, swept):
     """Bit for bit: with a shared training, with one reused from a row, or with its own."""
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 0.1)),), seeds=(0,))
     grid, alone = swept(sweep), swept(replace(sweep, name="alone", grid=(), rows=((("train.patch_weight", 0.0),),)))
-    assert alone["cells"][0]["metrics"] == grid["cells"][0]["metrics"]
-    assert np.isfinite(alone["cells"][0]["metrics"]["ms_ssim/disentangled"]["mean"])
+    assert alone.cells[0].metrics == grid.cells[0].metrics
+    assert np.isfinite(alone.cells[0].metrics["ms_ssim/disentangled"]["mean"])

@@ -6,8 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxunshear.results.stored import record_of
+from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sweep import Sweep
+from jaxunshear.storage import plain
 from jaxunshear.sweep.bootstrap import interval
 from jaxunshear.sweep.rows import cells_of, reference_of
 from jaxunshear.sweep.scores import Measured
@@ -30,6 +33,7 @@ NAME = "ms_ssim/disentangled"
 def done(values: np.ndarray, **more) -> Measured:
     outcome = {
         "status": "done",
+        "reason": None,
         "results": {
             "metric": {"ms_ssim": "ms_ssim@4"},
             "settings": {
@@ -42,7 +46,7 @@ def done(values: np.ndarray, **more) -> Measured:
                 "sensor": {"skin_mm": 1.0},
             },
             "tests": {"unseen": {"stimuli": ["flower", "leaf"], "tap_depth_jitter_mm": 0.0}},
-            "pin_error": {"disentangled": {"rms_px": float(values[0]), "note": "text"}, "missing": None},
+            "pin_error": {"disentangled": {"rms_px": float(values[0]), "rms_mm": None}},
         },
         "ablation": [
             {"name": "DS(z_p,0)", "target": "tap", "ssim": float(values[1]), "ssim interval": [0, 1], "paper": None}
@@ -56,11 +60,13 @@ def done(values: np.ndarray, **more) -> Measured:
         "host": "here",
     }
     unseen = {NAME: 2 * values[:4], "stimulus": np.zeros(4, int), "pose_id": np.arange(4)}
-    return Measured(outcome | more, {"": {NAME: values} | LABELS, "unseen": unseen})
+    return Measured(
+        record_of(outcome | more, Outcome, "row.json", "again"), {"": {NAME: values} | LABELS, "unseen": unseen}
+    )
 
 
 def failed(reason: str) -> Measured:
-    return Measured({"status": "failed", "reason": reason}, {})
+    return Measured(Outcome(status="failed", reason=reason), {})
 
 
 def test_scores_that_only_a_newer_version_measured_are_left_out():
@@ -86,11 +92,11 @@ def summary():
 
 
 def test_likeness_is_reported_for_every_shape_too(summary):
-    found = summary["cells"][0]["metrics"]
+    found = summary.cells[0].metrics
     both = np.stack([random(0), random(1)])
-    assert found[f"clover: {NAME}"]["mean"] == pytest.approx(both[:, POSES % 3 == 1].mean())
-    low, high = found[f"clover: {NAME}"]["interval"]
-    assert low < found[f"clover: {NAME}"]["mean"] < high
+    assert found[f"clover: {NAME}"].mean == pytest.approx(both[:, POSES % 3 == 1].mean())
+    low, high = found[f"clover: {NAME}"].interval
+    assert low < found[f"clover: {NAME}"].mean < high
     assert f"unseen, flower: {NAME}" in found and f"unseen, leaf: {NAME}" not in found  # no contact with it
 
 
@@ -107,12 +113,12 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
 
     figure = recovered(errors)["pose_recovery/unet/x_mm"]
     tap, sheared, unet = (values.mean() for values in errors.values())
-    assert figure["mean"] == pytest.approx((sheared - unet) / (sheared - tap))
-    low, high = figure["interval"]
-    assert low < figure["mean"] < high and high - low < 0.1
-    assert set(figure["per_seed"]) == {"0", "1"}
+    assert figure.mean == pytest.approx((sheared - unet) / (sheared - tap))
+    low, high = figure.interval
+    assert low < figure.mean < high and high - low < 0.1
+    assert set(figure.per_seed) == {"0", "1"}
     clover = [values[:, POSES % 3 == 1].mean() for values in errors.values()]
-    assert recovered(errors)["clover: pose_recovery/unet/x_mm"]["mean"] == pytest.approx(
+    assert recovered(errors)["clover: pose_recovery/unet/x_mm"].mean == pytest.approx(
         (clover[1] - clover[2]) / (clover[1] - clover[0])
     )
     assert "pose_recovery/sheared/x_mm" not in recovered(errors)
@@ -120,41 +126,35 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
 
 
 def test_means_are_over_seeds_and_contacts_and_each_seed_is_reported(summary):
-    figure = summary["cells"][0]["metrics"][NAME]
+    figure = summary.cells[0].metrics[NAME]
     both = np.stack([random(0), random(1)])
-    assert figure["mean"] == pytest.approx(both.mean())
-    assert figure["per_seed"] == pytest.approx({"0": both[0].mean(), "1": both[1].mean()})
-    assert figure["interval"] == interval(both, GROUPS)
-    unseen = summary["cells"][0]["metrics"][f"unseen: {NAME}"]
-    assert unseen["mean"] == pytest.approx(2 * both[:, :4].mean()) and unseen["interval"] == interval(
+    assert figure.mean == pytest.approx(both.mean())
+    assert figure.per_seed == pytest.approx({"0": both[0].mean(), "1": both[1].mean()})
+    assert figure.interval == interval(both, GROUPS)
+    unseen = summary.cells[0].metrics[f"unseen: {NAME}"]
+    assert unseen.mean == pytest.approx(2 * both[:, :4].mean()) and unseen.interval == interval(
         2 * both[:, :4], np.arange(4)
     )
-    plain = summary["cells"][0]["metrics"]["pin_error/disentangled/rms_px"]
-    assert plain == {"mean": both[:, 0].mean(), "interval": None, "per_seed": {"0": both[0, 0], "1": both[1, 0]}}
-    assert "pin_error/disentangled/note" not in summary["cells"][0]["metrics"]
-    spoilt = summary["cells"][0]["ablation"]
-    assert list(spoilt) == ["DS(z_p,0)/ssim"] and spoilt["DS(z_p,0)/ssim"]["mean"] == pytest.approx(both[:, 1].mean())
+    plain = summary.cells[0].metrics["pin_error/disentangled/rms_px"]
+    assert plain == Figure(both[:, 0].mean(), None, {"0": both[0, 0], "1": both[1, 0]})
+    assert "pin_error/disentangled/rms_mm" not in summary.cells[0].metrics
+    spoilt = summary.cells[0].ablation
+    assert list(spoilt) == ["DS(z_p,0)/ssim"] and spoilt["DS(z_p,0)/ssim"].mean == pytest.approx(both[:, 1].mean())
 
 
 def test_differences_are_paired_over_the_seeds_that_both_have(summary):
-    assert summary["reference"] == "patch_weight=0.1" and summary["cells"][1]["difference"] == {}
+    assert summary.reference == "patch_weight=0.1" and summary.cells[1].difference == {}
     pairs = np.stack([random(0) - random(10), random(1) - random(11)])
-    assert summary["cells"][0]["difference"][NAME] == {
-        "mean": pytest.approx(pairs.mean()),
-        "interval": interval(pairs, GROUPS),
-    }
+    assert summary.cells[0].difference[NAME] == Figure(pytest.approx(pairs.mean()), interval(pairs, GROUPS))
     one = (random(20) - random(10))[None]
-    assert summary["cells"][2]["difference"][NAME] == {
-        "mean": pytest.approx(one.mean()),
-        "interval": interval(one, GROUPS),
-    }
+    assert summary.cells[2].difference[NAME] == Figure(pytest.approx(one.mean()), interval(one, GROUPS))
 
 
 def test_noise_that_two_cells_share_does_not_widen_their_difference():
     rows = {seed: done(random(seed)) for seed in (0, 1)}
     other = {seed: done(random(seed) - 0.5) for seed in (0, 1)}
     found = differences(rows, other)[NAME]
-    assert found["interval"] == pytest.approx([0.5, 0.5])
+    assert found.interval == pytest.approx([0.5, 0.5])
 
 
 def test_other_test_contacts_have_no_difference():
@@ -167,14 +167,15 @@ def test_other_test_contacts_have_no_difference():
 def test_contacts_of_the_same_labels_drawn_from_other_settings_have_no_difference():
     for part, change in (("paired", {"ranges": {"depth_max_mm": 3.0}}), ("sensor", {"skin_mm": 2.0})):
         elsewhere = done(random(1))
-        elsewhere.outcome["results"]["settings"][part] |= change
+        elsewhere.outcome.results.settings[part].update(change)
         assert differences({0: done(random(0))}, {0: elsewhere}) == {}
 
 
 def test_a_further_test_is_compared_by_its_own_settings():
     jittered, others = done(random(1)), done(random(1))
-    jittered.outcome["results"]["settings"]["paired"]["tap_depth_jitter_mm"] = 1.0  # of the main test alone
-    others.outcome["results"]["tests"]["unseen"]["stimuli"] = ["leaf", "flower"]
+    jittered.outcome.results.settings["paired"]["tap_depth_jitter_mm"] = 1.0  # of the main test alone
+    unseen = others.outcome.results.tests
+    unseen["unseen"] = replace(unseen["unseen"], stimuli=["leaf", "flower"])
     assert list(differences({0: done(random(0))}, {0: jittered})) == [f"unseen: {NAME}"]
     assert list(differences({0: done(random(0))}, {0: others})) == [NAME]
 
@@ -182,25 +183,25 @@ def test_a_further_test_is_compared_by_its_own_settings():
 @pytest.mark.parametrize("metric", [{"ms_ssim": "ms_ssim@5"}, {"ms_ssim": "ms_ssim@4", "image_px": 160}])
 def test_poses_read_from_images_of_another_size_are_compared_and_their_likeness_is_not(metric):
     smaller, larger = done(random(0)), done(random(1))
-    larger.outcome["results"]["metric"] = metric
-    larger.outcome["results"]["settings"]["paired"]["preprocess"] = {"size": 160}
+    larger.outcome.results.metric.update(metric)
+    larger.outcome.results.settings["paired"]["preprocess"] = {"size": 160}
     for row in (smaller, larger):
         row.tests[""] |= {"swap/DC(z_p)/mse": random(2), "pose/disentangled/x_mm": random(3)}
     assert list(differences({0: smaller}, {0: larger})) == ["pose/disentangled/x_mm"]
 
 
 def test_a_failure_is_reported_with_its_reason_and_the_other_seed_counts(summary):
-    cell = summary["cells"][2]
-    assert cell["seeds"] == [0] and cell["failures"] == [{"seed": 1, "reason": "killed by signal 9"}]
-    assert cell["metrics"][NAME]["mean"] == pytest.approx(random(20).mean())
-    assert list(cell["costs"]) == ["0"] and cell["costs"]["0"]["peak_memory_bytes"] == 2**30
+    cell = summary.cells[2]
+    assert cell.seeds == [0] and cell.failures == [Failure(1, "killed by signal 9")]
+    assert cell.metrics[NAME].mean == pytest.approx(random(20).mean())
+    assert list(cell.costs) == ["0"] and cell.costs["0"].peak_memory_bytes == 2**30
 
 
 def test_nothing_done_is_a_summary_too():
     cells = cells_of(SWEEP)
     rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
     found = summarise(SWEEP, cells, rows, reference_of(SWEEP, cells))
-    assert all(cell["metrics"] == cell["difference"] == cell["ablation"] == {} for cell in found["cells"])
+    assert all(cell.metrics == cell.difference == cell.ablation == {} for cell in found.cells)
     assert table(found).count("failed: ") == 6
 
 
@@ -209,23 +210,24 @@ def test_nothing_done_without_a_grid_is_a_summary_too():
     cells = cells_of(sweep)
     rows = {(cell.label, seed): failed("no") for cell in cells for seed in (0, 1)}
     found = summarise(sweep, cells, rows, reference_of(sweep, cells))
-    assert [cell["metrics"] for cell in found["cells"]] == [{}, {}] and "failed: " in table(found)
+    assert [cell.metrics for cell in found.cells] == [{}, {}] and "failed: " in table(found)
 
 
 def test_it_is_json_and_costs_are_all_that_may_differ(summary):
-    again = json.loads(json.dumps(summary))
+    again = json.loads(json.dumps(plain(summary)))
     assert again["axes"] == [
         {"name": "patch_weight", "fields": ["train.patch_weight"], "values": ["0.0", "0.1", "1.0"]}
     ]
     assert again["networks"] == ["disentangled"] and again["base"]["networks"] == ["disentangled"]
-    assert "costs" not in json.dumps(reproducible(again)) and reproducible(again)["cells"][0]["metrics"]
+    assert record_of(again, SweepResult, "sweep.json", "again").cells[0].metrics == summary.cells[0].metrics
+    assert not reproducible(summary).cells[0].costs and reproducible(summary).cells[0].metrics
 
 
 def test_a_seed_without_the_ablation_and_a_figure_that_one_seed_lacks_are_left_out():
     rows = {0: done(random(0)), 1: done(random(1), ablation=None)}
-    assert list(ablation(rows)["DS(z_p,0)/ssim"]["per_seed"]) == ["0"]
+    assert list(ablation(rows)["DS(z_p,0)/ssim"].per_seed) == ["0"]
     lacking = done(random(1))
-    lacking.outcome["results"] = {"pin_error": {"disentangled": {"rms_px": None}}}
+    lacking.outcome.results.pin_error["disentangled"]["rms_px"] = None
     assert "pin_error/disentangled/rms_px" not in metrics({0: done(random(0)), 1: lacking})
 
 
@@ -237,11 +239,11 @@ def test_the_table_shows_figures_reference_and_failures(summary):
     assert lines[-1].endswith("--retry-failed tries them again")
     low, high = interval(np.stack([random(0), random(1)]), GROUPS)
     assert f"[{low:.3g}, {high:.3g}]" in lines[1]
-    assert "*" not in table(replace_reference(summary)).splitlines()[2]
+    assert "*" not in table(replace(summary, reference=None)).splitlines()[2]
 
 
 def test_nothing_failed_is_nothing_to_try_again(summary):
-    assert "--retry-failed" not in table(summary | {"cells": summary["cells"][:2]})
+    assert "--retry-failed" not in table(replace(summary, cells=summary.cells[:2]))
 
 
 def test_the_table_gives_which_settings_were_not_ranked_and_ranks_the_others():
@@ -260,17 +262,13 @@ def test_the_table_gives_which_settings_were_not_ranked_and_ranks_the_others():
 
 def test_intervals_say_what_they_are_over(summary):
     """One seed knows nothing of other trainings."""
-    assert summary["spread"]["over"] == "training seeds and test poses" and "seeds" in summary["spread"]["what"]
+    assert summary.spread["over"] == "training seeds and test poses" and "seeds" in summary.spread["what"]
     assert "brackets: 95 % intervals over training seeds and test poses" in table(summary).splitlines()
     sweep = replace(SWEEP, grid=(), rows=((),), labels=("base",), seeds=(0,))
     cells = cells_of(sweep)
     one = summarise(sweep, cells, {(cells[0].label, 0): done(random(0))}, None)
-    assert one["spread"]["over"] == "test poses of one training" and "seeds" not in one["spread"]["what"]
+    assert one.spread["over"] == "test poses of one training" and "seeds" not in one.spread["what"]
     assert "brackets: 95 % intervals over test poses of one training" in table(one).splitlines()
-
-
-def replace_reference(summary: dict) -> dict:
-    return summary | {"reference": None}
 
 
 def test_cells_of_different_networks():
@@ -280,6 +278,6 @@ def test_cells_of_different_networks():
     other = done(random(1))
     other = other._replace(tests={"": {"ms_ssim/unet": random(1)} | LABELS})
     found = summarise(sweep, cells, {(cells[0].label, 0): done(random(0)), (cells[1].label, 0): other}, cells[0].label)
-    assert found["networks"] == ["disentangled", "unet"]
-    assert not any(name.startswith("ms_ssim") for name in found["cells"][1]["difference"])
+    assert found.networks == ["disentangled", "unet"]
+    assert not any(name.startswith("ms_ssim") for name in found.cells[1].difference)
     assert "-" in table(found).splitlines()[1].split()

@@ -1,6 +1,5 @@
 """A sweep of real networks, at their smallest: killed, it ends with the very table of an undisturbed one."""
 
-import json
 import os
 import random
 import signal
@@ -10,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from jaxunshear.results.stored import read
+from jaxunshear.results.sweep import SweepResult
 from jaxunshear.sweep.summary import reproducible
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -34,17 +35,17 @@ def start(folder: Path) -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-m", "jaxunshear", *words], stdout=subprocess.DEVNULL)
 
 
-def summary(folder: Path) -> dict:
-    return json.loads((folder / "small" / "sweep.json").read_text())
+def summary(folder: Path) -> SweepResult:
+    return read(folder / "small" / "sweep.json", SweepResult, "again")
 
 
 @pytest.mark.long
 def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
     assert start(tmp_path / "whole").wait() == 0
     full = summary(tmp_path / "whole")
-    assert [cell["seeds"] for cell in full["cells"][:2]] == [[0], [0]]
-    assert full["reference"] == "patch_weight=0.1"
-    assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(full["cells"][0]["difference"])
+    assert [list(cell.seeds) for cell in full.cells[:2]] == [[0], [0]]
+    assert full.reference == "patch_weight=0.1"
+    assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(full.cells[0].difference)
     assert len(list((tmp_path / "whole" / "small" / "shared").glob("posenet*/posenet/summary.json"))) == 1
     moments = random.Random(0)
     kills = 0

@@ -8,6 +8,7 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.storage import os_error
 from jaxunshear.sweep import work
+from jaxunshear.sweep.tasks import Order
 
 FULL = os_error(Path("somewhere"), OSError(errno.ENOSPC, "No space left on device"))
 
@@ -21,9 +22,9 @@ def reason(monkeypatch, tmp_path):
             raise error
 
         monkeypatch.setattr(work, f"_{kind}", refuse)
-        outcome = work.attempt({"kind": kind}, tmp_path)
-        assert outcome["status"] == "failed" and outcome["wall_seconds"] >= 0
-        return outcome["reason"]
+        outcome = work.attempt(Order(kind=kind), tmp_path)
+        assert outcome.status == "failed" and outcome.wall_seconds >= 0
+        return outcome.reason
 
     return report
 

@@ -10,7 +10,7 @@ which spares the passes that only rearrange; elsewhere they are XLA's.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -143,10 +143,13 @@ def _gradient_by_xla(
     return dx.reshape(x.shape).astype(x.dtype)
 
 
-def _compiled(by_xla: Callable[..., Any], run: Callable[..., Any]) -> Callable[..., Any]:
+Answer = TypeVar("Answer")
+
+
+def _compiled(by_xla: Callable[..., Answer], run: Callable[..., Answer]) -> Callable[..., Answer]:
     """`run` where `native.py` can, `by_xla` elsewhere; the derivatives are those of `by_xla` in any case."""
 
-    def choose(x: Array, *more: Array, **layouts: str) -> Any:
+    def choose(x: Array, *more: Array, **layouts: str) -> Answer:
         here = partial(by_xla, **layouts)
         if not native.takes(x, *more, source=layouts["source"]):
             return here(x, *more)

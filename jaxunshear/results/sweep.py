@@ -1,0 +1,104 @@
+"""What a sweep says: sweep.json, and row.json of each of its rows."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from jaxunshear.results.rows import Machine, Versions
+from jaxunshear.results.run import Full, Notes, Results, Scores, Settings, Span
+
+
+@dataclass(frozen=True, kw_only=True)
+class Costs:
+    """What a row took; by network where there are several."""
+
+    train_seconds: Mapping[str, float] = field(default_factory=dict)
+    images_per_second: Mapping[str, float] = field(default_factory=dict)
+    ms_per_image: Full = field(default_factory=dict)
+    wall_seconds: float = 0.0
+    peak_memory_bytes: int = 0
+    device: str | None = None
+    host: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome(Costs):
+    """Of a task that has ended. What it failed of is one line."""
+
+    status: str  # "done" or "failed"
+    reason: str | None
+    label: str | None = None
+    seed: int | None = None
+    networks: Sequence[str] | None = None
+    settings: Settings | None = None
+    results: Results | None = None
+    ablation: Sequence[Mapping[str, object]] | None = None  # rows with a name each
+
+    @property
+    def evaluated(self) -> Results:
+        """Of a row that is done."""
+        assert self.results is not None
+        return self.results
+
+
+@dataclass(frozen=True)
+class Figure:
+    """Over seeds and test contacts; without an interval what is no mean over contacts."""
+
+    mean: float
+    interval: Span
+    per_seed: Scores | None = None
+
+
+Figures = Mapping[str, Figure]  # by metric
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Of the grid; values as they are printed."""
+
+    name: str
+    fields: Sequence[str]
+    values: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Failure:
+    seed: int
+    reason: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CellResult:
+    """Of one point of the grid, or one row beside it, over seeds."""
+
+    label: str
+    point: Sequence[str] | None
+    settings: Mapping[str, str] = field(default_factory=dict)
+    seeds: Sequence[int] = ()  # those that did not fail
+    metric: Notes = field(default_factory=dict)
+    metrics: Figures = field(default_factory=dict)
+    difference: Figures = field(default_factory=dict)  # from the reference
+    ablation: Figures = field(default_factory=dict)
+    failures: Sequence[Failure] = ()
+    costs: Mapping[str, Costs] = field(default_factory=dict)  # by seed
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepResult:
+    """sweep.json."""
+
+    sweep: str
+    claim: str = ""
+    simulated: bool = True
+    axes: Sequence[Axis] = ()
+    seeds: Sequence[int]
+    networks: Sequence[str] = ()
+    spread: Notes = field(default_factory=dict)  # what the intervals are
+    reference: str | None
+    cells: Sequence[CellResult]
+    base: Settings = field(default_factory=dict)
+    efficient: Mapping[str, Mapping[str, Sequence[str]]] = field(default_factory=dict)  # labels by metric and cost
+    command: str = ""
+    machines: Sequence[Machine] = ()
+    trained_on: Sequence[Machine] = ()
+    versions: Sequence[Versions] = ()

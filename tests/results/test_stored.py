@@ -1,0 +1,79 @@
+"""Files of results: there and back, earlier and later forms, what is wrong in them."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.results.rows import Machine
+from jaxunshear.results.run import Results, Tables
+from jaxunshear.results.stored import SCHEMA, read, write
+from jaxunshear.results.sweep import Figure, SweepResult
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS = Results(
+    settings={"unshear": {"input": "pins"}},
+    metric={"ms_ssim": "ms_ssim@4", "image_px": 128},
+    pin_error={"tap": {"rms_px": 0.5, "rms_mm": None}},
+    pose_mae={"tap": {"x_mm": 1.0}},
+    machine=Machine(cores=2),
+    trained_on={"posenet": Machine(cores=2, kernels="plain")},
+)
+
+
+def test_what_is_written_is_read(tmp_path):
+    write(tmp_path / "results.json", RESULTS)
+    assert read(tmp_path / "results.json", Results, "again") == RESULTS
+    held = json.loads((tmp_path / "results.json").read_text())
+    assert held["schema"] == SCHEMA and held["pin_error"]["tap"] == {"rms_px": 0.5, "rms_mm": None}
+    assert "recordings" not in held and "kernels" not in held["machine"]  # None is left out where that is the default
+
+
+def test_what_is_not_finite_is_null(tmp_path):
+    write(tmp_path / "a.json", replace(RESULTS, pose_mae={"tap": {"x_mm": np.float32("nan"), "y_mm": np.float64(2)}}))
+    assert read(tmp_path / "a.json", Results, "again").pose_mae == {"tap": {"x_mm": None, "y_mm": 2.0}}
+
+
+def test_a_file_without_a_form_is_of_the_first(tmp_path):
+    write(tmp_path / "a.json", RESULTS)
+    held = json.loads((tmp_path / "a.json").read_text())
+    del held["schema"]
+    (tmp_path / "a.json").write_text(json.dumps(held))
+    assert read(tmp_path / "a.json", Results, "again") == RESULTS
+
+
+@pytest.mark.parametrize(
+    ("held", "line"),
+    [
+        ({"schema": SCHEMA + 1}, rf"a\.json has the form {SCHEMA + 1}.*{SCHEMA}: upgrade jaxunshear, or run it again"),
+        ({"settings": {}, "metric": {}}, r"a\.json lacks 'pin_error': run it again"),
+        (
+            {"settings": {}, "metric": {}, "pin_error": {"tap": {"rms_px": "much"}}},
+            r"a\.json lacks .*pin_error.*run it",
+        ),
+        ([], r"a\.json lacks .*run it again"),
+    ],
+)
+def test_what_does_not_fit_is_refused_by_name(tmp_path, held, line):
+    (tmp_path / "a.json").write_text(json.dumps(held))
+    with pytest.raises(UserError, match=line):
+        read(tmp_path / "a.json", Results, "run it again")
+
+
+def test_tables_are_those_that_readers_name():
+    with pytest.raises(TypeError):
+        Tables(pose_mea={})
+
+
+def test_a_figure_without_an_interval_says_so(tmp_path):
+    write(tmp_path / "figure.json", Figure(1.0, None))
+    assert json.loads((tmp_path / "figure.json").read_text()) == {"schema": SCHEMA, "mean": 1.0, "interval": None}
+
+
+@pytest.mark.parametrize("name", ["standard", "demo", "frontier", "recorded_pins", "parted"])
+def test_stored_sweeps_are_read(name):
+    found = read(ROOT / "docs" / "results" / f"{name}.json", SweepResult, "again")
+    assert all(cell.metrics for cell in found.cells)
