@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
+from jaxunshear.results.sweep import CellResult, Failure, SweepResult
 from jaxunshear.sweep import engines, run
 
 ROOT = Path(__file__).resolve().parents[1]
 LAMBDA, TINY = ROOT / "experiments" / "lambda_split.py", ROOT / "experiments" / "tiny.py"
-CELL = {"label": "base", "seeds": [0], "metrics": {}, "costs": {}, "failures": []}
 
 
 @pytest.fixture
@@ -19,15 +19,10 @@ def calls(monkeypatch):
 
     def run_sweep(sweep, *words):
         found.append((sweep, *words))
-        failures = [{"seed": 0, "reason": "killed by signal 9"}] if sweep.name == "failing" else []
-        return {
-            "cells": [CELL | {"failures": failures}],
-            "seeds": [0],
-            "spread": {"over": "test poses of one training"},
-            "networks": [],
-            "reference": None,
-            "efficient": {},
-        }
+        failures = [Failure(0, "killed by signal 9")] if sweep.name == "failing" else []
+        cell = CellResult(label="base", point=None, seeds=[0], failures=failures)
+        spread = {"over": "test poses of one training"}
+        return SweepResult(sweep=sweep.name, cells=[cell], seeds=[0], spread=spread, reference=None)
 
     monkeypatch.setattr(run, "run_sweep", run_sweep)
     return found
