@@ -47,6 +47,11 @@ def settle() -> None:
         )
 
 
+def cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def check_environment() -> None:
     """Raises UserError, before there is work to lose, where the environment names no place for a cache, devices that are not there, or
     flags of XLA that round otherwise, or layers that there are not."""

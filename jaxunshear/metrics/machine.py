@@ -5,6 +5,8 @@ import platform
 from importlib import metadata
 from pathlib import Path
 
+from jaxunshear.environment import cores
+
 PACKAGES = (
     *("jaxunshear", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint"),
     *("numpy", "scipy", "scikit-image", "grain", "tensorflow-datasets"),
@@ -18,7 +20,7 @@ def machine() -> dict[str, str | int]:
     device = jax.devices()[0]
     return {
         "processor": _processor(),
-        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        "cores": cores(),
         "memory_gib": _memory_gib(),
         "system": f"{platform.system()} {platform.machine()}",
         "device": f"{device.platform}: {device.device_kind}",
