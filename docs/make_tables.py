@@ -47,6 +47,19 @@ GRID = (("ms_ssim/disentangled", 3), ("pose/disentangled/edge_mm", 2))
 PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
 
 
+def sizing() -> str:
+    """A simulated set's processor time and storage, measured a contact and multiplied."""
+    lines = ["| step | measured, a contact | a million | 10^8, on paper |", "|---|---|---|---|"]
+    for row in json.loads((RESULTS / "bench_data.json").read_text())["rows"]:
+        if row["cpu_ms"] is not None:
+            hours = row["cpu_ms"] / 3.6
+            lines.append(f"| {row['name']}: core | {row['cpu_ms']:.3g} ms | {hours:.2g} h | {100 * hours:.0f} h |")
+        if row["bytes"]:
+            size = row["bytes"] / 1e3
+            lines.append(f"| {row['name']}: bytes | {size:.3g} kB | {size:.2g} GB | {size / 10:.2g} TB |")
+    return "\n".join(lines)
+
+
 def real_skin() -> str:
     """Errors over pins and over images, each with its 95 % interval over seeds and contacts."""
     inputs = [_cells(name)[0].metrics for name in ("recorded_pins", "recorded_images")]
@@ -620,6 +633,7 @@ TABLES = {
         tenth,
         frontier,
     ),
+    "docs/cluster.md": (sizing,),
     "docs/limits.md": (few_pairs, twisted, tilted),
 }
 

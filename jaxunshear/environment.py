@@ -20,6 +20,7 @@ ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 PROBE = "import jax; jax.devices()"
 KERNELS = "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `model/kernels.py`
 KERNEL_WAYS = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
+DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # how many a training is spread over, see `training/devices.py`
 SECONDS = 120  # a GPU on a busy machine needs some
 
 
@@ -47,11 +48,17 @@ def settle() -> None:
         )
 
 
+def cores() -> int:
+    """That this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def check_environment() -> None:
     """Raises UserError, before there is work to lose, where the environment names no place for a cache, devices that are not there, or
-    flags of XLA that round otherwise, or layers that there are not."""
+    flags of XLA that round otherwise, or layers or a number of devices that there cannot be."""
     cache_folder()
     kernels_asked()
+    devices_asked()
     flags = os.environ.get("XLA_FLAGS", "").split()
     for flag in flags:
         if any(word in flag for word in ROUNDING):
@@ -68,6 +75,14 @@ def kernels_asked() -> str:
     if way not in KERNEL_WAYS:
         raise UserError(f"{KERNELS}={way} is unknown: use one of {', '.join(KERNEL_WAYS)}")
     return way
+
+
+def devices_asked() -> int | None:
+    """1 unless asked; None for all that there are. Raises UserError."""
+    word = os.environ.get(DEVICE_COUNT) or "1"
+    if word != "all" and not (word.isdecimal() and int(word) >= 1):
+        raise UserError(f"{DEVICE_COUNT}={word}: use a number of devices from 1 on, or all")
+    return None if word == "all" else int(word)
 
 
 def _starts() -> bool:

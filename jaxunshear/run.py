@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from jaxunshear.cluster import Spread, here
 from jaxunshear.errors import UserError
 from jaxunshear.folders import model_folder
 from jaxunshear.locks import locked
@@ -27,8 +28,10 @@ TIMES = "times.json"
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
 
 
-def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str) -> Results | None:
-    """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>.
+def run_stages(
+    experiment: Experiment, stages: tuple[str, ...], out: Path, data: Path, command: str, spread: Spread = here
+) -> Results | None:
+    """Run `stages` ("data", names of networks, "evaluate", "report") into out/<name>. `spread`: who simulates.
 
     Returns the results where they were evaluated, else nothing. Raises UserError for whatever a person can fix, and
     where another process is at work in that folder.
@@ -41,10 +44,12 @@ def run_stages(experiment: Experiment, stages: tuple[str, ...], out: Path, data:
         if not free:
             raise UserError(f"another run is at work in {folder}: wait for it, stop it, or give another --out")
         _keep_settings(experiment, folder)
-        return _run(experiment, stages, folder, data, command)
+        return _run(experiment, stages, folder, data, command, spread)
 
 
-def _run(experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Path, command: str) -> Results | None:
+def _run(
+    experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Path, command: str, spread: Spread
+) -> Results | None:
     results = None
     for stage in stages:
         halfway = partial(_halfway, experiment, stage, folder, data)
@@ -52,7 +57,7 @@ def _run(experiment: Experiment, stages: tuple[str, ...], folder: Path, data: Pa
         began, worked = time.perf_counter(), False
         try:
             if stage == "data":
-                worked = _make_data(experiment, data)
+                worked = _make_data(experiment, data, spread)
             elif stage in TRAINABLE:
                 worked = _train(experiment, stage, folder, data)
             elif stage == "evaluate":
@@ -94,11 +99,12 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
     write_json(path, wanted)
 
 
-def _make_data(experiment: Experiment, data: Path) -> bool:
+def _make_data(experiment: Experiment, data: Path, spread: Spread) -> bool:
+    from jaxunshear.dataset.chunks import simulator
     from jaxunshear.dataset.making import make_sets
 
     there = all(_exist(experiment, data, configs.set_folder))
-    for name, metadata in make_sets(experiment, data).items():
+    for name, metadata in make_sets(experiment, data, simulator(spread)).items():
         counts = metadata["counts"]
         print(f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped")
     return not there

@@ -16,6 +16,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "pins": ("size", "seed"),
     "stream": ("size",),
     "strangers": ("recordings", "seed"),
+    "data": (),
 }
 
 
@@ -23,10 +24,12 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
     taken = OPTIONS[arguments.what]
     for option in dict.fromkeys(chain.from_iterable(OPTIONS.values())):
         if getattr(arguments, option) is not None and option not in taken:
-            known = ", ".join(f"--{name}" for name in taken)
-            raise UserError(f"--{option}: bench {arguments.what} has no use for it; it takes {known} and --json")
+            known = " and ".join([", ".join(f"--{name}" for name in taken), "--json"] if taken else ["--json"])
+            raise UserError(f"--{option}: bench {arguments.what} has no use for it; it takes {known}")
     if arguments.batch is not None and arguments.batch < 1:
         raise UserError(f"--batch {arguments.batch}: use at least 1")
+    if arguments.what == "data":
+        return _run_data(keep)
     if arguments.what != "sim":
         return _run_networks(arguments, keep)
     from jaxunshear.checks import bench_figure, bench_sim
@@ -37,6 +40,16 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
     if arguments.out is not None:
         write_bytes(arguments.out / "work_precision.png", bench_figure.work_precision(rows))
         print(arguments.out / "work_precision.png")
+    return 0
+
+
+def _run_data(keep: Keep) -> int:
+    from jaxunshear.checks import bench_data
+    from jaxunshear.table import plain_table
+
+    rows = bench_data.bench_data()
+    print(plain_table(rows, bench_data.COLUMNS))
+    keep(rows)
     return 0
 
 

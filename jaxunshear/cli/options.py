@@ -10,6 +10,8 @@ from jaxunshear.settings.experiment import Experiment
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # of the command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
 DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones
+ENGINE = ("--engine", "--ray-address", "--ray-cores")  # options of `add_engine`
+RAY_CORES = 2  # for each row or chunk
 KNOWN = 300  # simulated taps that scales are fitted to
 
 
@@ -50,6 +52,26 @@ def add_json(parser: argparse.ArgumentParser) -> None:
 
 def add_data(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+
+
+def add_engine(parser: argparse.ArgumentParser, piece: str) -> None:
+    """Who does the pieces of a command; `engine_asked` reads it."""
+    text = f"one {piece} after the other, or all over a Ray cluster (serial)"
+    parser.add_argument("--engine", choices=("serial", "ray"), default="serial", help=text)
+    parser.add_argument("--ray-address", metavar="ADDRESS", help="of a Ray cluster (default: one on this machine)")
+    parser.add_argument(
+        "--ray-cores", metavar="N", type=int, help=f"cores that a {piece} takes of the cluster ({RAY_CORES})"
+    )
+
+
+def engine_asked(arguments: argparse.Namespace) -> tuple[str | None, int] | None:
+    """Address and cores of `--engine ray`; None for the serial one. Raises UserError."""
+    address, cores = arguments.ray_address, arguments.ray_cores
+    if arguments.engine != "ray" and (address is not None or cores is not None):
+        raise UserError("--ray-address and --ray-cores go with --engine ray")
+    if cores is not None and cores < 1:
+        raise UserError(f"--ray-cores {cores}: use at least 1")
+    return (address, cores or RAY_CORES) if arguments.engine == "ray" else None
 
 
 def new_parser(commands: Commands, name: str, text: str, out: str) -> argparse.ArgumentParser:

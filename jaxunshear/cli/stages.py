@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jaxunshear.cli.options import Commands, add_data, add_json
+from jaxunshear.cli.options import ENGINE, Commands, add_data, add_engine, add_json, engine_asked
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 
@@ -22,8 +22,10 @@ STAGES = {
 OWN_OPTIONS = (
     *("--help", "--out", "--data", "--json", "--network", "--recordings", "--taps", "--slides", "--pairs"),
     "--sensor-from",
+    *ENGINE,
 )
 COMMANDS = tuple(STAGES)
+SIMULATING = ("run", "data")
 
 
 def add_parsers(commands: Commands) -> None:
@@ -48,6 +50,8 @@ def add_parsers(commands: Commands) -> None:
         _add_sensor(command)
         if name in ("run", "evaluate"):
             add_json(command)
+        if name in SIMULATING:
+            add_engine(command, "chunk of contacts")
         if name == "train":
             command.add_argument("--network", metavar="NAME", help="only this one of the experiment's (default: all)")
 
@@ -76,6 +80,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.folders import model_folder
     from jaxunshear.settings.experiment import trained
 
+    asked = engine_asked(arguments) if arguments.command in SIMULATING else None
     if arguments.command == "fit":
         experiment = _fitted(arguments, arguments.fields)
     elif arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
@@ -95,11 +100,15 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         networks = (arguments.network,)
     check_apart(getattr(arguments, "json", None), "--json", home=arguments.out / experiment.name)
     stages = [name for stage in STAGES[arguments.command] for name in (networks if stage == NETWORKS else (stage,))]
+    from jaxunshear.cluster import here, over_ray
     from jaxunshear.memory import keep_freed_memory
     from jaxunshear.run import run_stages
 
     keep_freed_memory()
-    results = run_stages(experiment, tuple(stages), out=arguments.out, data=arguments.data, command=command)
+    spread = over_ray(*asked) if asked else here
+    results = run_stages(
+        experiment, tuple(stages), out=arguments.out, data=arguments.data, command=command, spread=spread
+    )
     if results and getattr(arguments, "json", None):
         from jaxunshear.evaluation.measurements import measurements
         from jaxunshear.results.stored import write

@@ -3,21 +3,18 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands
-from jaxunshear.errors import UserError
+from jaxunshear.cli.options import ENGINE, Commands, add_engine, engine_asked
 
 COMMANDS = ("sweep",)
 FLAGS = ("--help", "--version", "--retry-failed")  # no value follows
 OWN_OPTIONS = (
     *FLAGS,
+    *ENGINE,
     *(
         "--out",
         "--data",
         "--json",
         "--seeds",
-        "--engine",
-        "--ray-address",
-        "--ray-cores",
         "--recordings",
         "--sensor-from",
     ),
@@ -41,21 +38,14 @@ def add_parsers(commands: Commands) -> None:
         help="a calibration.json: its sensor, camera and friction in the base",
     )
     parser.add_argument("--seeds", metavar="N,N,...", help="instead of those in FILE")
-    parser.add_argument(
-        "--engine", choices=("serial", "ray"), default="serial", help="one row after the other (serial)"
-    )
-    parser.add_argument("--ray-address", metavar="ADDRESS", help="of a Ray cluster (default: one on this machine)")
-    parser.add_argument("--ray-cores", metavar="N", type=int, help="cores that a row takes of the cluster (2)")
+    add_engine(parser, "row")
     parser.add_argument("--retry-failed", action="store_true", help="also try rows again that failed")
     parser.add_argument("--json", metavar="FILE", type=Path, help="write sweep.json here, too")
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
-    if arguments.engine != "ray" and (arguments.ray_address is not None or arguments.ray_cores is not None):
-        raise UserError("--ray-address and --ray-cores go with --engine ray")
-    if arguments.ray_cores is not None and arguments.ray_cores < 1:
-        raise UserError(f"--ray-cores {arguments.ray_cores}: use at least 1")
+    asked = engine_asked(arguments)
     import dataclasses
 
     from jaxunshear.settings.sweep import check, load_sweep, parse_seeds, with_overrides
@@ -82,9 +72,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.sweep.table import table
 
     check_apart(arguments.json, "--json", home=arguments.out / sweep.name)
-    engine: engines.Engine = engines.serial
-    if arguments.engine == "ray":
-        engine = engines.ray_engine(arguments.ray_address, arguments.ray_cores or 2)
+    engine: engines.Engine = engines.ray_engine(*asked) if asked else engines.serial
     summary = run_sweep(sweep, arguments.out, arguments.data, command, engine, arguments.retry_failed)
     print(table(summary))
     print(arguments.out / sweep.name / "sweep.json")

@@ -1,6 +1,7 @@
 """Scenes -> contacts -> images, in files of one batch each, so that a killed run goes on where it stopped.
 
-What disturbs an image depends on the seed and the contact's number alone, neither on the chunk nor on what was done before.
+Files are written by the process that asked for them, wherever the contacts were made. What disturbs an image depends on the seed
+and the contact's number alone, neither on the chunk nor on what was done before.
 """
 
 import functools
@@ -12,10 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from jax import Array
 
+from jaxunshear.cluster import Call, Died, Spread, here
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.dataset.shots import Shots
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
+from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
@@ -31,13 +34,14 @@ class Engine(NamedTuple):
     plan: Callable[..., list[np.ndarray]]  # (sensor, names, scenes) -> index batches
     simulate: Callable[..., Any]  # (sensor, names, scenes) -> Contacts
     render: Callable[..., tuple[np.ndarray, np.ndarray]]  # (settings, sensor, tips, number, age) -> images, pins in px
+    spread: Spread = here  # who makes the chunks
 
 
-def simulator() -> Engine:
+def simulator(spread: Spread = here) -> Engine:
     """The real one."""
     from jaxunshear.contact import simulate
 
-    return Engine(simulate.plan, simulate.simulate, render)
+    return Engine(simulate.plan, simulate.simulate, render, spread)
 
 
 def _usable(contacts: Contacts) -> np.ndarray:
@@ -56,18 +60,22 @@ def simulate_chunks(
     """
     batches = engine.plan(sensor, settings.stimuli, shots.scenes)
     paths = [folder / f"{index:05d}.npz" for index in range(len(batches))]
-    done = [_holds(path, batch) for path, batch in zip(paths, batches, strict=True)]
+    left = {path: batch for path, batch in zip(paths, batches, strict=True) if not _holds(path, batch)}
+    total, scenes = len(shots.scenes), shots.scenes
+    calls = (
+        Call(path, _chunk, (settings, sensor, scenes.take(batch), np.asarray(batch), shots.age[batch], engine))
+        for path, batch in left.items()
+    )
     label = f"simulate {set_name(settings)}/{config_name(settings, sensor)}"
-    started = sum(len(batch) for batch, there in zip(batches, done, strict=True) if there)
-    with Progress(label, total=len(shots.scenes), unit="contacts", done=started) as progress:
-        for path, batch, there in zip(paths, batches, done, strict=True):
-            if there:
-                continue
-            chunk = _chunk(settings, sensor, shots, np.asarray(batch), engine)
+    with Progress(label, total, unit="contacts", done=total - sum(map(len, left.values()))) as progress:
+        for path, chunk in engine.spread(calls):
+            if isinstance(chunk, Died):
+                hint = "fewer at once (--ray-cores) have more memory each; then run the same command"
+                raise UserError(f"chunk {path.name}: {chunk.reason}; {hint}")
             buffer = io.BytesIO()
-            np.savez(buffer, **chunk)  # type: ignore[arg-type]
+            np.savez(buffer, **chunk)
             write_bytes(path, buffer.getvalue())
-            progress.advance(len(batch))
+            progress.advance(len(left[path]))
     return paths
 
 
@@ -77,24 +85,28 @@ def _holds(path: Path, batch: np.ndarray) -> bool:
 
 
 def _chunk(
-    settings: PairedData | PoseData, sensor: Sensor, shots: Shots, batch: np.ndarray, engine: Engine
+    settings: PairedData | PoseData,
+    sensor: Sensor,
+    scenes: Scenes,
+    number: np.ndarray,
+    age: np.ndarray,
+    engine: Engine,
 ) -> dict[str, np.ndarray]:
-    names = settings.stimuli
-    scenes = shots.scenes.take(batch)
-    contacts = engine.simulate(sensor, names, scenes)
+    """Of the contacts `number` (n,), which touch at `scenes` and `age`. A machine of a cluster needs no more than that."""
+    contacts = engine.simulate(sensor, settings.stimuli, scenes)
     kept = ("pins", "residual_mm", "iterations", "stuck", "slipping", "free")
     fields = {name: np.array(getattr(contacts, name)) for name in kept}
     usable, retried = _usable(contacts), np.asarray(contacts.retried)
     size = settings.preprocess.size
     tips = fields.pop("pins")
-    images = np.zeros((len(batch), -(-size * size // 8)), np.uint8)
+    images = np.zeros((len(number), -(-size * size // 8)), np.uint8)
     pins = np.zeros((*tips.shape[:2], 2), np.float32)
     if usable.any():
-        seen, places = engine.render(settings, sensor, tips[usable], batch[usable], shots.age[batch[usable]])
+        seen, places = engine.render(settings, sensor, tips[usable], number[usable], age[usable])
         images[usable] = pack(seen)
         pins[usable] = places
         usable &= images.any(axis=-1)  # a frame that is not finite comes out black
-    return {"number": batch, "usable": usable, "retried": retried, "images": images, "pins": pins, **fields}
+    return {"number": number, "usable": usable, "retried": retried, "images": images, "pins": pins, **fields}
 
 
 def load_chunk(path: Path) -> dict[str, np.ndarray]:

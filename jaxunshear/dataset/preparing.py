@@ -5,7 +5,6 @@ training frames alone. A killed run goes on where it stopped, to the same bits.
 """
 
 import io
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -19,6 +18,7 @@ import numpy as np
 from jaxunshear.dataset.chunks import load_chunk, pack, unpack
 from jaxunshear.dataset.recorded import LARGEST_PX, Contacts, common_view, probes_of
 from jaxunshear.dataset.recordings import Recordings, read_image
+from jaxunshear.environment import cores
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Recorded
@@ -138,11 +138,11 @@ Done = TypeVar("Done")
 
 def _each(work: Callable[..., Done], jobs: list[tuple]) -> Iterator[Done]:
     """`work(*job)` of each job, in order: in processes of their own where there is work enough for two."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if len(jobs) < 2 or cores < 2:
+    workers = min(cores(), len(jobs))
+    if workers < 2:
         yield from (work(*job) for job in jobs)
         return
-    with ProcessPoolExecutor(min(cores, len(jobs)), mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         yield from pool.map(work, *zip(*jobs, strict=True))
 
 

@@ -5,6 +5,7 @@ import platform
 from importlib import metadata
 from pathlib import Path
 
+from jaxunshear.environment import cores
 from jaxunshear.results.rows import Machine
 
 PACKAGES = (
@@ -20,7 +21,7 @@ def machine() -> Machine:
     device = jax.devices()[0]
     return Machine(
         processor=_processor(),
-        cores=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1,
+        cores=cores(),
         memory_gib=_memory_gib(),
         system=f"{platform.system()} {platform.machine()}",
         device=f"{device.platform}: {device.device_kind}",

@@ -16,6 +16,7 @@ class Machine:
     system: str = ""
     device: str = ""  # of JAX
     kernels: str | None = None  # of a training: its layers
+    devices: int | None = None  # likewise, where there were several
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ finite one. All randomness of a step follows from the seed and the step's number
 the very bits of an undisturbed one. (The losses are in tasks.py, the step in step.py.)
 """
 
+import contextlib
 import json
 import math
 import time
@@ -22,6 +23,7 @@ import optax
 from jax import Array
 
 from jaxunshear import storage
+from jaxunshear.environment import PLAIN
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.metrics.machine import machine
@@ -33,6 +35,7 @@ from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
+from jaxunshear.training.devices import Devices, devices_for
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
 from jaxunshear.training.start import Start, started
@@ -92,6 +95,7 @@ def train(
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
         return stored.read(folder / checkpoint.SUMMARY, Summary, AGAIN)
+    devices = devices_for(training.batch)
     keep_freed_memory()
     steps_per_epoch = epoch_images / training.batch
     length = _Length(max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch)
@@ -100,9 +104,10 @@ def train(
     state, reached = _restored(folder, _first_state(task, optimiser, key_init, start), task.rank)
     _write_log(folder, reached.history)
     step = make_step(task, training, optimiser, key_steps)
-    state = _run(step, state, reached, length, task, training, batches, validation, folder)
-    parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
-    return _ended(task, parameters, reached, length, folder)
+    with kernels.using(PLAIN) if devices.mesh else contextlib.nullcontext():  # compiled ones cannot be split
+        state = _run(step, state, reached, length, task, training, batches, validation, folder, devices)
+        parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
+        return _ended(task, parameters, reached, length, folder, devices)
 
 
 def _first_state(task: Task, optimiser: optax.GradientTransformation, key: Array, start: Start | None) -> State:
@@ -136,12 +141,13 @@ def _run(
     batches: Batches,
     validation: Validation,
     folder: Path,
+    devices: Devices,
 ) -> State:
     """All steps that are left, with their checkpoints. Returns the last state; `reached` goes along."""
     stream = iter(batches(reached.step))
-    batch = jax.device_put(next(stream))
+    state, batch = devices.with_state(state), devices.with_batch(next(stream))
     began = time.perf_counter()
-    compiled = jax.jit(step, donate_argnums=0).lower(state, batch).compile()
+    compiled = jax.jit(step, donate_argnums=0, out_shardings=devices.on_each).lower(state, batch).compile()
     validate, measure = jax.jit(task.validate), jax.jit(kernel_sizes)
     reached.compile_seconds += time.perf_counter() - began
 
@@ -152,7 +158,7 @@ def _run(
             state, metrics = compiled(state, batch)
             waiting.append((done, metrics, batch))
             if done < length.steps:
-                batch = jax.device_put(next(stream))  # read while the step runs
+                batch = devices.with_batch(next(stream))  # read while the step runs
             at_checkpoint = done % training.validate_every == 0 or done == length.steps
             while len(waiting) > (0 if at_checkpoint else 1):
                 ready = waiting.pop(0)
@@ -187,7 +193,7 @@ def _keep(state: State, reached: _Reached, length: _Length, scores: Json, rank: 
     _write_log(folder, reached.history)
 
 
-def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, folder: Path) -> Summary:
+def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, folder: Path, devices: Devices) -> Summary:
     """Raises UserError where no validation loss was finite."""
     if math.isinf(reached.best_loss):
         hint = "check for broken data in the validation split, or lower learning_rate, and train in another folder"
@@ -203,7 +209,7 @@ def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, fold
         train_seconds=reached.seconds,
         compile_seconds=reached.compile_seconds,
         images_per_second=images / reached.seconds,
-        trained_on=replace(machine(), kernels=kernels.described()),
+        trained_on=replace(machine(), kernels=kernels.described(), devices=devices.number if devices.mesh else None),
     )
     stored.write(folder / checkpoint.SUMMARY, summary)
     return summary

@@ -1,0 +1,136 @@
+"""Calls done here, one after the other, or spread over a Ray cluster: its workers may die and its nodes be lost. Imports neither Ray
+nor JAX.
+
+>>> for name, made in over_ray("10.0.0.1:6379", 2)([Call(a, work, (1,)), Call(b, work, (2,), needs=(a,))]):
+...     ...  # what `work` returned, or `Died`
+"""
+
+import functools
+import importlib.util
+import logging
+import os
+import pickle
+import socket
+import warnings
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from jaxunshear.environment import cores, settle
+from jaxunshear.errors import UserError
+
+RETRIES = 5  # of a call whose worker died
+AHEAD = 1000  # calls that wait at the cluster: enough for its workers, little memory however many calls there are
+
+
+class Call(NamedTuple):
+    """A function of a module that the workers can import, and its arguments."""
+
+    name: Path  # where its outcome belongs
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    needs: tuple[Path, ...] = ()  # names of earlier calls that end before this one starts
+
+
+class Died(NamedTuple):
+    """In the place of what a call returns: each of its workers died."""
+
+    reason: str
+
+
+Spread = Callable[[Iterable[Call]], Iterator[tuple[Path, Any]]]
+
+
+def here(calls: Iterable[Call]) -> Iterator[tuple[Path, Any]]:
+    """In this process, in their order: the name of each and what it returned."""
+    for call in calls:
+        yield call.name, call.function(*call.arguments)
+
+
+def over_ray(address: str | None, each: int) -> Spread:
+    """The same as they end, on the cluster at `address`, or on one made on this machine; `each` takes so many cores.
+
+    Where the cluster has GPUs, a call gets one. An error that a call raises is raised here.
+    Raises `UserError` at once where Ray is missing or nothing listens at the address.
+    """
+    if importlib.util.find_spec("ray") is None:
+        raise UserError("--engine ray needs Ray: pip install -c constraints.txt '.[ray]'")
+    host, colon, port = (address or "").removeprefix("ray://").rpartition(":")
+    if colon:  # else None, or "auto": Ray searches for a cluster on this machine
+        try:
+            socket.create_connection((host, int(port)), timeout=10).close()  # Ray itself would try for minutes
+        except (OSError, ValueError) as error:
+            raise UserError(f"--ray-address {address}: no cluster answers there ({error})") from error
+    return functools.partial(_over_ray, address, each)
+
+
+def _over_ray(address: str | None, each: int, calls: Iterable[Call]) -> Iterator[tuple[Path, Any]]:
+    calls = iter(calls)
+    following = next(calls, None)
+    if following is None:
+        return
+    _connect(address)
+    import ray
+
+    try:
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        largest = max(node.get("CPU", 1) for node in nodes)
+        gpus = 1 if any(node.get("GPU", 0) >= 1 for node in nodes) else 0
+        remote = ray.remote(num_cpus=min(each, largest), num_gpus=gpus, max_retries=RETRIES)(_after)
+        doing: dict[Path, ray.ObjectRef] = {}
+        while following or doing:
+            while following and len(doing) < AHEAD:
+                needs = [doing[name] for name in following.needs if name in doing]
+                work = ray.cloudpickle.dumps((following.function, following.arguments))
+                doing[following.name] = remote.remote(work, *needs)
+                following = next(calls, None)
+            (ended,), _ = ray.wait(list(doing.values()), num_returns=1)
+            name = next(name for name, reference in doing.items() if reference == ended)
+            del doing[name]
+            yield name, _made(ended)
+    finally:
+        ray.shutdown()
+
+
+def _connect(address: str | None) -> None:
+    """Raises `UserError`."""
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # says nothing to anyone unless asked to
+    os.environ.setdefault("RAY_task_oom_retries", str(RETRIES))  # else without end
+    import ray
+
+    # Ray would give BLAS as many threads as a call has cores, and the order of its sums goes by their number
+    threads = os.environ.get("OMP_NUM_THREADS") or str(cores())
+    try:
+        with warnings.catch_warnings(
+            action="ignore", category=RuntimeWarning
+        ):  # it starts processes, after JAX threads
+            ray.init(
+                address=address or "local",
+                include_dashboard=False if address is None else None,
+                log_to_driver=False,
+                logging_level=logging.ERROR,
+                runtime_env={"env_vars": {"OMP_NUM_THREADS": threads}},
+            )
+    except Exception as error:
+        said = " ".join(str(error).split())
+        raise UserError(f"--ray-address {address or 'local'}: Ray cannot be reached ({said})") from error
+
+
+def _made(reference: Any) -> Any:
+    """What a call returned, or `Died`. Raises what the call raised."""
+    import ray
+
+    try:
+        return ray.get(reference)
+    except ray.exceptions.RayError as error:
+        cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
+        if not isinstance(cause, ray.exceptions.RayError):  # not the worker's: a full disk, a bug
+            raise cause from error
+        return Died(f"its Ray worker died too often: {type(cause).__name__}")
+
+
+def _after(work: bytes, *_: object) -> Any:
+    """A pickled call, when those that the last arguments stand for have ended."""
+    settle()  # a worker's machine has variables of its own, and JAX reads them when the call is unpickled
+    function, arguments = pickle.loads(work)
+    return function(*arguments)
