@@ -1,7 +1,11 @@
 """`tactip_paired`, as TFDS finds it: card, citation and tags lie beside; what builds it is the package's."""
 
+import tensorflow_datasets as tfds
+
 from jaxunshear.dataset.builders.paired import TactipPaired
 
 
 class Builder(TactipPaired):
-    pass
+    pkg_dir_path = tfds.core.Path(
+        __file__
+    ).parent  # else TFDS takes that of the class above, once it has been asked for

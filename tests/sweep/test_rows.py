@@ -148,7 +148,9 @@ def asked(monkeypatch, tmp_path):
             list(batches(0))
             learnt = (task.kind, task.net, task.targets, task.weights)
             calls.append((learnt, training, seed, [sorted(batch) for batch in validation()], words))
-            return loop.Summary(steps=1, parameters=1, best_step=1, train_seconds=1.0, images_per_second=1.0)
+            return loop.Summary(
+                steps=1, parameters=1, best_step=1, best_loss=1.0, train_seconds=1.0, images_per_second=1.0
+            )
 
         monkeypatch.setattr(examples, "open_set", lambda name, *words: calls.append((name, words)) or Reader())
         monkeypatch.setattr(loop, "train", train)

@@ -17,7 +17,8 @@ import pytest
 from jaxunshear.dataset.making import sets_of
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
-from jaxunshear.results.stored import SCHEMA
+from jaxunshear.results.stored import SCHEMA, record_of
+from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.stored import from_json
 from jaxunshear.storage import plain, read_json, write_json
 from jaxunshear.sweep import plan
@@ -336,7 +337,8 @@ def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill)
     last = start(tmp_path / "killed", 0)
     killed, _ = last.communicate()
     assert last.returncode == 0
-    assert reproducible(json.loads(killed)) == reproducible(json.loads(entire))
+    ended = [record_of(json.loads(text), SweepResult, "its output", "again") for text in (killed, entire)]
+    assert reproducible(ended[0]) == reproducible(ended[1])
     assert (tmp_path / "killed" / "small" / "sweep.png").read_bytes() == (
         tmp_path / "whole" / "small" / "sweep.png"
     ).read_bytes()
