@@ -14,10 +14,13 @@ import socket
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from jaxunshear.environment import cores, settle
 from jaxunshear.errors import UserError
+
+if TYPE_CHECKING:
+    import ray
 
 RETRIES = 5  # of a call whose worker died
 AHEAD = 1000  # calls that wait at the cluster: enough for its workers, little memory however many calls there are
@@ -27,8 +30,8 @@ class Call(NamedTuple):
     """A function of a module that the workers can import, and its arguments."""
 
     name: Path  # where its outcome belongs
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
+    function: Callable[..., object]
+    arguments: tuple[object, ...]
     needs: tuple[Path, ...] = ()  # names of earlier calls that end before this one starts
 
 
@@ -38,10 +41,11 @@ class Died(NamedTuple):
     reason: str
 
 
-Spread = Callable[[Iterable[Call]], Iterator[tuple[Path, Any]]]
+Ended = tuple[Path, Any]  # the name of a call, and what it returned
+Spread = Callable[[Iterable[Call]], Iterator[Ended]]
 
 
-def here(calls: Iterable[Call]) -> Iterator[tuple[Path, Any]]:
+def here(calls: Iterable[Call]) -> Iterator[Ended]:
     """In this process, in their order: the name of each and what it returned."""
     for call in calls:
         yield call.name, call.function(*call.arguments)
@@ -64,7 +68,7 @@ def over_ray(address: str | None, each: int) -> Spread:
     return functools.partial(_over_ray, address, each)
 
 
-def _over_ray(address: str | None, each: int, calls: Iterable[Call]) -> Iterator[tuple[Path, Any]]:
+def _over_ray(address: str | None, each: int, calls: Iterable[Call]) -> Iterator[Ended]:
     calls = iter(calls)
     following = next(calls, None)
     if following is None:
@@ -116,7 +120,7 @@ def _connect(address: str | None) -> None:
         raise UserError(f"--ray-address {address or 'local'}: Ray cannot be reached ({said})") from error
 
 
-def _made(reference: Any) -> Any:
+def _made(reference: "ray.ObjectRef[object]") -> object:
     """What a call returned, or `Died`. Raises what the call raised."""
     import ray
 
@@ -129,7 +133,7 @@ def _made(reference: Any) -> Any:
         return Died(f"its Ray worker died too often: {type(cause).__name__}")
 
 
-def _after(work: bytes, *_: object) -> Any:
+def _after(work: bytes, *_: object) -> object:
     """A pickled call, when those that the last arguments stand for have ended."""
     settle()  # a worker's machine has variables of its own, and JAX reads them when the call is unpickled
     function, arguments = pickle.loads(work)

@@ -2,15 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
-from jaxunshear.cli.options import add_json
+from jaxunshear.cli.options import Commands, add_json
 
 COMMANDS = ("compare",)
 OUT = Path("runs/compare")
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     text = "finished runs side by side on one page: settings, figures with paired intervals, images, training"
     parser = commands.add_parser("compare", help=text, description=text)
     parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="folders of runs; the first is the reference")

@@ -3,15 +3,14 @@
 import argparse
 import importlib.util
 import socket
-from typing import Any
 
-from jaxunshear.cli.options import add_like, add_model
+from jaxunshear.cli.options import Commands, add_like, add_model
 from jaxunshear.errors import UserError
 
 COMMANDS = ("explore",)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     text = "press and slide the dome over a shape with the mouse, on a page of this machine"
     parser = commands.add_parser("explore", help=text, description=text)
     add_model(parser)

@@ -2,14 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
 
+from jaxunshear.cli.options import Commands
 from jaxunshear.errors import UserError
 
 COMMANDS = ("export",)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     text = "a trained model as one file for a robot's computer: ONNX, or StableHLO"
     parser = commands.add_parser("export", help=text, description=text)
     parser.add_argument(

@@ -2,12 +2,13 @@
 
 import argparse
 from pathlib import Path
-from typing import Any
+
+from jaxunshear.cli.options import Commands
 
 COMMANDS = ("logs",)
 
 
-def add_parsers(commands: Any) -> None:
+def add_parsers(commands: Commands) -> None:
     text = "training logs of runs and sweeps as event files for TensorBoard, also while they train"
     parser = commands.add_parser("logs", help=text, description=text)
     parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="folders of runs or sweeps, finished or not")

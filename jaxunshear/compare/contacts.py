@@ -3,7 +3,7 @@
 Networks over pins need what no montage holds: of them those contacts are shown that all evaluations kept.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -96,6 +96,6 @@ def _kept(run: Run, sheared: np.ndarray) -> list[np.ndarray]:
     return [shown[run.shown][row] for row in same[:1]]
 
 
-def _view(run: Run) -> dict[str, Any]:
+def _view(run: Run) -> dict[str, object]:
     settings = run.results.settings
     return {"sensor": settings["sensor"]} | {name: settings["paired"].get(name) for name in VIEW}

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from jaxunshear.compare.contacts import contacts
 from jaxunshear.compare.figures import figures, rows_of
@@ -12,12 +11,12 @@ from jaxunshear.compare.runs import notes, read_runs, settings_apart
 from jaxunshear.evaluation import spread
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.owners import check_apart
-from jaxunshear.storage import check_new_folder, write_text
+from jaxunshear.storage import Json, check_new_folder, write_text
 
 LONGEST = 100  # letters of a page's name
 
 
-def compare(folders: Sequence[Path], out: Path, command: str) -> tuple[str, Path, dict[str, Any]]:
+def compare(folders: Sequence[Path], out: Path, command: str) -> tuple[str, Path, Json]:
     """Writes out/<first>-<second>....html. Returns lines for a terminal, the page's path, and what was measured.
 
     Raises `UserError` where a run is not finished, damaged or named twice.

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import shown_kind
@@ -102,7 +102,7 @@ def settings_apart(runs: Sequence[Run]) -> dict[str, list[str]]:
     return {name: [_value(settings, name) for settings in held] for name in sorted(names) if name not in NAMES}
 
 
-def _value(settings: Any, name: str) -> str:
+def _value(settings: object, name: str) -> str:
     """As a command line writes it; a dash where a run has no such setting."""
     for part in name.split("."):
         if not isinstance(settings, dict) or part not in settings:
@@ -112,7 +112,7 @@ def _value(settings: Any, name: str) -> str:
     return _text(settings)
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     if isinstance(value, dict):
         return ", ".join(f"{name} {_text(part)}" for name, part in value.items())
     if isinstance(value, list | tuple):

@@ -24,14 +24,14 @@ from jaxunshear.report.history import read_lines
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import build
 from jaxunshear.settings.training import Training
-from jaxunshear.storage import os_error, read_json, read_json_if_sound
+from jaxunshear.storage import Json, os_error, read_json, read_json_if_sound
 from jaxunshear.training.step import learning_rate
 
 EXTRA = "pip install 'jaxunshear[tensorboard]'"
 OURS = ".jaxunshear"  # how the names of our files end
 GROUPS = ("train", "validation", "kernels")  # of a line of log.jsonl
 EVERY_S = 2.0  # between two readings of a log that is followed
-Line = dict[str, Any]
+Line = Json
 
 
 def write_events(folders: Sequence[Path], out: Path, follow: bool, log: Callable[[str], None] = print) -> None:
@@ -179,10 +179,10 @@ def _rates(source: Path, lines: Sequence[Line]) -> list[float]:
     return np.broadcast_to(np.asarray(rate(jnp.asarray(steps - 1))), steps.shape).tolist()
 
 
-def _table(settings: Any) -> str:
+def _table(settings: Json) -> str:
     """Settings by dotted name, as Markdown."""
 
-    def flat(tree: Any, prefix: str) -> Iterator[str]:
+    def flat(tree: Json, prefix: str) -> Iterator[str]:
         for name, value in tree.items():
             if isinstance(value, dict):
                 yield from flat(value, f"{prefix}{name}.")

@@ -3,7 +3,7 @@
 The step is the same: XLA makes its sums over the batch, of losses, gradients and normalisation, sums over all devices.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -12,6 +12,8 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxunshear.environment import DEVICE_COUNT, FAST, devices_asked, kernels_asked
 from jaxunshear.errors import UserError
 
+State = TypeVar("State")
+Fields = dict[str, np.ndarray | jax.Array]
 AXIS = "batch"
 
 
@@ -25,11 +27,11 @@ class Devices(NamedTuple):
     def on_each(self) -> NamedSharding | None:
         return None if self.mesh is None else NamedSharding(self.mesh, PartitionSpec())
 
-    def with_state(self, state: Any) -> Any:
+    def with_state(self, state: State) -> State:
         """A tree of arrays, complete on each device."""
         return state if self.mesh is None else jax.device_put(state, self.on_each)
 
-    def with_batch(self, batch: dict[str, Any]) -> dict[str, Any]:
+    def with_batch(self, batch: Fields) -> Fields:
         """Fields (B, ...), each device its part; those that cannot be split evenly are complete on each."""
         if self.mesh is None:
             return jax.device_put(batch)

@@ -16,6 +16,8 @@ from jaxunshear.compare.runs import OWN, Run, notes, read_runs, settings_apart
 from jaxunshear.evaluation.evaluate import every_score
 from jaxunshear.model import unshearnet
 from jaxunshear.model.unshearing import unshear
+from jaxunshear.results.run import Results
+from jaxunshear.results.sweep import Outcome
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.stored import to_json
@@ -81,11 +83,11 @@ def test_a_difference_is_of_pairs(pair, finished):
     scores = finished[1]
     found, poses = named((first, second)), np.stack([scores["stimulus"], scores["pose_id"]], axis=1)
     less = found[GAIN].less[1]
-    assert less["mean"] == pytest.approx(-gain.mean(), rel=1e-5)
-    assert less["interval"] == pytest.approx(np.quantile(means(-gain, poses), [0.025, 0.975]), rel=1e-5)
+    assert less.mean == pytest.approx(-gain.mean(), rel=1e-5)
+    assert less.interval == pytest.approx(np.quantile(means(-gain, poses), [0.025, 0.975]), rel=1e-5)
     assert found[GAIN].verdict(1) == "better" and found[GAIN].less[0] is None
-    apart = [figure["interval"][1] - figure["interval"][0] for figure in found[GAIN].of]
-    assert less["interval"][1] - less["interval"][0] < 0.5 * min(apart)  # what is common to both cancels
+    apart = [figure.interval[1] - figure.interval[0] for figure in found[GAIN].of]
+    assert less.interval[1] - less.interval[0] < 0.5 * min(apart)  # what is common to both cancels
 
 
 def test_recoveries_differ_draw_by_draw(pair, finished):
@@ -95,15 +97,15 @@ def test_recoveries_differ_draw_by_draw(pair, finished):
     tap, sheared, ours = (means(scores[f"pose/{k}/edge_mm"], poses) for k in ("tap", "sheared", "disentangled"))
     expected = means(gain, poses) / (sheared - tap)  # (s - (u - g)) / (s - t) less (s - u) / (s - t)
     less = named((first, second))["pose_recovery/disentangled/edge_mm"].less[1]
-    assert less["interval"] == pytest.approx(np.quantile(expected, [0.025, 0.975]), rel=1e-4)
-    assert less["mean"] > 0 and len(ours) == 1000
+    assert less.interval == pytest.approx(np.quantile(expected, [0.025, 0.975]), rel=1e-4)
+    assert less.mean > 0 and len(ours) == 1000
 
 
 def test_a_run_does_not_differ_from_its_copy(finished, tmp_path):
     copy = shutil.copytree(finished[0], tmp_path / "copy")
     found = named((finished[0], copy))
     paired = [figure.less[1] for figure in found.values() if figure.less[1]]
-    assert len(paired) > 30 and all(less["mean"] == 0 and less["interval"] in ([0, 0], None) for less in paired)
+    assert len(paired) > 30 and all(less.mean == 0 and less.interval in ([0, 0], None) for less in paired)
     assert not settings_apart(read_runs((finished[0], copy)))
 
 
@@ -140,7 +142,7 @@ def test_other_contacts_are_not_paired(pair):
     (said,) = notes(read_runs((first, second)))
     assert said == "second was scored on another test set than first: no differences are given"
     found = named((first, second))
-    assert found[GAIN].of[1]["interval"] and not any(figure.less[1] for figure in found.values())
+    assert found[GAIN].of[1].interval and not any(figure.less[1] for figure in found.values())
 
 
 def test_likeness_of_pins_and_of_images_is_not_compared(pair):
@@ -160,8 +162,10 @@ def test_another_runs_network_is_given_the_references_images(tmp_path):
     checkpoint.save(network, 1, {"average": variables}, {"best_step": 1, "history": []})
     write_json(network / "summary.json", {"steps": 1})
     (folder / "experiment.json").write_text(json.dumps(to_json(plain)))
-    results = {"settings": to_json(plain), "ms_ssim": {"disentangled": {}}, "tests": {}}
-    measured = Measured({"results": results}, {"": {"stimulus": np.zeros(3), "pose_id": np.arange(3)}})
+    results = Results(settings=to_json(plain), metric={}, pin_error={}, ms_ssim={"disentangled": {}})
+    measured = Measured(
+        Outcome(status="done", reason=None, results=results), {"": {"stimulus": np.zeros(3), "pose_id": np.arange(3)}}
+    )
     run = Run("second", folder, measured, {}, {}, None)
     sheared = (np.random.default_rng(0).random((3, 32, 32)) < 0.3).astype(np.uint8) * np.uint8(255)
     expected = unshear(net, variables, sheared[..., None].astype(np.float32) / 255)
@@ -190,7 +194,7 @@ def test_runs_about_different_networks_are_compared_by_their_own(pair, finished)
     (second / "results.json").write_text(json.dumps(results))
     less = named((first, second))[f"pose/{OWN}/edge_mm"].less[1]
     gap = finished[1]["pose/entangled/edge_mm"] - finished[1][GAIN]
-    assert less["mean"] == pytest.approx(gap.mean(), rel=1e-5)
+    assert less.mean == pytest.approx(gap.mean(), rel=1e-5)
     assert notes(read_runs((first, second))) == ["second has no disentangled"]
 
 

@@ -3,22 +3,21 @@
 Batch normalisation of a trained network is a scale and a shift, which go into the convolution before it.
 """
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from jaxunshear.applications.exported.graph import Graph
 from jaxunshear.model.layers import EPSILON
+from jaxunshear.model.parts import Variables
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
 from jaxunshear.settings.targets import Targets
 
-Tree = dict[str, Any]
 LAYER_NORM_EPSILON = 1e-6  # Flax' own
 LEAST = np.float32(1e-30)  # a cosine that may stand in a denominator
 QUARTER = {"strides": (2, 2), "pads": (1, 1, 1, 1)}  # 4x4 convolutions to half the side, or from it
 
 
-def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Tree, seen: str) -> str:
+def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Variables, seen: str) -> str:
     """Sheared images or pins -> canonical ones."""
     params = variables["params"]
     if isinstance(net, PinUnshear):
@@ -36,7 +35,7 @@ def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Tree, seen: s
     return graph.add("Sigmoid", logits)
 
 
-def predict(graph: Graph, net: PoseNet | PinPoseNet, variables: Tree, seen: str) -> str:
+def predict(graph: Graph, net: PoseNet | PinPoseNet, variables: Variables, seen: str) -> str:
     """Images or pins -> outputs (B, K), see `posenet`."""
     params = variables["params"]
     if isinstance(net, PinPoseNet):
@@ -85,10 +84,10 @@ def _degrees(graph: Graph, cosine: str, sine: str) -> str:
 class _Layers:
     """Convolutions with their normalisation and ReLU, by their place in a network's variables."""
 
-    def __init__(self, graph: Graph, variables: Tree) -> None:
+    def __init__(self, graph: Graph, variables: Variables) -> None:
         self._graph, self._variables = graph, variables
 
-    def convolution(self, x: str, path: tuple[str, ...], **attributes: Any) -> str:
+    def convolution(self, x: str, path: tuple[str, ...], **attributes: object) -> str:
         kernel, bias = self._folded(path)
         return self._graph.add("Relu", self._graph.add("Conv", x, kernel.transpose(3, 2, 0, 1), bias, **attributes))
 
@@ -106,7 +105,7 @@ class _Layers:
         return _single(params["kernel"] * scale), _single(norm["bias"] - known["mean"] * scale)
 
 
-def _single(values: Any) -> np.ndarray:
+def _single(values: ArrayLike) -> np.ndarray:
     return np.asarray(values, np.float32)
 
 
@@ -115,11 +114,11 @@ def _turned(kernel: np.ndarray) -> np.ndarray:
     return _single(kernel)[::-1, ::-1].transpose(2, 3, 0, 1)
 
 
-def _dense(graph: Graph, params: Tree, x: str) -> str:
+def _dense(graph: Graph, params: Variables, x: str) -> str:
     return graph.add("Gemm", x, _single(params["kernel"]), _single(params["bias"]))
 
 
-def _trunk(graph: Graph, net: PinUnshear | PinPoseNet, params: Tree, x: str) -> str:
+def _trunk(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
     for i in range(net.layers):
         norm = params[f"LayerNorm_{i}"]
         scale, bias = _single(norm["scale"]), _single(norm["bias"])
@@ -136,7 +135,7 @@ def _gelu(graph: Graph, x: str) -> str:
     return graph.add("Mul", graph.add("Mul", x, np.float32(0.5)), weight)
 
 
-def _trunk_dense(graph: Graph, net: PinUnshear | PinPoseNet, params: Tree, x: str) -> str:
+def _trunk_dense(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
     """`pinnets.Dense`. Where the network is also given a turn, as cosine and sine, there is none: (1, 0) goes into the bias."""
     trunk, last = params["Trunk_0"], params["Dense_0"]
     if isinstance(net, PinPoseNet) and net.turned:
@@ -146,7 +145,7 @@ def _trunk_dense(graph: Graph, net: PinUnshear | PinPoseNet, params: Tree, x: st
     return _dense(graph, last, _trunk(graph, net, trunk, x))
 
 
-def _motions(graph: Graph, variables: Tree, pins: str) -> str:
+def _motions(graph: Graph, variables: Variables, pins: str) -> str:
     """(B, 2 P) in units of `spread`; 0 for pins that are not seen."""
     constants = variables["batch_stats"]
     moved = graph.add("Sub", pins, _single(constants["rest"]))
@@ -155,7 +154,7 @@ def _motions(graph: Graph, variables: Tree, pins: str) -> str:
     return graph.add("Flatten", graph.add("Where", unseen, np.float32(0), motion))
 
 
-def _places(graph: Graph, variables: Tree, motions: str) -> str:
+def _places(graph: Graph, variables: Variables, motions: str) -> str:
     constants = variables["batch_stats"]
     rest = _single(constants["rest"])
     moved = graph.add("Mul", graph.add("Reshape", motions, np.array([-1, *rest.shape])), _single(constants["spread"]))

@@ -1,7 +1,5 @@
 """A model as a file of ONNX, and what onnxruntime computes of it. Needs the extra `onnx`."""
 
-from typing import Any
-
 import numpy as np
 import onnxruntime
 
@@ -11,6 +9,7 @@ from jaxunshear.applications.exported.graph import BYTE, FLOAT, Graph
 from jaxunshear.applications.exported.parts import Parts, Run
 from jaxunshear.applications.perceiver import UNSHEARED
 from jaxunshear.settings.targets import names_of
+from jaxunshear.storage import Json
 
 
 def onnx_of(parts: Parts, batch: int | None, camera: Camera | None, metadata: dict[str, str]) -> bytes:
@@ -63,8 +62,8 @@ def runner(model: bytes, parts: Parts) -> Run:
     given = session.get_inputs()[0].name
     names = [output.name for output in session.get_outputs()]
 
-    def run(batch: np.ndarray) -> dict[str, Any]:
-        found: dict[str, Any] = dict(zip(names, session.run(None, {given: batch}), strict=True))
+    def run(batch: np.ndarray) -> Json:
+        found: Json = dict(zip(names, session.run(None, {given: batch}), strict=True))
         if "pose" in found:
             found["pose"] = dict(zip(names_of(parts.targets), found["pose"].T, strict=True))
         return found

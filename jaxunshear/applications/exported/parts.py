@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -12,13 +12,15 @@ from jaxunshear.applications.perceiver import AS_RECORDED, LEARNT, UNSHEARED
 from jaxunshear.applications.stream import confidence
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet
+from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import Targets
+from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
 
-Run = Callable[[np.ndarray], dict[str, Any]]
+Run = Callable[[np.ndarray], Json]
 Prepared = Callable[[np.ndarray], np.ndarray]
 MOST = 1e-4  # by which an exported network may differ from JAX, of each output's range
 CHECKED = 6  # inputs
@@ -27,8 +29,8 @@ CHECKED = 6  # inputs
 class Part(NamedTuple):
     """One network."""
 
-    net: Any
-    variables: Any
+    net: Net
+    variables: Variables
 
 
 class Parts(NamedTuple):
@@ -73,12 +75,12 @@ def parts_of(model: Path, experiment: Experiment) -> Parts:
     return Parts(unshears, reads, targets, way if reader else "", rest, experiment.paired.preprocess.size)
 
 
-def function_of(parts: Parts) -> Callable[[Array], dict[str, Any]]:
+def function_of(parts: Parts) -> Callable[[Array], Json]:
     """Images (B, S, S) uint8 of {0, 255}, or pins (B, P, 2) px -> "unsheared", the same as taps (images in [0, 1]), "confidence" (B,) of
     images, see `stream`, and "pose", mm and deg by name, (B,) each; what the model has no network for is left out."""
 
-    def run(given: Array) -> dict[str, Any]:
-        found: dict[str, Any] = {}
+    def run(given: Array) -> Json:
+        found: Json = {}
         seen = given[..., None].astype(np.float32) / 255 if parts.rest is None else given
         if parts.unshears is not None:
             after = unshear(*parts.unshears, seen)
@@ -127,7 +129,7 @@ def _batches(given: np.ndarray, batch: int | None) -> list[np.ndarray]:
     return list(np.resize(given, (count * batch, *given.shape[1:])).reshape(count, batch, *given.shape[1:]))
 
 
-def _differences(parts: Parts, found: dict[str, Any], true: dict[str, Any]) -> Iterator[float]:
+def _differences(parts: Parts, found: Json, true: Json) -> Iterator[float]:
     """Between two answers of `function_of`, the largest of each output, over its range: white; all pins from the first to the last; half
     the range of a target; half a circle."""
     span = 1.0 if parts.rest is None else float(np.ptp(parts.rest))
