@@ -161,9 +161,10 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         taken_over=taken_over(experiment, network, folder, begin),
         start=Start(load_best(begin), digest_of(begin)) if begin else None,
     )
+    loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
     print(
         f"{network}: {summary.images} images in {summary.train_seconds:.0f} s ({summary.images_per_second:.0f} a second), "
-        f"best validation loss {summary.best_loss:.5f} at step {summary.best_step} of {summary.steps}"
+        f"best validation loss {loss} at step {summary.best_step} of {summary.steps}"
     )
     return True
 

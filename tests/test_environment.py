@@ -38,7 +38,7 @@ def test_numbers_drawn_do_not_depend_on_it():
 def test_processes_of_a_sweep_are_spared_it_too(tmp_path, monkeypatch):
     """Those on other machines of a cluster take theirs from there."""
     monkeypatch.setenv("JAX_ENABLE_X64", "1")
-    (tmp_path / "task.json").write_text("{}")
+    (tmp_path / "task.json").write_text('{"kind": "row"}')
     tasks.carry_out(
         tmp_path, "row", [sys.executable, "-c", "import os; raise SystemExit('JAX_ENABLE_X64' in os.environ)"]
     )

@@ -9,6 +9,7 @@ from jaxunshear.evaluation.ridge import FEWEST, answers, fitted
 from jaxunshear.evaluation.score import Outputs
 from jaxunshear.evaluation.summary import with_readers
 from jaxunshear.image.lattice import make_lattice
+from jaxunshear.results.run import Tables
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.targets import of_ranges
 
@@ -135,14 +136,14 @@ def test_found_pins_give_a_pose_and_images_without_are_left_out_and_counted(read
     scores = read_pins(reader, make_lattice(REST), images, true)
     assert scores["read/pins/tap/x_mm"].max() < 0.3
     assert np.isnan(scores["read/pins/sheared/edge_mm"]).tolist() == [False, False, True, False, False, False]
-    found = with_readers({"spread": {}}, [(scores, np.arange(6))], 0)
-    assert found["reader_images"]["pins"] == {
+    found = with_readers(Tables(), [(scores, np.arange(6))], 0)
+    assert found.reader_images["pins"] == {
         "tap": {"read": 6, "left_out": 0},
         "sheared": {"read": 5, "left_out": 1},
     }
     error = np.nanmean(scores["read/pins/sheared/edge_mm"])
-    assert found["readers"]["pins"]["sheared"]["edge_mm"] == pytest.approx(error)
-    low, high = found["spread"]["readers"]["pins"]["sheared"]["edge_mm"]
+    assert found.readers["pins"]["sheared"]["edge_mm"] == pytest.approx(error)
+    low, high = found.spread.readers["pins"]["sheared"]["edge_mm"]
     assert low <= error <= high
     nothing = {name: np.full(6, np.nan) for name in scores}
-    assert with_readers({"spread": {}}, [(nothing, np.arange(6))], 0)["readers"]["pins"]["tap"]["x_mm"] is None
+    assert with_readers(Tables(), [(nothing, np.arange(6))], 0).readers["pins"]["tap"]["x_mm"] is None
