@@ -21,6 +21,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.folders import names_apart
 from jaxunshear.report import montage
 from jaxunshear.report.history import read_lines
+from jaxunshear.results.run import EVALUATED, Results
+from jaxunshear.results.stored import read
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import build
 from jaxunshear.settings.training import Training
@@ -194,8 +196,8 @@ def _table(settings: Json) -> str:
 
 def _montage(folder: Path) -> np.ndarray | None:
     """(H, W, 3) uint8; None where there is none yet, or none at all."""
-    results = read_json_if_sound(folder / "results.json")
-    if results is None or not (folder / "montage.npz").is_file():
+    if not all((folder / name).is_file() for name in ("results.json", "montage.npz")):
         return None
+    results = read(folder / "results.json", Results, EVALUATED)
     png = montage.drawing(montage.read(folder / "montage.npz"), results)
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))

@@ -1,14 +1,18 @@
 """TensorBoard's event files hold what log.jsonl holds, each step once, also of logs that grow, are cut back, or begin anew."""
 
+import io
 import json
 import struct
 import threading
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from jaxunshear.report import events
+from jaxunshear.report import events, montage
 from jaxunshear.report.events import scalars, write_events
+from jaxunshear.results import stored
+from jaxunshear.results.run import Results
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.stored import to_json
 from jaxunshear.settings.training import Training
@@ -89,6 +93,19 @@ def test_events_are_what_the_log_says(tmp_path, command):
     assert max(times) - min(times) == pytest.approx(0.05 * 14, abs=1e-5)
     (text,) = (v for event in read(tmp_path / "events" / "demo") for v in event.summary.value)
     assert b"| train.batch | 16 |" in text.tensor.string_val[0]
+
+
+def test_the_montage_is_there_once_a_run_is_evaluated(made_up_run, tmp_path):
+    run, _ = made_up_run
+    experiment = to_json(Experiment(name="made up", claim="none"))
+    (run / "experiment.json").write_text(json.dumps(experiment))
+    write_events([run], tmp_path / "events", False, print)
+    found = [value for event in read(tmp_path / "events" / run.name) for value in event.summary.value]
+    (image,) = (value.image for value in found if value.tag == "montage")
+    results = stored.read(run / "results.json", Results, "again")
+    drawn = montage.drawing(montage.read(run / "montage.npz"), results)
+    shown, wanted = (Image.open(io.BytesIO(png)).convert("RGB") for png in (image.encoded_image_string, drawn))
+    assert np.array_equal(shown, wanted)
 
 
 def test_written_again_no_step_is_there_twice(tmp_path):
