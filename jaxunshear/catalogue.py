@@ -8,8 +8,9 @@ from matplotlib.axes import Axes
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, signed_distance, stimulus_named
+from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, signed_distance, stimulus_of
 from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.outlines import touched
 from jaxunshear.settings.sensor import SENSORS, Sensor, sensor_named
 from jaxunshear.storage import write_bytes
 
@@ -39,7 +40,7 @@ def draw(kind: str, name: str, out: Path) -> None:
     """Draws a sensor's pins or a stimulus' outline (mm) to `out`, a PNG, SVG or PDF."""
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"--out {out}: name a file that ends in {', '.join(SUFFIXES)}")
-    subject = sensor_named(name) if kind == "sensors" else stimulus_named(name)
+    subject = sensor_named(name) if kind == "sensors" else stimulus_of(touched(name))
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(6, 6), layout="constrained")

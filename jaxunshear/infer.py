@@ -47,7 +47,7 @@ def learnt_note(experiment: Experiment) -> str:
             f"These networks learnt from recordings of one sensor of {experiment.sensor.pins} pins{share}: another sensor, another "
             "object or another camera is another matter; score them with `jaxunshear evaluate RUN_DIR --recordings DIR`."
         )
-    seen = f"These networks have seen simulated touches only (sensor {experiment.sensor.name}, {', '.join(experiment.paired.stimuli)})"
+    seen = f"These networks have seen simulated touches only (sensor {experiment.sensor.name}, {', '.join(experiment.paired.names)})"
     if over_pins(experiment) and experiment.pins.turned:
         return (
             f"{seen}, drawn as other sensors and cameras would show them. What they read has a zero and a sense of its own, which a few "

@@ -14,6 +14,7 @@ from jaxunshear.results.rows import Machine
 from jaxunshear.results.run import EVALUATED, Results
 from jaxunshear.results.stored import read
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
+from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.settings.targets import to_json
 from jaxunshear.storage import plain, read_json, write_json, write_text
 
@@ -165,7 +166,7 @@ def _simulated_card(results: Results, name: str) -> str:
 
     settings, metric = results.settings, results.metric
     paired, pose, sensor = settings["paired"], settings["pose"], settings["sensor"]["name"]
-    shapes = ", ".join(paired["stimuli"])
+    shapes = ", ".join(stimulus_names(paired["stimuli"]))
     given = settings["unshear"]["input"]
     columns = {q: text for q, text in READ.items() if q in results.pose_mae["tap"]}
     lines = [

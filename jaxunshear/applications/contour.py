@@ -19,7 +19,7 @@ GRID_MM = 0.25
 SPACING_MM = 0.1
 
 
-class Outline(NamedTuple):
+class Contour(NamedTuple):
     """A closed curve, counter-clockwise, from the point nearest to the target."""
 
     points: np.ndarray  # (K, 2) mm, SPACING_MM apart; the last is the first's neighbour
@@ -31,7 +31,7 @@ class Outline(NamedTuple):
         return np.round(np.asarray(arc_mm) / self.length * len(self.points)).astype(int) % len(self.points)
 
 
-def outline(stimulus: Stimulus) -> Outline:
+def outline(stimulus: Stimulus) -> Contour:
     """The longest closed curve on which the signed distance is zero, to about 0.01 mm."""
     line = np.arange(-REACH_MM, REACH_MM + GRID_MM / 2, GRID_MM)
     xy = np.stack(np.meshgrid(line, line), -1).astype(np.float32)
@@ -48,7 +48,7 @@ def outline(stimulus: Stimulus) -> Outline:
     even = np.linspace(0, arc[-1], count, endpoint=False)
     points = np.stack([np.interp(even, arc, values) for values in curve.T], -1)
     normal, points = _on_edge(stimulus, points)
-    return Outline(points, normal, _length(np.concatenate([points, points[:1]])))
+    return Contour(points, normal, _length(np.concatenate([points, points[:1]])))
 
 
 def _length(curve: np.ndarray) -> float:
@@ -65,12 +65,12 @@ def _on_edge(stimulus: Stimulus, points: np.ndarray) -> tuple[np.ndarray, np.nda
     return normal, points - distance[:, None] * normal
 
 
-def off(line: Outline, xy: np.ndarray) -> np.ndarray:
+def off(line: Contour, xy: np.ndarray) -> np.ndarray:
     """Distances (N,) mm of points (N, 2) from the curve."""
     return cKDTree(line.points).query(xy)[0]
 
 
-def advance(line: Outline, arc_mm: np.ndarray, xy: np.ndarray, window_mm: float) -> np.ndarray:
+def advance(line: Contour, arc_mm: np.ndarray, xy: np.ndarray, window_mm: float) -> np.ndarray:
     """Where along the curve points (N, 2) are that were at `arc_mm` (N,) before: the nearest place within a window about it.
 
     Lengths grow beyond `length` when a point goes round again.

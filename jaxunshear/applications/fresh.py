@@ -36,14 +36,13 @@ class FreshContacts(NamedTuple):
 def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: float | None = None) -> FreshContacts:
     """About `count` slides, as many of each stimulus, at the experiment's depths or all at one; the same seed gives the same."""
     paired, _ = simulated_of(experiment, "this")
-    names = paired.stimuli
-    poses = max(BLOCK, -(-count // len(names)))
+    poses = max(BLOCK, -(-count // len(paired.stimuli)))
     new = paired.seed + SEED + seed
     settings = replace(paired, poses=poses, taps=1, slides=1, tap_depth_jitter_mm=0.0, seed=new)
     if depth_mm is not None:
         settings = replace(settings, ranges=replace(settings.ranges, depth_min_mm=depth_mm, depth_max_mm=depth_mm))
     shots = draw_paired(settings)
-    contacts, skins = follow(experiment.sensor, names, path_of(shots.scenes))
+    contacts, skins = follow(experiment.sensor, paired.stimuli, path_of(shots.scenes))
     slid = np.flatnonzero(shots.slid)
     tapped = np.flatnonzero(~shots.slid)  # in the same order: one tap and one slide a pose
     good = contacts.converged[slid] & contacts.converged[tapped]

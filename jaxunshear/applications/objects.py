@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.applications.contour import Outline, outline
+from jaxunshear.applications.contour import Contour, outline
 from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.makers import Maker, makers_of
 from jaxunshear.applications.perception import Unshear, unsheared_by
@@ -18,7 +18,7 @@ from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.progress import Progress
-from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_named
+from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_of
 from jaxunshear.settings.experiment import Experiment, simulated_of
 from jaxunshear.storage import Json
 
@@ -43,9 +43,9 @@ def makers_for(experiment: Experiment, known: FreshContacts) -> dict[str, Maker]
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     xy = to_target(known.pose[:, :3], skin_places(experiment.sensor))
     distance = np.zeros(xy.shape[:2])
-    for index, name in enumerate(paired.stimuli):
+    for index, touched in enumerate(paired.stimuli):
         rows = known.stimulus == index
-        distance[rows] = _distance(stimulus_named(name), xy[rows])
+        distance[rows] = _distance(stimulus_of(touched), xy[rows])
     return makers_of(experiment.sensor, lattice, known, distance)
 
 
@@ -54,7 +54,7 @@ def solids(
     lattice: Lattice,
     walked: tuple[Course, Walks],
     walk: int,
-    line: Outline,
+    line: Contour,
     unshear: Unshear | None,
     makers: Mapping[str, Maker],
 ) -> dict[str, Solid]:
@@ -68,7 +68,7 @@ def solids(
     for name, maker in makers.items():
         fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), full)
         shape = maker.shape(fused)
-        true = _distance(stimulus_named(course.stimulus), np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
+        true = _distance(stimulus_of(course.stimulus), np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
         off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
         rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
         unmatched = int(np.isnan(motion[:, 0, 0]).sum())
@@ -85,7 +85,7 @@ def objects_of(
     pose code, by the disentangled one.
     """
     course, walks = walked
-    line = outline(stimulus_named(course.stimulus))
+    line = outline(stimulus_of(course.stimulus))
     paired, _ = simulated_of(experiment, "reconstruct")
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     found = {}
@@ -100,7 +100,10 @@ def objects_of(
             for maker in makers:
                 mine = [each[maker] for each in made]
                 order = np.argsort([each.likeness.iou for each in mine])
-                found[maker, way] = _row(course.stimulus, maker, way, walks, rows, mine), mine[order[len(order) // 2]]
+                found[maker, way] = (
+                    _row(str(course.stimulus), maker, way, walks, rows, mine),
+                    mine[order[len(order) // 2]],
+                )
     return found
 
 

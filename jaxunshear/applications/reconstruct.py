@@ -17,7 +17,7 @@ from skimage.measure import find_contours, label
 from skimage.morphology import reconstruction
 from skimage.segmentation import watershed
 
-from jaxunshear.applications.contour import Outline
+from jaxunshear.applications.contour import Contour
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.sensor import Sensor
 
@@ -125,7 +125,7 @@ class Likeness(NamedTuple):
     iou_felt: float  # over the cells that were touched alone
 
 
-def likeness(fused: Fused, shape: np.ndarray, true: np.ndarray, line: Outline) -> Likeness:
+def likeness(fused: Fused, shape: np.ndarray, true: np.ndarray, line: Contour) -> Likeness:
     """Of a shape (K, K) with the true one (K, K), whose outline is `line`. Infinite distances where the shape is empty."""
     felt = ~np.isnan(fused.value)
     iou, iou_felt = _iou(shape, true), _iou(shape & felt, true & felt)

@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.applications.contour import Outline, advance, outline
+from jaxunshear.applications.contour import Contour, advance, outline
 from jaxunshear.applications.controller import Gains, Memory, control
 from jaxunshear.applications.perception import Perceive
 from jaxunshear.contact.simulate import follow
@@ -30,10 +30,11 @@ from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import edge_teller
-from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.scene.stimuli import stimulus_of
 from jaxunshear.settings.configs import VERSION
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.stimuli import Outline, Touched
 from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 LOST_MM = 8.0  # from the edge: farther than any network has seen
@@ -50,7 +51,7 @@ WALKING, CLOSED, LOST, UNTOUCHED, UNSTABLE, LATE = range(6)
 class Course:
     """Where and how the walks go."""
 
-    stimulus: str
+    stimulus: Touched
     starts: int = 5
     depth_mm: float = 3.0
     off_mm: float = 1.0  # starts lie within this of the edge, at random,
@@ -89,13 +90,13 @@ def follow_contour(
     ways: Mapping[str, Perceive | None],
     file: Path,
     digests: Mapping[str, str] = MappingProxyType({}),
-) -> tuple[Walks, Outline]:
+) -> tuple[Walks, Contour]:
     """Walks from every start by every way of perceiving (None: the true pose), until each has closed the outline or come to grief.
 
     `settings` say how camera and image are. The walks are kept in `file` now and then, and in the end; the same call goes on from there.
     `digests` of the networks of each way identify walks of other networks.
     """
-    stimulus = stimulus_named(course.stimulus)
+    stimulus = stimulus_of(course.stimulus)
     line = outline(stimulus)
     made = made_with(sensor, settings, digests)
     walks = _stored(file, course, tuple(ways), made) or _at_starts(course, line, tuple(ways), settings, made)
@@ -121,7 +122,7 @@ def made_with(sensor: Sensor, settings: PairedData, digests: Mapping[str, str]) 
     return hashlib.sha256(json.dumps(full, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def first_points(course: Course, line: Outline) -> np.ndarray:
+def first_points(course: Course, line: Contour) -> np.ndarray:
     """(starts, 3) x, y, yaw: evenly around the outline, then off it and turned by random amounts."""
     generator = np.random.default_rng([course.seed, 5])
     place = line.at((np.arange(course.starts) + generator.uniform()) * line.length / course.starts)
@@ -132,7 +133,7 @@ def first_points(course: Course, line: Outline) -> np.ndarray:
     return np.column_stack([line.points[place] + aside[:, None] * normal, yaw + turned])
 
 
-def _at_starts(course: Course, line: Outline, ways: tuple[str, ...], settings: PairedData, made: str) -> Walks:
+def _at_starts(course: Course, line: Contour, ways: tuple[str, ...], settings: PairedData, made: str) -> Walks:
     count = len(ways) * course.starts
     total = int(np.ceil(PATIENCE * line.length / course.gains.step_mm))
     size = settings.preprocess.size
@@ -167,7 +168,7 @@ def _take_step(
     course: Course,
     sensor: Sensor,
     settings: PairedData,
-    line: Outline,
+    line: Contour,
     ways: Mapping[str, Perceive | None],
     steer: Callable,
     report: Callable,
@@ -199,7 +200,7 @@ def _touch(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Moves the walks `rows` on to this step's points: images (W, S, S), and how the contact ends a walk (W,)."""
     began = time.perf_counter()
-    count, own = len(walks.way), stimulus_named(course.stimulus).friction
+    count, own = len(walks.way), stimulus_of(course.stimulus).friction
     friction = own if settings.friction is None else settings.friction
     points = np.zeros((len(rows), 2, 6))
     points[:, 0, :3] = walks.point[rows, max(step - 1, 0)]
@@ -263,7 +264,12 @@ def stored_walks(file: Path) -> tuple[Course, Walks]:
         with np.load(file) as stored:
             kept = dict(stored)
         asked = json.loads(str(kept.pop("course")))
-        return Course(**asked | {"gains": Gains(**asked["gains"])}), Walks(**kept)
+        touched = asked["stimulus"]
+        own = {
+            "stimulus": touched if isinstance(touched, str) else Outline(**touched),
+            "gains": Gains(**asked["gains"]),
+        }
+        return Course(**asked | own), Walks(**kept)
     except (*BROKEN_NPZ, TypeError) as error:
         raise UserError(f"{file} cannot be read ({error}): delete it and run the same command again") from error
 

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from jaxunshear.applications.contour import Outline, off
+from jaxunshear.applications.contour import Contour, off
 from jaxunshear.applications.servo import CLOSED, ENDS, LATE, Walks
 from jaxunshear.storage import Json
 
 
-def walk_rows(walks: Walks, line: Outline, stimulus: str) -> list[Json]:
+def walk_rows(walks: Walks, line: Contour, stimulus: str) -> list[Json]:
     """A row for each way of perceiving: means over its walks, distances over all of their steps.
 
     `mean_mm`, `p95_mm` and `largest_mm`: of the trajectory, which the controller holds to the edge, from the outline; `walk_mm` its

@@ -24,9 +24,9 @@ from jaxunshear.calibration.statistics import Seen, observe
 from jaxunshear.errors import UserError
 from jaxunshear.image.pins import find_pins
 from jaxunshear.progress import Progress
-from jaxunshear.scene.stimuli import ABS_FRICTION
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import SENSORS, Sensor
+from jaxunshear.settings.stimuli import ABS_FRICTION
 from jaxunshear.storage import Json, write_bytes, write_json, write_text
 
 IMAGES = 200  # of all groups together: enough that more do not narrow the intervals that matter

@@ -23,7 +23,8 @@ from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, YAW, Paths, path_of
-from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.scene.stimuli import stimulus_of
+from jaxunshear.settings.outlines import touched as named
 from jaxunshear.settings.sensor import Sensor, sensor_named
 from jaxunshear.storage import Json
 
@@ -48,7 +49,7 @@ class _Work(NamedTuple):
     """Paths to be planned and timed."""
 
     sensor: Sensor
-    names: tuple[str, ...]
+    names: batches.Stimuli
     obstacles: Obstacles
     paths: Paths
 
@@ -71,7 +72,7 @@ def show_plan(
     sensor: str = "tactip331",
 ) -> Shown:
     """One contact that ends at pose (x, y, yaw, depth) after a slide and a turn; friction None: the stimulus' own."""
-    touched, whose = stimulus_named(stimulus), sensor_named(sensor)
+    touched, whose = stimulus_of(named(stimulus)), sensor_named(sensor)
     points = np.zeros((3, 6))
     points[:, :4], points[:, 4:] = pose, tilt
     points[:2, :2] -= move
@@ -81,7 +82,7 @@ def show_plan(
     paths = Paths(np.array([0]), np.array([float(mu)]), points[None])
     how = level_named(level)
     check_paths(whose, 1, paths)
-    work = _Work(whose, (stimulus,), sample((touched,)), paths)
+    work = _Work(whose, (touched,), sample((touched,)), paths)
     batches.dome(whose)
     with Progress("plan", len(OMISSIONS) + 1, unit="omissions") as progress:
         rows = _omissions(work, how, (*OMISSIONS, TOGETHER), progress)
@@ -101,7 +102,7 @@ def show_plan(
         "residual_mm": float(contacts.residual_mm[0]),
         "iterations": int(contacts.iterations[0]),
     }
-    title = f"{stimulus}, friction {mu:g}, level {level}, {whose.name}"
+    title = f"{touched.name}, friction {mu:g}, level {level}, {whose.name}"
     return Shown([needs, *rows], "\n".join([title, *_needs(needs), "", *_table(rows)]))
 
 
@@ -110,7 +111,7 @@ def show_grouping(count: int, level: str = "auto", sensor: str = "tactip331") ->
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
     whose, how = sensor_named(sensor), level_named(level)
-    obstacles = sample(tuple(stimulus_named(name) for name in NAMES))
+    obstacles = sample(tuple(stimulus_of(name) for name in NAMES))
     rows: list[Json] = []
     lines = []
     for kind in KINDS:

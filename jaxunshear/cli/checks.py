@@ -41,7 +41,7 @@ def add_parsers(commands: Commands) -> None:
         return parser
 
     parser = command("plan")
-    parser.add_argument("--stimulus", metavar="NAME", help="what is touched (disk)")
+    parser.add_argument("--stimulus", metavar="NAME", help="what is touched, or an outline's file (disk)")
     parser.add_argument("--pose", metavar="X,Y,YAW,DEPTH", help="mm, mm, deg, mm (0,0,0,3)")
     parser.add_argument("--move", metavar="DX,DY", help="slide that ends at the pose, mm (0,0)")
     parser.add_argument("--twist", metavar="DEG", type=_number, help="turn that ends at the pose (0)")

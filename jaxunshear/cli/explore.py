@@ -4,7 +4,7 @@ import argparse
 import importlib.util
 import socket
 
-from jaxunshear.cli.options import Commands, add_like, add_model
+from jaxunshear.cli.options import Commands, add_like, add_model, stimuli_of
 from jaxunshear.errors import UserError
 
 COMMANDS = ("explore",)
@@ -15,6 +15,8 @@ def add_parsers(commands: Commands) -> None:
     parser = commands.add_parser("explore", help=text, description=text)
     add_model(parser)
     add_like(parser)
+    shapes = "outlines in files (.svg, .csv, .json) to be touched, too"
+    parser.add_argument("--stimulus", metavar="FILE,FILE", help=shapes)
     parser.add_argument("--port", metavar="N", type=int, default=8080, help="of this machine alone (8080)")
 
 
@@ -24,9 +26,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     _check_port(arguments.port)
     from jaxunshear.explore.explorer import make_explorer
     from jaxunshear.folders import load_settings, model_folder
+    from jaxunshear.scene.stimuli import stimulus_of
 
+    own = tuple(map(stimulus_of, stimuli_of(arguments.stimulus))) if arguments.stimulus else ()
     folder = model_folder(arguments.model)
-    explorer = make_explorer(folder, load_settings(folder), arguments.like)
+    explorer = make_explorer(folder, load_settings(folder), arguments.like, own)
     explorer.warm()
     from jaxunshear.explore.page import HOST, serve  # the extra is imported here alone
 

@@ -6,6 +6,8 @@ from typing import TypeAlias
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.outlines import touched
+from jaxunshear.settings.stimuli import Touched, stimulus_names
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # of the command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
@@ -31,19 +33,21 @@ def add_like(parser: argparse.ArgumentParser) -> None:
 
 
 def add_stimulus(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--stimulus", metavar="NAME,NAME", default="all", help="which objects (all)")
+    parser.add_argument(
+        "--stimulus", metavar="NAME,FILE", default="all", help="which objects, outlines in files among them (all)"
+    )
 
 
-def stimuli_of(text: str) -> tuple[str, ...]:
+def stimuli_of(text: str) -> tuple[Touched, ...]:
     """The objects that --stimulus names. Raises UserError."""
-    from jaxunshear.scene.stimuli import SHAPES, shape_named
+    from jaxunshear.scene.stimuli import SHAPES, followed
 
-    names = SHAPES if text == "all" else tuple(name.strip() for name in text.split(","))
-    for name in names:
-        shape_named(name)
-    if len(set(names)) < len(names):
+    found = tuple(touched(name.strip()) for name in (SHAPES if text == "all" else text.split(",")))
+    for one in found:
+        followed(one)
+    if len(set(stimulus_names(found))) < len(found):
         raise UserError(f"--stimulus {text}: name each once")
-    return names
+    return found
 
 
 def add_json(parser: argparse.ArgumentParser) -> None:

@@ -8,6 +8,7 @@ from jaxunshear.cli import options
 from jaxunshear.cli.options import Commands, Model, add_model, add_stimulus, new_parser, stimuli_of
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import simulated_of
+from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.storage import Json
 
 if TYPE_CHECKING:
@@ -33,7 +34,9 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
 
     folder, experiment = model
     paired, _ = simulated_of(experiment, "reconstruct")
-    asked = stimuli_of(arguments.stimulus)
+    asked = list(stimulus_names(stimuli_of(arguments.stimulus)))
+    if arguments.stimulus == "all":  # of outlines of one's own, too
+        asked += sorted({file.stem for file in out.glob("*.npz")} - set(asked))
     names = [name for name in asked if (out / f"{name}.npz").is_file()]
     if not names:
         raise UserError(

@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
 
-    names = stimuli_of(arguments.stimulus)
+    stimuli = stimuli_of(arguments.stimulus)
     if arguments.starts < 1:
         raise UserError(f"--starts {arguments.starts}: use at least 1")
     if arguments.seed < 0:
@@ -49,8 +49,8 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
     ways, digests = {way: known.get(way) for way in chosen}, perception.digests(folder, chosen)
     rows: list[Json] = []
-    for name in names:
-        course = servo.Course(name, arguments.starts, arguments.depth, seed=arguments.seed)
+    for touched in stimuli:
+        name, course = str(touched), servo.Course(touched, arguments.starts, arguments.depth, seed=arguments.seed)
         walks, line = servo.follow_contour(course, experiment.sensor, paired, ways, out / f"{name}.npz", digests)
         rows += walk_rows(walks, line, name)
         write_bytes(out / f"{name}.png", walk_figure(walks, line, name))

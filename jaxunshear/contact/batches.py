@@ -20,23 +20,20 @@ from jaxunshear.contact.plan import BATCHES, NODE_COUNTS, PATH_LENGTHS, Batch, g
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
-from jaxunshear.scene.stimuli import Stimulus, stimulus_named
+from jaxunshear.scene.stimuli import Stimulus, stimulus_of
 from jaxunshear.settings.reach import ring_arcs, ring_spacing
 from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.stimuli import Outline
 
 PENETRATION_MM = 0.03  # a node that was left out and ends deeper than this in the stimulus was needed
 NEIGHBOURS = 1.6  # ring spacings: a contact grows from node to neighbouring node
 
-Stimuli = tuple[str | Stimulus, ...]
+Stimuli = tuple[str | Outline | Stimulus, ...]
 
 
 def obstacles_of(names: Stimuli) -> Obstacles:
-    """The named shapes as the contact sees them; sampled once."""
-    return _obstacles(_stimuli(names))
-
-
-def _stimuli(names: Stimuli) -> tuple[Stimulus, ...]:
-    return tuple(stimulus_named(name) if isinstance(name, str) else name for name in names)
+    """The shapes as the contact sees them; sampled once."""
+    return _obstacles(tuple(stimulus_of(name) for name in names))
 
 
 @lru_cache(maxsize=4)

@@ -44,7 +44,7 @@ def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) ->
         "dropped_scenes": [
             {
                 "number": int(row),
-                "stimulus": settings.stimuli[shots.scenes.stimulus[row]],
+                "stimulus": settings.names[shots.scenes.stimulus[row]],
                 "pose_id": int(shots.pose_id[row]),
                 "pose": shots.scenes.pose[row].tolist(),
                 "move": shots.scenes.move[row].tolist(),
@@ -70,7 +70,7 @@ def _labels(settings: PairedData | PoseData, shots: Shots, row: int) -> Json:
     return {
         "pose": shots.scenes.pose[row].astype(np.float32),
         "edge": shots.edge[row].astype(np.float32),
-        "stimulus": settings.stimuli[shots.scenes.stimulus[row]],
+        "stimulus": settings.names[shots.scenes.stimulus[row]],
         "pose_id": int(shots.pose_id[row]),
     }
 

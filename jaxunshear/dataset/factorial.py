@@ -46,7 +46,7 @@ class Shared(NamedTuple):
 
 def shared_of(rows: Batch, settings: PairedData) -> Shared:
     """Of a split's rows: `stimulus`, `pose_id`, `slide_id` (N,)."""
-    leaders = np.stack([slide_leaders(settings, name) for name in settings.stimuli])
+    leaders = np.stack([slide_leaders(settings, name) for name in settings.names])
     leader = leaders[rows["stimulus"], rows["pose_id"]]
     group = np.unique(np.stack([rows["stimulus"], leader], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
     pose, first = np.unique(np.stack([group, rows["pose_id"]], axis=1), axis=0, return_inverse=True)

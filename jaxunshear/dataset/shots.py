@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, draw_tilts, edge_labels, make_scenes, turned
-from jaxunshear.scene.stimuli import stimulus_named
+from jaxunshear.scene.stimuli import stimulus_of
 from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import BLOCK, SPLITS, splits_of
@@ -37,10 +37,10 @@ def check(settings: PairedData | PoseData) -> None:
     config_name(settings)
     if not settings.stimuli:
         raise UserError(f"{name}: stimuli is empty: name at least one")
-    if len(set(settings.stimuli)) < len(settings.stimuli):
-        raise UserError(f"{name}: stimuli names one of {', '.join(settings.stimuli)} twice")
+    if len(set(settings.names)) < len(settings.names):
+        raise UserError(f"{name}: stimuli names one of {', '.join(settings.names)} twice")
     for stimulus in settings.stimuli:
-        stimulus_named(stimulus)
+        stimulus_of(stimulus)
     if settings.seed < 0:
         raise UserError(f"{name}: seed = {settings.seed} is negative")
     if settings.poses < BLOCK:
@@ -100,7 +100,7 @@ def draw_paired(settings: PairedData) -> Shots:
     shots = settings.taps + settings.slides
     slid = np.arange(shots) >= settings.taps
     pose, move = [], []
-    for name in settings.stimuli:
+    for name in settings.names:
         poses = np.repeat(_poses(settings, name)[:, None], shots, axis=1)
         jitter = settings.tap_depth_jitter_mm
         depth = poses[:, ~slid, 3]
@@ -132,7 +132,7 @@ def slide_leaders(settings: PairedData, stimulus: str) -> np.ndarray:
 def draw_pose(settings: PoseData) -> Shots:
     """One tap for every stimulus and pose."""
     check(settings)
-    pose = np.concatenate([_poses(settings, name) for name in settings.stimuli])
+    pose = np.concatenate([_poses(settings, name) for name in settings.names])
     zero = np.zeros(len(pose), int)
     return _shots(settings, pose, np.zeros((len(pose), 2)), zero, zero.astype(bool))
 
@@ -140,14 +140,14 @@ def draw_pose(settings: PoseData) -> Shots:
 def _shots(
     settings: PairedData | PoseData, pose: np.ndarray, move: np.ndarray, instance: np.ndarray, slid: np.ndarray
 ) -> Shots:
-    names = settings.stimuli
+    names = settings.names
     each = len(pose) // (len(names) * settings.poses)
     stimulus = np.repeat(np.arange(len(names)), settings.poses * each)
     pose_id = np.tile(np.repeat(np.arange(settings.poses), each), len(names))
     age = np.concatenate([np.repeat(_ages(settings, index), each) for index in range(len(names))])
     split = np.concatenate([np.repeat(splits_of(settings.seed, name, settings.poses), each) for name in names])
-    scenes = make_scenes(names, stimulus, pose, move, settings.friction)
-    return Shots(scenes, pose_id, instance, slid, age, split, edge_labels(names, scenes))
+    scenes = make_scenes(settings.stimuli, stimulus, pose, move, settings.friction)
+    return Shots(scenes, pose_id, instance, slid, age, split, edge_labels(settings.stimuli, scenes))
 
 
 def draw(settings: PairedData | PoseData) -> Shots:

@@ -145,7 +145,7 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
         dropped=stored["dropped"],
         reader_taps={name: reader.taps for name, reader in readers.items()},
     )
-    return replace(results, counts=counts), gathered, further, paired.stimuli
+    return replace(results, counts=counts), gathered, further, paired.names
 
 
 def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
@@ -184,7 +184,7 @@ def results_of(
 ) -> Results:
     """All of the results that follow from the scores alone: the same scores give the same bits. `further`: tests of their own."""
     labels, (paired, pose) = gathered.labels, simulated_of(experiment, "this")
-    names, size = paired.stimuli, paired.preprocess.size
+    names, size = paired.names, paired.preprocess.size
     scales = scales_that_fit(size)
     targets = of_ranges(experiment.targets, paired.ranges)
     true = true_values(targets, labels)
@@ -238,7 +238,7 @@ def results_of(
 def _further(settings: PairedData, gathered: Gathered) -> Further:
     """The tables of a test of its own, with what it was made of."""
     return Further(
-        stimuli=settings.stimuli,
+        stimuli=settings.names,
         tap_depth_jitter_mm=settings.tap_depth_jitter_mm,
         ranges=dataclasses.asdict(settings.ranges),
         contacts=len(gathered.labels["stimulus"]),
@@ -254,7 +254,7 @@ def _tables(settings: PairedData, gathered: Gathered) -> Tables:
     read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
     of_pins = {name.removeprefix("pins/"): s for name, s in gathered.scores.items() if name.startswith("pins/")}
     return replace(
-        with_readers(tables(gathered.scores, settings.stimuli, *drawn), read, BOOTSTRAP_SEED),
+        with_readers(tables(gathered.scores, settings.names, *drawn), read, BOOTSTRAP_SEED),
         pins={kind: {"rms_px": float(np.mean(score, dtype=np.float64))} for kind, score in of_pins.items()},
         pose_by_depth=pose_by_size(
             gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, *drawn

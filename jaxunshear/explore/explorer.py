@@ -59,15 +59,21 @@ class Explorer:
     paired: PairedData  # how frames of the simulated sensor are taken and prepared
     perceive: Perceiver  # of simulated frames
     recordings: Callable[[], Perceiver]  # of recorded ones; raises UserError where these cannot be read
+    own: tuple[Stimulus, ...] = ()  # shapes beside those that have a name
+
+    @property
+    def stimuli(self) -> dict[str, Stimulus]:
+        """To choose from; those of one's own come first."""
+        return {stimulus.name: stimulus for stimulus in (*self.own, *STIMULI.values())}
 
     def warm(self) -> None:
         """Compiles what a touch of the model's own sensor needs."""
         touches = warming_touches(self.experiment.sensor, self.paired.friction or 0.0)
-        with Progress("prepare", len(touches) + len(STIMULI), "touches") as bar:
+        with Progress("prepare", len(touches) + len(self.stimuli), "touches") as bar:
             for touch in touches:
                 self.picture(touch)
                 bar.advance()
-            for stimulus in STIMULI.values():
+            for stimulus in self.stimuli.values():
                 self.picture(replace(touches[1], stimulus=stimulus))
                 bar.advance()
 
@@ -103,7 +109,9 @@ class Explorer:
         return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
 
 
-def make_explorer(folder: Path, experiment: Experiment, like: Path | None = None) -> Explorer:
+def make_explorer(
+    folder: Path, experiment: Experiment, like: Path | None = None, own: tuple[Stimulus, ...] = ()
+) -> Explorer:
     """Of the networks in a folder. `like` shows where pins stand in recordings, for networks over pins. Raises UserError."""
     paired, _ = simulated_of(experiment, "explore")
     pins = over_pins(experiment)
@@ -113,7 +121,7 @@ def make_explorer(folder: Path, experiment: Experiment, like: Path | None = None
     def recordings() -> Perceiver:
         return perceiver(folder, experiment, True, frame_for(like, experiment) if like else None) if pins else perceive
 
-    return Explorer(experiment, paired, perceive, recordings)
+    return Explorer(experiment, paired, perceive, recordings, own)
 
 
 def _add_answer(images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], answers: Answers) -> str:

@@ -21,7 +21,6 @@ from jaxunshear.explore.tab import (
     show,
 )
 from jaxunshear.explore.touch import DEEPEST_MM, Touch
-from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.sensor import SENSORS
 
 HOST = "127.0.0.1"
@@ -31,7 +30,7 @@ STYLE = Path(__file__).with_name("page.css")
 
 def build(explorer: Explorer) -> None:
     """One tab."""
-    stimulus = STIMULI["disk"]
+    stimulus = (*explorer.own, explorer.stimuli["disk"])[0]
     tab = Tab(explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4))
     ui.add_css(STYLE.read_text())
     ui.colors(primary="#1f6feb")
@@ -65,7 +64,7 @@ def _controls(tab: Tab) -> None:
     touch = tab.touch
     with ui.element("div").classes("card controls"):
         tab.parts["stimulus"] = ui.select(
-            list(STIMULI),
+            list(tab.explorer.stimuli),
             value=touch.stimulus.name,
             label="stimulus",
             on_change=lambda event: on_stimulus(tab, event.value),

@@ -13,7 +13,6 @@ from jaxunshear.explore.drawing import data_url, map_svg, pins_svg, to_mm
 from jaxunshear.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, Explorer, Picture
 from jaxunshear.explore.outline import DRAWN, drawn
 from jaxunshear.explore.touch import MOST_SLIDE_MM, Touch
-from jaxunshear.scene.stimuli import STIMULI
 
 IMAGES = {SHEARED: "as the camera sees it", UNSHEARED: "by the networks", TAP: "without the slide"}
 COLUMNS = {TRUE: "true", SHEARED: "sheared", UNSHEARED: "unsheared"}
@@ -155,12 +154,12 @@ def finish_outline(tab: Tab) -> None:
     select = tab.parts["stimulus"]
     assert isinstance(select, ui.select)
     tab.ask(stimulus=stimulus, pose=(*tab.start, *tab.touch.pose[2:]), move=(0.0, 0.0))
-    select.set_options([*STIMULI, DRAWN], value=DRAWN)
+    select.set_options([*tab.explorer.stimuli, DRAWN], value=DRAWN)
 
 
 async def on_stimulus(tab: Tab, name: str) -> None:
     if name != tab.touch.stimulus.name:
-        tab.ask(stimulus=STIMULI[name])
+        tab.ask(stimulus=tab.explorer.stimuli[name])
         await compute(tab)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from jaxunshear.applications.contour import Outline
+from jaxunshear.applications.contour import Contour
 from jaxunshear.applications.servo import CLOSED, ENDS, Walks
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed
@@ -21,7 +21,7 @@ WORDS = {
 }
 
 
-def walk_figure(walks: Walks, line: Outline, stimulus: str) -> bytes:
+def walk_figure(walks: Walks, line: Contour, stimulus: str) -> bytes:
     """A PNG: a panel a way, all its walks over the object; a cross where one ended without closing the outline."""
     ways = list(dict.fromkeys(walks.way.tolist()))
     columns, rows = min(ABREAST, len(ways)), -(-len(ways) // ABREAST)

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.errors import UserError
-from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_named
+from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_of
+from jaxunshear.settings.stimuli import Outline
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,7 @@ class Scenes:
     """B scenes (numpy): `pose` is x, y (mm), yaw (deg), depth (mm) in the target frame of the stimulus; where sensors lean also their tilt
     as in `paths.Paths` (deg)."""
 
-    stimulus: np.ndarray  # (B,) index into a tuple of stimulus names
+    stimulus: np.ndarray  # (B,) index into a tuple of stimuli
     pose: np.ndarray  # (B, 4), or (B, 6) with tilt
     move: np.ndarray  # (B, 2) mm, target frame, or (B, 3) with the turn that goes along with it, deg; zero for a tap
     friction: np.ndarray  # (B,) Coulomb coefficient
@@ -65,23 +66,27 @@ def turned(move: np.ndarray, degrees: np.ndarray) -> np.ndarray:
 
 
 def make_scenes(
-    names: tuple[str, ...], stimulus: np.ndarray, pose: np.ndarray, move: np.ndarray, mu: float | None = None
+    stimuli: tuple[str | Outline, ...],
+    stimulus: np.ndarray,
+    pose: np.ndarray,
+    move: np.ndarray,
+    mu: float | None = None,
 ) -> Scenes:
     """Scenes with friction `mu`, or None for that of each stimulus' material."""
-    friction = np.array([stimulus_named(name).friction if mu is None else mu for name in names])
+    friction = np.array([stimulus_of(one).friction if mu is None else mu for one in stimuli])
     return Scenes(np.asarray(stimulus), np.asarray(pose, float), np.asarray(move, float), friction[stimulus])
 
 
-def edge_labels(names: tuple[str, ...], scenes: Scenes) -> np.ndarray:
+def edge_labels(stimuli: tuple[str | Outline, ...], scenes: Scenes) -> np.ndarray:
     """(B, 2): signed distance (mm, negative inside) of the sensor's lowest point, on its axis where it is upright, from the nearest edge,
     and the direction of that edge's outward normal in the sensor frame (deg, in (-180, 180]): the pose that is not ambiguous on a
     smooth edge."""
     labels = np.zeros((len(scenes), 2))
-    for index, name in enumerate(names):
+    for index, touched in enumerate(stimuli):
         here = np.flatnonzero(scenes.stimulus == index)
         if not len(here):
             continue
-        labels[here] = edge_teller(stimulus_named(name))(scenes.pose[here, :3])
+        labels[here] = edge_teller(stimulus_of(touched))(scenes.pose[here, :3])
     return labels
 
 

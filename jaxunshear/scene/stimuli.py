@@ -8,14 +8,16 @@ paper's Table 1 names: origin at the target, x along the outward normal (at a co
 
 Sizes and frictions are our choice: the paper gives pictures only. Its two acrylic shapes, with a friction of their own,
 are the spirals; everything else is 3D-printed ABS. Beside its seven closed shapes stand what recordings are often of: a
-straight edge and a flat surface, which have no outline to go round.
+straight edge and a flat surface, which have no outline to go round. Outlines of one's own are made in `settings/stimuli.py`.
 """
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.shapes import (
@@ -26,16 +28,14 @@ from jaxunshear.scene.shapes import (
     edge,
     flower,
     leaf,
+    polygon,
     spiral,
     spiral_target,
     surface,
     teardrop,
 )
+from jaxunshear.settings.stimuli import ABS_FRICTION, Outline
 
-# Rubber on hard plastic lies between about 0.5 and 0.9. The evidence is divided (docs/simulator.md): with 0.35 a PoseNet
-# trained on taps hardly minds the slide, where the paper's is no better than chance (its Table 2), but recordings of another
-# sensor, whose pins stay behind by no more than 0.8-1 mm, suggest 0.2 to 0.4.
-ABS_FRICTION = 0.7
 ACRYLIC_FRICTION = 0.45
 
 
@@ -70,7 +70,7 @@ def outward_normal(stimulus: Stimulus, xy: jax.Array) -> jax.Array:
 
 _CORNER = clover_corner(28.0, 28.0, 4.0)
 
-STIMULI = {  # their names: `StimulusName` of settings/data.py
+STIMULI = {  # their names: `StimulusName` of settings/stimuli.py
     stimulus.name: stimulus
     for stimulus in (
         Stimulus("disk", disk(50.0), (50.0, 0.0, 0.0), 50.0),
@@ -109,8 +109,21 @@ def stimulus_named(name: str) -> Stimulus:
     return STIMULI[name]
 
 
-def shape_named(name: str) -> Stimulus:
-    """One with an outline to follow."""
-    if stimulus_named(name).name not in SHAPES:
-        raise UserError(f"stimulus '{name}' has no outline that closes: use one of {', '.join(SHAPES)}")
-    return STIMULI[name]
+@lru_cache(maxsize=64)
+def _of_outline(outline: Outline) -> Stimulus:
+    distance = polygon(np.array(outline.points))
+    return Stimulus(outline.name, distance, outline.place, outline.extent_mm, outline.friction, "own")
+
+
+def stimulus_of(touched: str | Outline | Stimulus) -> Stimulus:
+    """A shape by its name, or of an outline; the same one each time. Raises UserError for a name that there is not."""
+    if isinstance(touched, Stimulus):
+        return touched
+    return _of_outline(touched) if isinstance(touched, Outline) else stimulus_named(touched)
+
+
+def followed(touched: str | Outline) -> Stimulus:
+    """One with an outline to follow. Raises UserError."""
+    if isinstance(touched, str) and stimulus_named(touched).name not in SHAPES:
+        raise UserError(f"stimulus '{touched}' has no outline that closes: use one of {', '.join(SHAPES)}")
+    return stimulus_of(touched)

@@ -6,9 +6,9 @@ from typing import Literal
 
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.splits import BLOCK
+from jaxunshear.settings.stimuli import Touched, stimulus_names
 from jaxunshear.settings.types import Rule
 
-StimulusName = Literal["disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface"]
 Pairing = Literal["rendered", "nearest", "pose_id", "file", "simulated"]
 MOST_TWIST_DEG = 90.0
 MOST_SEED = 2**31 - 1
@@ -56,7 +56,7 @@ class PairedData:
     """`tactip_paired`: for every pose `taps` canonical images and `slides` sheared ones."""
 
     config: str = "demo"  # name of the stored configuration; changed fields get a name of their own
-    stimuli: tuple[StimulusName, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
+    stimuli: tuple[Touched, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
     poses: int = 600  # per stimulus
     taps: int = 1  # canonical images a pose
     slides: int = 2  # sheared images a pose
@@ -68,6 +68,11 @@ class PairedData:
     camera: Camera = field(default_factory=Camera)
     nuisance: Nuisance = DRIFTING
     preprocess: Preprocess = field(default_factory=Preprocess)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the stimuli."""
+        return stimulus_names(self.stimuli)
 
     def rules(self) -> Iterator[Rule]:
         yield from _simulated(self)
@@ -87,7 +92,7 @@ class PoseData:
     """`tactip_pose`: taps at poses of their own, drawn separately (paper section 3.2.2)."""
 
     config: str = "demo"
-    stimuli: tuple[StimulusName, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
+    stimuli: tuple[Touched, ...] = ("disk", "clover", "teardrop")  # shapes that are touched
     poses: int = 2400  # per stimulus
     seed: int = 1  # of the poses: another than the pairs'
     friction: float | None = None  # of all stimuli; None: that of each one's material
@@ -96,13 +101,18 @@ class PoseData:
     nuisance: Nuisance = DRIFTING
     preprocess: Preprocess = field(default_factory=Preprocess)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the stimuli."""
+        return stimulus_names(self.stimuli)
+
     def rules(self) -> Iterator[Rule]:
         yield from _simulated(self)
 
 
 def _simulated(data: PairedData | PoseData) -> Iterator[Rule]:
     yield len(data.stimuli) > 0, "stimuli", "name at least one"
-    yield len(set(data.stimuli)) == len(data.stimuli), "stimuli", "name each stimulus once"
+    yield len(set(data.names)) == len(data.names), "stimuli", "name each stimulus once"
     yield data.poses >= BLOCK, "poses", f"use at least {BLOCK}, so that each of the three splits gets a pose"
     yield seed_rule(data.seed)
     yield data.friction is None or data.friction >= 0, "friction", "use 0 or more, or none for each material's own"

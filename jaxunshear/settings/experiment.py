@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import cast
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.data import RENDERED, PairedData, PoseData, Recorded, RecordedTaps, StimulusName, seed_rule
+from jaxunshear.settings.data import RENDERED, PairedData, PoseData, Recorded, RecordedTaps, seed_rule
 from jaxunshear.settings.networks import PinNet, PoseNet, UnshearNet
 from jaxunshear.settings.registry import (
     ALL_NETWORKS,
@@ -20,6 +20,7 @@ from jaxunshear.settings.registry import (
     Network,
 )
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.stimuli import Touched, stimulus_names
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import Rule
 
@@ -62,7 +63,7 @@ class Experiment:
     claim: str  # what it is to show
     seed: int = 0  # of weights and batches
     networks: tuple[Network, ...] = NETWORKS  # trained and evaluated, of ALL_NETWORKS
-    unseen: tuple[StimulusName, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
+    unseen: tuple[Touched, ...] = ()  # stimuli that no network sees in training, evaluated as a test of their own
     other_jitters_mm: tuple[float, ...] = ()  # tests of their own, with taps that miss the slide's depth by up to this
     other_twists_deg: tuple[float, ...] = ()  # with slides that twist by up to this
     other_tilts_deg: tuple[float, ...] = ()  # with sensors that lean by up to this
@@ -86,7 +87,7 @@ class Experiment:
         yield seed_rule(self.seed)
         yield len(self.networks) > 0, "networks", f"name at least one of {', '.join(ALL_NETWORKS)}"
         yield len(set(self.networks)) == len(self.networks), "networks", "name each network once"
-        yield len(set(self.unseen)) == len(self.unseen), "unseen", "name each stimulus once"
+        yield len(set(stimulus_names(self.unseen))) == len(self.unseen), "unseen", "name each stimulus once"
 
 
 def recorded_of(experiment: Experiment) -> Recorded | None:

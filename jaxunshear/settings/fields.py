@@ -12,6 +12,7 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.outlines import touched
 from jaxunshear.settings.sensor import Sensor, sensor_named
 from jaxunshear.settings.types import Hint, Value, choices, describe, groups, hints, optional, origin
 from jaxunshear.storage import Json
@@ -146,7 +147,7 @@ def _parsed(text: str, kind: Hint) -> Value:
     if kind is Sensor:
         return sensor_named(text)
     if choices(kind):
-        return text
+        return touched(text) if groups(kind) else text
     return kind(text)
 
 

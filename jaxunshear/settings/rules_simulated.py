@@ -12,6 +12,7 @@ from jaxunshear.settings.registry import POSENET, TEACHER
 from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import train_poses
+from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.settings.targets import SIMULATED, names_of, of_ranges
 from jaxunshear.settings.types import Rule, own_rules
 
@@ -87,8 +88,10 @@ def _reached(data: PairedData | PoseData, group: str, sensor: Sensor) -> Iterato
 
 
 def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
-    known = {*paired.stimuli, *pose.stimuli}
-    seen = ", ".join(name for name in experiment.unseen if name in known)
+    outlines = {*paired.stimuli, *pose.stimuli}
+    twice = ", ".join(sorted({name for name in stimulus_names(outlines) if stimulus_names(outlines).count(name) > 1}))
+    yield not twice, "pose.stimuli", f"two outlines are called {twice}: give each a name of its own"
+    seen = ", ".join(name for name in stimulus_names(experiment.unseen) if name in {*paired.names, *pose.names})
     yield not seen, "unseen", f"{seen} is trained on: name it in one place only"
     for field in FURTHER:
         names = [f"{value:g}" for value in getattr(experiment, field)]  # they name their tests
@@ -136,7 +139,7 @@ def _kept_out(experiment: Experiment, paired: PairedData, pose: PoseData) -> Ite
     """Sets of one seed hold the same poses: a test's would be among PoseNet's taps."""
     for settings in (paired, *further_tests(experiment).values()):
         yield (
-            settings.seed != pose.seed or not set(settings.stimuli) & set(pose.stimuli),
+            settings.seed != pose.seed or not set(settings.names) & set(pose.names),
             "pose.seed",
             "gives PoseNet the taps of poses that it is tested at: use another",
         )
@@ -166,4 +169,4 @@ def _seen_alike(paired: PairedData, pose: PoseData) -> Iterator[Rule]:
 
 def training_poses(data: PairedData | PoseData) -> int:
     """Of all stimuli."""
-    return sum(train_poses(data.seed, name, data.poses) for name in data.stimuli)
+    return sum(train_poses(data.seed, name, data.poses) for name in data.names)

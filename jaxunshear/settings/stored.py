@@ -1,12 +1,13 @@
 """Settings as JSON, and back."""
 
 import dataclasses
+import typing
 from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.earlier import LATER
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.types import Hint, describe, fits, groups, hints
+from jaxunshear.settings.types import Hint, describe, fits, groups, hints, origin
 from jaxunshear.storage import Json
 
 
@@ -23,6 +24,9 @@ def from_json(data: object, source: str = "experiment.json") -> Experiment:
 
 def build(data: object, kind: Hint, source: str, name: str) -> Any:
     """A value of type `kind` out of JSON; `name` is where in `source` it stands. Raises `UserError`."""
+    items = next(iter(typing.get_args(kind)), None) if origin(kind) is tuple else None
+    if groups(items) and isinstance(data, list):
+        return tuple(item if isinstance(item, str) else build(item, items, source, name) for item in data)
     if kinds := groups(kind):
         given = set(data) if isinstance(data, dict) else set()
         own = next((each for each in kinds if _fills(given, set(hints(each)))), kinds[0])

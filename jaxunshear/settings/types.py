@@ -31,7 +31,8 @@ def own_rules(settings: object, group: str = "") -> Iterator[Rule]:
     for field, hint in hints(kind).items():
         value = getattr(settings, field)
         if known := choices(hint):
-            odd = ", ".join(str(one) for one in (value if isinstance(value, tuple) else (value,)) if one not in known)
+            named = (one for one in (value if isinstance(value, tuple) else (value,)) if isinstance(one, str))
+            odd = ", ".join(one for one in named if one not in known)
             which = f"{odd} is" if isinstance(value, tuple) else "is"
             yield not odd, f"{group}{field}", f"{which} unknown: use one of {', '.join(known)}"
     for holds, field, remedy in settings.rules() if hasattr(settings, "rules") else ():
@@ -67,9 +68,11 @@ def optional(kind: Hint) -> Hint:
 
 
 def choices(kind: Hint) -> tuple[str, ...]:
-    """The names that a field takes, or a tuple of them; none where it takes others."""
+    """The names that a field takes, or a tuple of them; none where it takes none."""
     if origin(kind) is tuple:
         return choices(typing.get_args(kind)[0])
+    if origin(kind) in (types.UnionType, typing.Union):
+        return tuple(name for part in typing.get_args(kind) for name in choices(part))
     return typing.get_args(kind) if origin(kind) is typing.Literal else ()
 
 
@@ -81,6 +84,8 @@ def describe(kind: Hint) -> str:
         inner, *more = typing.get_args(kind)
         if more[-1:] != [...]:
             return "numbers joined by ':'"
+        if groups(inner):
+            return "names, or files of outlines, separated by commas"
         plural = (
             "names" if choices(inner) else {int: "integers", float: "numbers", str: "names"}.get(inner, "pairs a:b")
         )
@@ -103,7 +108,7 @@ def fits(value: Any, kind: Hint) -> bool:
         kinds = (first,) * len(value) if more[-1:] == [...] else (first, *more)
         return len(value) == len(kinds) and all(fits(v, k) for v, k in zip(value, kinds, strict=True))
     if choices(kind):
-        return isinstance(value, str)
+        return isinstance(value, (str, *groups(kind)))
     if kind is float:
         return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
     return isinstance(value, kind) and (kind is bool or not isinstance(value, bool))

@@ -71,7 +71,7 @@ def cells_of(sweep: Sweep) -> list[Cell]:
         cell = Cell(label, point, changes, _changed(sweep, changes, label))
         if label in cells and cells[label].experiment != cell.experiment:
             raise UserError(
-                f"sweep {sweep.name}: two different cells are both called '{label}': name their sensors apart"
+                f"sweep {sweep.name}: two different cells are both called '{label}': name their sensors and outlines apart"
             )
         cells.setdefault(label, cell)
     return list(cells.values())

@@ -9,6 +9,7 @@ import numpy as np
 from jaxunshear.errors import UserError
 from jaxunshear.results.run import Notes
 from jaxunshear.results.sweep import Outcome
+from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.storage import BROKEN_NPZ, os_error
 
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
@@ -82,9 +83,9 @@ def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     """Which contacts (N,) of a test are with which shape."""
     first = next(iter(rows.values()))
     results = first.outcome.evaluated
-    names = results.settings["paired"].get("stimuli", ())  # of recordings none is known
+    names = stimulus_names(results.settings["paired"].get("stimuli", ()))  # of recordings none is known
     if test:
-        names = results.tests[test].stimuli if test in results.tests else ()
+        names = stimulus_names(results.tests[test].stimuli if test in results.tests else ())
     stimulus = np.asarray(first.tests[test]["stimulus"])
     return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
 

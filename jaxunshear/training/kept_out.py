@@ -9,6 +9,7 @@ from jaxunshear.dataset.digests import folders_in, pairs_in
 from jaxunshear.settings.configs import RECORDED_SET, set_name, version_of
 from jaxunshear.settings.data import PairedData, Recorded
 from jaxunshear.settings.experiment import Experiment, further_tests
+from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.storage import Json
 
 BY_POSE = 3  # major version of the simulated data since which a pose's split is its own
@@ -42,7 +43,7 @@ def known(origin: Origin, exam: Exam) -> str:
 
 def _simulated(origin: Origin, ours: PairedData, exam: Exam) -> str:
     theirs = origin["settings"]
-    shapes = ", ".join(name for name in ours.stimuli if name in theirs["stimuli"])
+    shapes = ", ".join(name for name in ours.names if name in stimulus_names(theirs["stimuli"]))
     if not shapes:
         return ""
     learnt = (

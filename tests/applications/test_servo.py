@@ -10,9 +10,9 @@ from jaxunshear.applications.contour import outline
 from jaxunshear.applications.servo import CLOSED, LATE, LOST, Course, first_points, follow_contour, stored_walks
 from jaxunshear.applications.walk_scores import seen_edge, walk_rows
 from jaxunshear.errors import UserError
-from jaxunshear.scene.shapes import disk
-from jaxunshear.scene.stimuli import STIMULI, Stimulus
+from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.outlines import traced
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 SETTINGS = PairedData()
@@ -76,10 +76,10 @@ def test_a_walk_that_is_misled_is_lost_and_reported(short, tmp_path, monkeypatch
     assert row["ends"] == {"lost the edge": 2} and row["largest_mm"] > 3
 
 
-def test_a_walk_around_a_small_object_closes(tmp_path, monkeypatch):
-    monkeypatch.setitem(STIMULI, "coin", Stimulus("coin", disk(5.0), (5.0, 0.0, 0.0), 5.0))
-    course = Course("coin", starts=1, depth_mm=2.0)
+def test_a_walk_around_an_outline_of_ones_own_closes_and_is_found_again(tmp_path):
+    course = Course(traced("coin", lambda xy: np.hypot(*xy.T) - 5, within_mm=8), starts=1, depth_mm=2.0)
     walks, line = follow_contour(course, TACTIP_331, SETTINGS, WAYS, tmp_path / "coin.npz")
+    assert stored_walks(tmp_path / "coin.npz")[0] == course
     assert walks.end[0] == CLOSED and walks.way_mm[0] >= line.length
     row = walk_rows(walks, line, "coin")[0]
     assert row["closed"] == 1 and row["completed"] == 1 and row["mean_mm"] < 0.5 and row["ends"] == {"closed": 1}

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.explore.outline import MOST_CORNERS, drawn, outlines
+from jaxunshear.explore.outline import drawn, outlines
 from jaxunshear.scene.stimuli import STIMULI, signed_distance
+from jaxunshear.settings.stimuli import MOST_CORNERS
 
 ANGLE = np.linspace(0, 2 * np.pi, 200, endpoint=False)
 RING = 12 * np.stack([np.cos(ANGLE), np.sin(ANGLE)], -1)
@@ -37,7 +38,7 @@ def test_outlines_run_along_the_edge():
         (np.array([[0.0, 0.0], [1.0, 1.0]]), "a point or a line"),
         (RING / 12, "encloses less"),
         (np.array([[0.0, 0.0], [10.0, 10.0], [10.0, 0.0], [-3.0, 20.0]]), "crosses itself"),
-        (np.array([[0.0, 0.0], [np.nan, 1.0], [3.0, 0.0]]), "not finite"),
+        (np.array([[0.0, 0.0], [np.nan, 1.0], [3.0, 0.0]]), "must be finite"),
         (np.repeat(RING, 3, 0) * (1 + 0.2 * (np.arange(600) % 2))[:, None], "corners"),
     ],
 )

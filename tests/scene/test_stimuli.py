@@ -13,8 +13,8 @@ from jaxunshear.scene.stimuli import (
     STIMULI,
     TRAINING,
     UNSEEN,
+    followed,
     outward_normal,
-    shape_named,
     signed_distance,
     stimulus_named,
 )
@@ -68,7 +68,7 @@ def test_names():
     with pytest.raises(UserError, match="pyramid"):
         stimulus_named("pyramid")
     with pytest.raises(UserError, match="has no outline"):
-        shape_named("surface")
+        followed("surface")
 
 
 def test_an_edge_and_a_surface_are_exact():

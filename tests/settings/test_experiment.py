@@ -9,11 +9,12 @@ from typing import get_args
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.data import Recorded, RecordedTaps, StimulusName
+from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.fields import field_types, override, replaced
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.rules import rules, validate
+from jaxunshear.settings.stimuli import StimulusName
 from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import check_types

@@ -29,7 +29,7 @@ class TactipPaired(SimulatedSet, skip_registration=True):  # type: ignore[call-a
             "edge": tfds.features.Tensor(shape=(2,), dtype=np.float32),
             "move": tfds.features.Tensor(shape=(3 if settings.ranges.twist_deg else 2,), dtype=np.float32),
             "friction": np.float32,
-            "stimulus": tfds.features.ClassLabel(names=list(settings.stimuli)),
+            "stimulus": tfds.features.ClassLabel(names=list(settings.names)),
             "pose_id": np.int32,
             "slide_id": np.int32,
             "tap_id": np.int32,

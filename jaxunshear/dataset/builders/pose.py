@@ -24,7 +24,7 @@ class TactipPose(SimulatedSet, skip_registration=True):  # type: ignore[call-arg
             "pins": tfds.features.Tensor(shape=(pins, 2), dtype=np.float32, encoding="bytes"),
             "pose": tfds.features.Tensor(shape=(6 if settings.ranges.tilt_deg else 4,), dtype=np.float32),
             "edge": tfds.features.Tensor(shape=(2,), dtype=np.float32),
-            "stimulus": tfds.features.ClassLabel(names=list(settings.stimuli)),
+            "stimulus": tfds.features.ClassLabel(names=list(settings.names)),
             "pose_id": np.int32,
             "residual_mm": np.float32,
             "age": np.float32,
