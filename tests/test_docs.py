@@ -9,6 +9,7 @@ import pytest
 
 from jaxunshear import __version__
 from jaxunshear.cli import main
+from jaxunshear.settings.rules import validate
 
 ROOT = Path(__file__).resolve().parents[1]
 TABLES = runpy.run_path(str(ROOT / "docs" / "make_tables.py"))["TABLES"]
@@ -56,6 +57,14 @@ def test_commands_exist(page, capsys):
 @pytest.mark.parametrize("page", PAGES)
 def test_pages_are_short(page):
     assert len((ROOT / page).read_text().splitlines()) <= MOST_LINES.get(page, 200)
+
+
+@pytest.mark.parametrize("page", ["docs/simulator.md"])
+def test_examples_of_settings_run(page):
+    (example,) = re.findall(r"```python\n(.*?)```", (ROOT / page).read_text(), re.DOTALL)
+    names: dict = {}
+    exec(example, names)
+    validate(names["experiment"])
 
 
 def test_one_version():

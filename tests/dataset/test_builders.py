@@ -24,6 +24,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import CONFIGS, VERSION, set_folder, unfinished_folder
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.stimuli import Outline
 
 BUILDERS = {"tactip_paired": data_specs.tactip_paired.Builder, "tactip_pose": data_specs.tactip_pose.Builder}
 
@@ -79,6 +80,19 @@ def test_metadata_gives_settings_and_counts(paired, sensor, engine, tmp_path):
     assert metadata["counts"]["written"] == {"train": 36, "validation": 12, "test": 12}
     assert metadata["counts"]["dropped_scenes"] == []
     assert metadata == json.loads((set_folder(paired, sensor, tmp_path) / "metadata.json").read_text())
+
+
+def test_a_set_of_an_outline_calls_it_by_its_name(paired, sensor, engine, tmp_path):
+    kite = Outline("kite", ((0, -15), (12, 0), (0, 25), (-12, 0)))
+    own = dataclasses.replace(paired, stimuli=("disk", kite))
+    metadata = make_set(own, sensor, tmp_path, engine)
+    assert metadata["settings"]["stimuli"][1]["points"][1] == [12, 0]
+    assert make_set(own, sensor, tmp_path, engine._replace(simulate=None)) == metadata  # found again
+    rows = tfds.builder_from_directory(set_folder(own, sensor, tmp_path)).as_data_source("test")
+    assert rows.dataset_info.features["stimulus"].names == ["disk", "kite"]
+    assert {int(row["stimulus"]) for row in rows} == {0, 1}
+    edge = np.array([row["edge"][0] for row in rows if row["stimulus"] == 1])
+    assert np.ptp(edge) > 1 and np.abs(edge).max() < 9  # mm from its edge, which the target is on
 
 
 def test_both_sets_of_an_experiment(paired, pose, sensor, engine, tmp_path):

@@ -17,7 +17,9 @@ from jaxunshear.scene.stimuli import (
     outward_normal,
     signed_distance,
     stimulus_named,
+    stimulus_of,
 )
+from jaxunshear.settings.stimuli import Outline
 
 EDGED = (*SHAPES, "edge")
 
@@ -69,6 +71,18 @@ def test_names():
         stimulus_named("pyramid")
     with pytest.raises(UserError, match="has no outline"):
         followed("surface")
+
+
+def test_outlines_are_shapes_like_those_with_a_name():
+    lobed = ((-9, -3), (9, -3), (9, 3), (3, 3), (3, 9), (-3, 9), (-3, 3), (-9, 3))  # sides of it lie on one line
+    own = Outline("lobed", lobed, friction=0.3)
+    stimulus = stimulus_of(own)
+    assert stimulus is followed(own) is stimulus_of(Outline("lobed", lobed, friction=0.3)) and stimulus.friction == 0.3
+    assert stimulus_of("disk") is STIMULI["disk"] is stimulus_of(STIMULI["disk"])
+    points = jnp.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [-4.0, 7.0]])  # of the target frame
+    assert own.place == (9, 1.5, 0)
+    np.testing.assert_allclose(signed_distance(stimulus, points), [0, 1, -1, 2], atol=1e-5)
+    np.testing.assert_allclose(outward_normal(stimulus, points[:2]), [[1, 0], [1, 0]], atol=1e-6)
 
 
 def test_an_edge_and_a_surface_are_exact():
