@@ -5,6 +5,8 @@
 >>> model.unshear(images)                             # (B, S, S) in [0, 1]
 >>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
 >>> model.codes(images).pose                          # (B, F)
+
+What the commands do with a model are functions, too: `servo`, `find_pins`.
 """
 
 from collections.abc import Callable
@@ -17,6 +19,9 @@ from jax import Array
 
 from jaxunshear.applications.perceiver import Answers, Perceiver, frame_for, perceiver
 from jaxunshear.applications.perception import BATCH, in_batches
+from jaxunshear.applications.pins import Pins, find_pins
+from jaxunshear.applications.servo import Course
+from jaxunshear.applications.walk_scores import Followed, servo
 from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
@@ -26,6 +31,8 @@ from jaxunshear.model.unshearing import encode
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.training.checkpoint import holds_model, load_best, read_net
+
+__all__ = ["Codes", "Course", "Followed", "Model", "Pins", "find_pins", "load_model", "servo"]
 
 NETWORK = DISENTANGLED
 

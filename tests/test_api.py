@@ -1,13 +1,21 @@
 """Trained models from Python: what goes in is checked, what comes out is what the commands give."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from jaxunshear import load_model
+from jaxunshear.api import Course
+from jaxunshear.api import servo as walk
+from jaxunshear.applications import servo
+from jaxunshear.applications.contour import outline
 from jaxunshear.applications.perceiver import UNSHEARED
 from jaxunshear.errors import UserError
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
+from jaxunshear.scene.stimuli import STIMULI
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +71,29 @@ def test_models_that_are_none_are_refused_by_name(tmp_path):
         load_model(tmp_path)
     with pytest.raises(UserError, match="reads pins of any sensor"):
         load_model("skin")
+
+
+def test_the_example_of_uses_runs(monkeypatch, capsys):
+    """Two steps of its walk."""
+    monkeypatch.setattr(servo, "PATIENCE", 2 * 0.5 / outline(STIMULI["disk"]).length * 0.999)
+    page = (Path(__file__).parents[1] / "docs" / "api.md").read_text()
+    (example,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    names: dict = {}
+    exec(example, names)
+    assert names["way_of_the_sensor"].shape == (2, 2, 3) and np.isfinite(names["way_of_the_sensor"]).all()
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["true", "disentangled"]
+    assert names["found"].scores[0].ends == {"took too long": 1} and names["found"].course.stimulus == "disk"
+
+
+@pytest.mark.parametrize(
+    ("course", "ways", "reason"),
+    [
+        (Course("disk", starts=0), None, "--starts 0"),
+        (Course("surface"), None, "no outline that closes"),
+        (Course("disk", depth_mm=30.0), None, "--depth 30: use more than 0"),
+        (Course("disk"), ("smell",), "perception 'smell' is unknown"),
+    ],
+)
+def test_walks_that_cannot_start_are_refused_at_once(model, course, ways, reason):
+    with pytest.raises(UserError, match=reason):
+        walk(model.folder, model.experiment, [course], ways)

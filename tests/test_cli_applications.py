@@ -11,11 +11,14 @@ from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.geometry_ways import WAYS
 from jaxunshear.cli import options
+from jaxunshear.results.applications import WalkScores
+from jaxunshear.results.stored import SCHEMA, record_of
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.storage import plain
 from tests.test_infer import init, trained
 
 
@@ -115,7 +118,10 @@ def test_servo_then_reconstruct(command, tmp_path, monkeypatch, model):
     words = ("--model", model, "--out", out, "--stimulus", "disk")
     answer = command("servo", *words, "--starts", 1, "--json", tmp_path / "rows.json")
     assert answer.code == 0, answer.err
-    rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
+    held = json.loads((tmp_path / "rows.json").read_text())
+    rows = record_of(held, WalkScores, "rows.json", "walk again").rows
+    assert held["schema"] == SCHEMA and held["rows"] == plain(rows)
+    rows = held["rows"]
     assert [row["name"] for row in rows] == ["disk/true", "disk/sheared", "disk/disentangled"]
     assert all(0 <= row["completed"] < 0.1 and row["closed"] == 0 and row["mean_mm"] < 9 for row in rows)
     assert Image.open(out / "disk.png").size[0] > 300

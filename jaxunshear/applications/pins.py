@@ -1,10 +1,11 @@
 """`jaxunshear pins`: where each pin of recorded images stands, and how far it has moved.
 
-Images in; `pins.npz` (places and motions by identity) and `pins.csv` (a line an image) out.
+>>> found = find_pins(Path("recordings"), layout_of(TACTIP_331))
+>>> found.motion_px[found.sure]                           # (images, pins, 2)
 """
 
-import io
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,13 +19,26 @@ from jaxunshear.image.preprocess import View
 from jaxunshear.image.track import Track
 from jaxunshear.image.tracking import follow_all
 from jaxunshear.progress import Progress
+from jaxunshear.results.applications import PinRow, PinRows
 from jaxunshear.settings.image import Preprocess
-from jaxunshear.storage import Json, csv_text, write_bytes, write_text
 
 LARGEST_PX = 256  # larger frames are made this size; smaller ones gain nothing from being enlarged
 DRAWN = 12
 
 Shown = list[tuple[str, np.ndarray, Track]]
+
+
+@dataclass(frozen=True)
+class Pins:
+    """P pins of N images by identity; NaN for those that were not found, and where an image's identities are not sure."""
+
+    name: np.ndarray  # (N,) of the images
+    sure: np.ndarray  # (N,) bool
+    place_px: np.ndarray  # (N, P, 2)
+    motion_px: np.ndarray  # (N, P, 2) from where the pins stand untouched
+    lattice: Lattice  # where that is
+    table: PinRows  # how well it went, image by image
+    shown: Shown  # some images, to be drawn
 
 
 def prepared_size(path: Path) -> int:
@@ -38,16 +52,15 @@ def prepared_size(path: Path) -> int:
     return LARGEST_PX  # none can be read, which `frames` will report
 
 
-def pins_of_recordings(
-    path: Path, lattice: Lattice | Layout, preprocess: Preprocess, out: Path, rest: Path | None = None
-) -> tuple[Json, Lattice, Shown]:
-    """What was measured, the untouched pins, and some images to draw; writes `pins.npz` and `pins.csv` to `out`.
-
-    Rows by image: `name`, `matched` pins (0 where identities are not sure), `sure`, `doubt`, `missed`, `extra`.
+def find_pins(
+    path: Path, lattice: Lattice | Layout, preprocess: Preprocess | None = None, rest: Path | None = None
+) -> Pins:
+    """Of an image or a folder of recordings, prepared as `preprocess` says, or else in their own size.
 
     A `lattice` is where the untouched pins stand; a layout is fitted, to untouched images at `rest` or else to the images themselves:
     motions are then from their mean place. Raises `UserError` where nothing can be read or pins are not this layout's.
     """
+    preprocess = preprocess or Preprocess(size=prepared_size(path))
     recordings = read_recordings(path, preprocess)
     view = recordings.common_view()
     found, names, drawn, spent = _found(recordings, view)
@@ -60,29 +73,19 @@ def pins_of_recordings(
     fitted = time.perf_counter()
     tracks = follow_all(lattice, found)
     spent += time.perf_counter() - fitted
-    rows = [_row(name, track) for name, track in zip(names, tracks, strict=True)]
     place = lattice.place + np.array([np.where(t.sure, t.motion, np.nan) for t in tracks])
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        name=np.array(names),
-        sure=np.array([track.sure for track in tracks]),
-        place_px=place.astype(np.float32),
-        motion_px=(place - lattice.place).astype(np.float32),
-        undeformed_px=lattice.place.astype(np.float32),
+    table = PinRows(
+        rows=[_row(name, track) for name, track in zip(names, tracks, strict=True)],
+        pins=len(lattice.place),
+        image_px=preprocess.size,
+        motion_from=origin,
+        fit_s=fitted - began,
+        ms_per_image=1e3 * spent / len(names),
+        left_out=list(recordings.notes),
     )
-    write_bytes(out / "pins.npz", buffer.getvalue())
-    write_text(out / "pins.csv", csv_text(rows))
-    measured = {
-        "rows": rows,
-        "pins": len(lattice.place),
-        "image_px": preprocess.size,
-        "motion_from": origin,
-        "fit_s": fitted - began,
-        "ms_per_image": 1e3 * spent / len(names),
-        "left_out": list(recordings.notes),
-    }
-    return measured, lattice, [(names[i], image, tracks[i]) for i, image in drawn.items()]
+    shown = [(names[i], image, tracks[i]) for i, image in drawn.items()]
+    sure = np.array([track.sure for track in tracks])
+    return Pins(np.array(names), sure, place, place - lattice.place, lattice, table, shown)
 
 
 def _found(recordings: Recordings, view: View) -> tuple[list[Found], list[str], dict[int, np.ndarray], float]:
@@ -106,32 +109,31 @@ def _found(recordings: Recordings, view: View) -> tuple[list[Found], list[str], 
     return found, names, drawn, spent
 
 
-def _row(name: str, track: Track) -> Json:
-    finite = np.isfinite(track.doubt)
-    return {
-        "name": name,
-        "matched": int(track.seen.sum()) if track.sure else 0,
-        "sure": track.sure,
-        "doubt": round(track.doubt, 4) if finite else None,
-        "missed": track.missed,
-        "extra": track.extra,
-        "largest_motion_px": round(float(np.nanmax(np.linalg.norm(track.motion, axis=-1))), 3) if track.sure else None,
-    }
+def _row(name: str, track: Track) -> PinRow:
+    return PinRow(
+        name=name,
+        matched=int(track.seen.sum()) if track.sure else 0,
+        sure=track.sure,
+        doubt=round(track.doubt, 4) if np.isfinite(track.doubt) else None,
+        missed=track.missed,
+        extra=track.extra,
+        largest_motion_px=round(float(np.nanmax(np.linalg.norm(track.motion, axis=-1))), 3) if track.sure else None,
+    )
 
 
-def summary(measured: Json) -> str:
+def summary(table: PinRows) -> str:
     """What a person wants to know at once."""
-    rows, pins = measured["rows"], measured["pins"]
-    sure = [row for row in rows if row["sure"]]
+    rows, pins = table.rows, table.pins
+    sure = [row for row in rows if row.sure]
     lines = [
         f"{len(rows)} images: {len(sure)} with every pin's identity sure ({100 * len(sure) / len(rows):.1f} %), "
-        f"{sum(row['matched'] == pins for row in sure)} of them with all {pins} pins",
-        f"motions are from {measured['motion_from']}; {measured['ms_per_image']:.1f} ms an image",
+        f"{sum(row.matched == pins for row in sure)} of them with all {pins} pins",
+        f"motions are from {table.motion_from}; {table.ms_per_image:.1f} ms an image",
     ]
-    unsure = [row["name"] for row in rows if not row["sure"]]
+    unsure = [row.name for row in rows if not row.sure]
     if unsure:
         lines.append(
             f"not matched: {', '.join(unsure[:8])}{f', and {len(unsure) - 8} more' if len(unsure) > 8 else ''}"
         )
-    lines += [f"note: {note}" for note in measured["left_out"][:5]]
+    lines += [f"note: {note}" for note in table.left_out[:5]]
     return "\n".join(lines)

@@ -88,12 +88,13 @@ def follow_contour(
     sensor: Sensor,
     settings: PairedData,
     ways: Mapping[str, Perceive | None],
-    file: Path,
+    file: Path | None = None,
     digests: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Walks, Contour]:
     """Walks from every start by every way of perceiving (None: the true pose), until each has closed the outline or come to grief.
 
-    `settings` say how camera and image are. The walks are kept in `file` now and then, and in the end; the same call goes on from there.
+    `settings` say how camera and image are. The walks are kept in `file` now and then, and in the end; the same call
+    goes on from there. None: nowhere.
     `digests` of the networks of each way identify walks of other networks.
     """
     stimulus = stimulus_of(course.stimulus)
@@ -274,14 +275,16 @@ def stored_walks(file: Path) -> tuple[Course, Walks]:
         raise UserError(f"{file} cannot be read ({error}): delete it and run the same command again") from error
 
 
-def _store(file: Path, course: Course, walks: Walks) -> None:
+def _store(file: Path | None, course: Course, walks: Walks) -> None:
+    if file is None:
+        return
     buffer = io.BytesIO()
     np.savez(buffer, course=json.dumps(dataclasses.asdict(course)), **vars(walks))
     write_bytes(file, buffer.getvalue())
 
 
-def _stored(file: Path, course: Course, ways: tuple[str, ...], made: str) -> Walks | None:
-    if not file.exists():
+def _stored(file: Path | None, course: Course, ways: tuple[str, ...], made: str) -> Walks | None:
+    if file is None or not file.exists():
         return None
     before, walks = stored_walks(file)
     if before != course or tuple(dict.fromkeys(walks.way.tolist())) != ways:

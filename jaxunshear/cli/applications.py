@@ -40,15 +40,16 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     check_new_folder(out)
     if out.resolve() != home.resolve():
         check_apart(out, "--out")
-    results = WORK[arguments.command].run(arguments, out, model)
+    found = WORK[arguments.command].run(arguments, out, model)
     from jaxunshear.metrics.machine import machine, versions
-    from jaxunshear.storage import write_json
+    from jaxunshear.results.stored import write
 
-    results = {"command": command} | results | {"machine": machine(), "versions": versions()}
+    fields = found if isinstance(found, dict) else vars(found)
+    results = {"command": command} | fields | {"machine": machine(), "versions": versions()}
     if arguments.json:
-        write_json(arguments.json, results)
+        write(arguments.json, results)
     if arguments.command != "stream" or finished:
-        write_json(out / f"{arguments.command}.json", results)
+        write(out / f"{arguments.command}.json", results)
     if model and finished and out == home:
         from jaxunshear.report.report import write_report
 

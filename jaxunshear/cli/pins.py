@@ -5,8 +5,9 @@ from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, new_parser
 from jaxunshear.errors import UserError
+from jaxunshear.results.applications import PinRows
 from jaxunshear.settings.experiment import simulated_of
-from jaxunshear.storage import Json, check_beside
+from jaxunshear.storage import check_beside
 
 
 def add_parser(commands: Commands) -> None:
@@ -26,16 +27,18 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("--size", metavar="PX", type=int, help="of the prepared images (theirs, at most 256)")
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> Json:
-    from dataclasses import replace
+def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRows:
+    import io
 
-    from jaxunshear.applications import pins
+    import numpy as np
+
+    from jaxunshear.applications.pins import find_pins, summary
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.image.fitting import Layout, layout_of, read_layout
     from jaxunshear.image.lattice import Lattice
     from jaxunshear.settings.image import Preprocess
     from jaxunshear.settings.sensor import sensor_named
-    from jaxunshear.storage import write_bytes
+    from jaxunshear.storage import csv_text, plain, write_bytes, write_text
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
@@ -44,7 +47,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> Json:
         read_recordings(recordings, Preprocess())  # refuses a place without images before there is work to lose
     if arguments.size is not None and not 32 <= arguments.size <= 2048:
         raise UserError(f"--size {arguments.size}: use 32 to 2048 px")
-    preprocess = Preprocess()
+    preprocess = Preprocess(size=arguments.size) if arguments.size else None
     lattice: Lattice | Layout
     if model:
         from jaxunshear.image.framing import undeformed
@@ -57,11 +60,21 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> Json:
         lattice = undeformed(experiment.sensor, paired.camera, preprocess)
     else:
         lattice = read_layout(arguments.layout) if arguments.layout else layout_of(sensor_named(arguments.sensor))
-        preprocess = replace(preprocess, size=arguments.size or pins.prepared_size(arguments.path))
-    measured, fitted, shown = pins.pins_of_recordings(arguments.path, lattice, preprocess, out, arguments.rest)
+    found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
     from jaxunshear.report.pin_figure import pin_figure
 
-    write_bytes(out / "pins.png", pin_figure(fitted, shown))
-    print(pins.summary(measured))
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        name=found.name,
+        sure=found.sure,
+        place_px=found.place_px.astype(np.float32),
+        motion_px=found.motion_px.astype(np.float32),
+        undeformed_px=found.lattice.place.astype(np.float32),
+    )
+    write_bytes(out / "pins.npz", buffer.getvalue())
+    write_text(out / "pins.csv", csv_text(plain(found.table.rows)))
+    write_bytes(out / "pins.png", pin_figure(found.lattice, found.shown))
+    print(summary(found.table))
     print(out / "pins.png")
-    return measured
+    return found.table

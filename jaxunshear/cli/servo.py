@@ -4,9 +4,7 @@ import argparse
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, add_model, add_stimulus, new_parser, stimuli_of
-from jaxunshear.errors import UserError
-from jaxunshear.settings.experiment import simulated_of
-from jaxunshear.storage import Json
+from jaxunshear.results.applications import WalkScore, WalkScores
 
 
 def add_parser(commands: Commands) -> None:
@@ -23,37 +21,22 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the starts (0)")
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
-    from jaxunshear.applications import perception, servo
-    from jaxunshear.applications.walk_scores import walk_rows
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> WalkScores:
+    from jaxunshear.applications.servo import Course
+    from jaxunshear.applications.walk_scores import servo
     from jaxunshear.report.walk_figure import walk_figure
-    from jaxunshear.settings.reach import deepest_mm
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table
 
     stimuli = stimuli_of(arguments.stimulus)
-    if arguments.starts < 1:
-        raise UserError(f"--starts {arguments.starts}: use at least 1")
-    if arguments.seed < 0:
-        raise UserError(f"--seed {arguments.seed}: use 0 or more")
-    folder, experiment = model
-    paired, _ = simulated_of(experiment, "servo")
-    deepest = deepest_mm(experiment.sensor)
-    if not 0 < arguments.depth <= deepest:
-        raise UserError(f"--depth {arguments.depth:g}: use more than 0, up to {deepest:.1f} mm")
-    if not arguments.ways and not perception.ways_of(folder):
-        raise UserError(
-            f"{folder} holds no trained networks to perceive by: train them first, or ask for --ways {perception.TRUE}"
-        )
-    chosen = arguments.ways.split(",") if arguments.ways else (perception.TRUE, *perception.ways_of(folder))
-    known = perception.perceptions(folder, experiment, tuple(way for way in chosen if way != perception.TRUE))
-    ways, digests = {way: known.get(way) for way in chosen}, perception.digests(folder, chosen)
-    rows: list[Json] = []
-    for touched in stimuli:
-        name, course = str(touched), servo.Course(touched, arguments.starts, arguments.depth, seed=arguments.seed)
-        walks, line = servo.follow_contour(course, experiment.sensor, paired, ways, out / f"{name}.npz", digests)
-        rows += walk_rows(walks, line, name)
-        write_bytes(out / f"{name}.png", walk_figure(walks, line, name))
-        print(plain_table(rows[-len(ways) :], ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")))
+    courses = [Course(touched, arguments.starts, arguments.depth, seed=arguments.seed) for touched in stimuli]
+    ways = tuple(arguments.ways.split(",")) if arguments.ways else None
+    rows: list[WalkScore] = []
+    for found in servo(*model, courses, ways, out):
+        name = str(found.course.stimulus)
+        rows += found.scores
+        write_bytes(out / f"{name}.png", walk_figure(found.walks, found.line, name))
+        columns = ("name", "completed", "closed", "mean_mm", "p95_mm", "largest_mm")
+        print(plain_table([vars(row) for row in found.scores], columns))
     print(out)
-    return {"rows": rows}
+    return WalkScores(rows)

@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jaxunshear.api import find_pins
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import frame, project
-from jaxunshear.image.fitting import read_layout
+from jaxunshear.image.fitting import layout_of, read_layout
+from jaxunshear.results.applications import PinRows
+from jaxunshear.results.stored import SCHEMA, record_of
 from jaxunshear.scene.pins import pin_lattice, pin_tips
 from jaxunshear.settings.image import Camera, Nuisance
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
+from jaxunshear.storage import plain
 
 CAMERA = Camera(frame_px=256)
 
@@ -45,7 +49,9 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
         *("pins", tmp_path / "images", "--sensor", sensor.name, "--rest", tmp_path / "rest", "--out", tmp_path / "out")
     )
     assert answer.code == 0, answer.err
-    rows = json.loads((tmp_path / "out" / "pins.json").read_text())["rows"]
+    held = json.loads((tmp_path / "out" / "pins.json").read_text())
+    rows = held["rows"]
+    assert plain(record_of(held, PinRows, "pins.json", "run it again").rows) == rows and held["schema"] == SCHEMA
     assert [(row["name"], row["matched"], row["sure"]) for row in rows] == [
         (f"image_{n}.png", sensor.pins, True) for n in range(len(SHIFTS))
     ]
@@ -57,6 +63,17 @@ def test_pins_of_simulated_frames(command, tmp_path, sensor):
     np.testing.assert_allclose(np.sort(np.linalg.norm(motion, axis=-1), axis=-1), expected, atol=0.8)
     assert Image.open(tmp_path / "out" / "pins.png").size[0] > 400
     assert f"{len(SHIFTS)} with every pin's identity sure" in answer.out
+
+
+def test_from_python_as_arrays(tmp_path):
+    grey, true = frames(TACTIP_127, SHIFTS)
+    write(tmp_path / "images", [*grey, np.random.default_rng(0).random((256, 256))])
+    found = find_pins(tmp_path / "images", layout_of(TACTIP_127))
+    assert found.sure.tolist() == [True] * len(SHIFTS) + [False] and found.name[0] == "image_0.png"
+    assert found.motion_px.shape == (len(SHIFTS) + 1, 127, 2) and np.isnan(found.motion_px[-1]).all()
+    np.testing.assert_allclose(found.motion_px[:-1].mean(axis=0), 0, atol=0.8)  # from the mean place in these images
+    assert found.table.image_px == 256 and [row.matched for row in found.table.rows] == [127] * len(SHIFTS) + [0]
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "images"]  # nothing is written
 
 
 def test_frames_that_show_no_pins_are_reported_not_guessed(command, tmp_path):

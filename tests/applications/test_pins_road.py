@@ -12,7 +12,7 @@ from PIL import Image
 from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.perception import perceptions, unshearers, unshearing_of, ways_of
-from jaxunshear.applications.walk_scores import walk_rows
+from jaxunshear.applications.walk_scores import walk_scores
 from jaxunshear.cli import options
 from jaxunshear.dataset.chunks import render
 from jaxunshear.image.dots import dots
@@ -109,8 +109,8 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path, monkeypatc
     steps = np.diff(walks.point[0], axis=0)
     np.testing.assert_allclose(np.linalg.norm(steps[:, :2], axis=-1), course.gains.step_mm, rtol=1e-5)
     np.testing.assert_allclose(steps[:, 2], 0, atol=1e-6)
-    row = walk_rows(walks, line, "disk")[0]
-    assert row["steps"] == row["unfollowed"] == int(walks.steps) and row["seen_mean_mm"] is None
+    row = walk_scores(walks, line, "disk")[0]
+    assert row.steps == row.unfollowed == int(walks.steps) and row.seen_mean_mm is None
 
 
 @pytest.mark.long

@@ -8,7 +8,7 @@ import pytest
 from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.servo import CLOSED, LATE, LOST, Course, first_points, follow_contour, stored_walks
-from jaxunshear.applications.walk_scores import seen_edge, walk_rows
+from jaxunshear.applications.walk_scores import seen_edge, walk_scores
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import PairedData
@@ -35,10 +35,10 @@ def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(short,
     # friction drags the skin against the way: along the edge, y of the sensor frame
     dragged = walks.force_n.sum(axis=1)
     assert (dragged[:, 1] < -0.1 * dragged[:, 2]).all()
-    row = walk_rows(walks, line, "disk")[0]
-    assert row["name"] == "disk/true" and row["closed"] == 0 and row["ends"] == {"took too long": 2}
-    assert row["completed"] == pytest.approx(7.5 / line.length, rel=0.15)
-    assert len(row["walk_mm"]) == 2 and min(row["walk_mm"]) <= row["mean_mm"] <= max(row["walk_mm"])
+    row = walk_scores(walks, line, "disk")[0]
+    assert row.name == "disk/true" and row.closed == 0 and row.ends == {"took too long": 2}
+    assert row.completed == pytest.approx(7.5 / line.length, rel=0.15)
+    assert len(row.walk_mm) == 2 and min(row.walk_mm) <= row.mean_mm <= max(row.walk_mm)
     np.testing.assert_allclose(seen_edge(walks, 0)[-1], line.points[line.at(walks.arc_mm[0])], atol=0.3)
 
 
@@ -72,8 +72,8 @@ def test_a_walk_that_is_misled_is_lost_and_reported(short, tmp_path, monkeypatch
     astray = {"astray": lambda images: (np.full(len(images), -5.0), np.zeros(len(images)))}  # "go outwards"
     walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, astray, tmp_path / "disk.npz")
     assert (walks.end == LOST).all() and walks.steps < 16
-    row = walk_rows(walks, line, "disk")[0]
-    assert row["ends"] == {"lost the edge": 2} and row["largest_mm"] > 3
+    row = walk_scores(walks, line, "disk")[0]
+    assert row.ends == {"lost the edge": 2} and row.largest_mm > 3
 
 
 def test_a_walk_around_an_outline_of_ones_own_closes_and_is_found_again(tmp_path):
@@ -81,8 +81,8 @@ def test_a_walk_around_an_outline_of_ones_own_closes_and_is_found_again(tmp_path
     walks, line = follow_contour(course, TACTIP_331, SETTINGS, WAYS, tmp_path / "coin.npz")
     assert stored_walks(tmp_path / "coin.npz")[0] == course
     assert walks.end[0] == CLOSED and walks.way_mm[0] >= line.length
-    row = walk_rows(walks, line, "coin")[0]
-    assert row["closed"] == 1 and row["completed"] == 1 and row["mean_mm"] < 0.5 and row["ends"] == {"closed": 1}
+    row = walk_scores(walks, line, "coin")[0]
+    assert row.closed == 1 and row.completed == 1 and row.mean_mm < 0.5 and row.ends == {"closed": 1}
 
 
 def test_starts_are_spread_and_the_same_for_a_seed():
