@@ -6,7 +6,7 @@
 >>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
 >>> model.codes(images).pose                          # (B, F)
 
-What the commands do with a model are functions, too: `servo`, `find_pins`.
+What the commands do with a model are functions, too: `servo`, `reconstruct`, `geometry`, `find_pins`.
 """
 
 from collections.abc import Callable
@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from jax import Array
 
+from jaxunshear.applications.geometry_scores import Felt, geometry
+from jaxunshear.applications.objects import Objects, reconstruct
 from jaxunshear.applications.perceiver import Answers, Perceiver, frame_for, perceiver
 from jaxunshear.applications.perception import BATCH, in_batches
 from jaxunshear.applications.pins import Pins, find_pins
@@ -32,7 +34,20 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.training.checkpoint import holds_model, load_best, read_net
 
-__all__ = ["Codes", "Course", "Followed", "Model", "Pins", "find_pins", "load_model", "servo"]
+__all__ = [
+    "Codes",
+    "Course",
+    "Felt",
+    "Followed",
+    "Model",
+    "Objects",
+    "Pins",
+    "find_pins",
+    "geometry",
+    "load_model",
+    "reconstruct",
+    "servo",
+]
 
 NETWORK = DISENTANGLED
 

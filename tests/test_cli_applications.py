@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.applications import servo
+from jaxunshear.applications import fresh, servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.geometry_ways import WAYS
-from jaxunshear.cli import options
 from jaxunshear.results.applications import WalkScores
 from jaxunshear.results.stored import SCHEMA, record_of
 from jaxunshear.scene.stimuli import STIMULI
@@ -53,7 +52,7 @@ def model(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch):
-    monkeypatch.setattr(options, "KNOWN", 12)
+    monkeypatch.setattr(fresh, "KNOWN", 12)
 
 
 @pytest.mark.parametrize(

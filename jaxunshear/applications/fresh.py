@@ -17,6 +17,7 @@ from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.experiment import Experiment, simulated_of
 from jaxunshear.settings.splits import BLOCK
 
+KNOWN = 300  # simulated taps that scales are fitted to
 SEED = 1_000_003  # added to the data's
 
 

@@ -6,18 +6,24 @@ heights where the image's pins are. `growth` alone is compared pin by pin, where
 
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.applications.fresh import FreshContacts
+from jaxunshear.applications import fresh
+from jaxunshear.applications.fresh import FreshContacts, fresh_contacts, untouched_images
 from jaxunshear.applications.geometry import read_at
-from jaxunshear.applications.geometry_ways import GROWTH, Way
-from jaxunshear.applications.perception import Unshear
+from jaxunshear.applications.geometry_ways import GROWTH, Way, ways_of
+from jaxunshear.applications.perception import Unshear, unshearers, unshearing_of
+from jaxunshear.errors import UserError
 from jaxunshear.evaluation.spread import intervals
+from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
-from jaxunshear.storage import Json
+from jaxunshear.results.applications import GeometryScore, GeometryScores
+from jaxunshear.settings.experiment import Experiment, simulated_of
 
 SEED = 0
 UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact
@@ -28,6 +34,36 @@ class Geometry(NamedTuple):
 
     height_mm: dict[tuple[str, str], np.ndarray]  # (N, P)
     ms: dict[tuple[str, str], float]  # an image, from image to heights, networks included
+
+
+@dataclass(frozen=True)
+class Felt:
+    """Contacts that no network has seen, their heights, and how well these agree with the truth."""
+
+    lattice: Lattice  # where pins stand untouched
+    contacts: FreshContacts
+    geometry: Geometry
+    ways: Mapping[str, Way]  # from pins to heights
+    networks: Mapping[str, Unshear]  # that unshear
+    table: GeometryScores
+
+
+def geometry(folder: Path, experiment: Experiment, count: int = 300) -> Felt:
+    """Contact geometry by the networks of a finished run in `folder`, of about `count` fresh contacts; scales are fitted to other taps.
+    Raises UserError."""
+    if count < 3:
+        raise UserError(f"--contacts {count}: use at least 3")
+    paired, _ = simulated_of(experiment, "geometry")
+    networks = unshearers(folder, experiment, unshearing_of(folder))
+    if not networks:
+        raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
+    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
+    ways = ways_of(experiment, lattice, fresh_contacts(experiment, fresh.KNOWN, seed=1))
+    contacts = fresh_contacts(experiment, count)
+    found = geometry_of(lattice, contacts, untouched_images(experiment, len(contacts.stimulus)), ways, networks)
+    scales = {name: way.mm for name, way in ways.items()}
+    table = GeometryScores(_scores(paired.names, contacts, found), scales, contacts.dropped)
+    return Felt(lattice, contacts, found, ways, networks, table)
 
 
 def geometry_of(
@@ -61,36 +97,35 @@ def geometry_of(
     return Geometry(height, ms)
 
 
-def geometry_rows(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> list[Json]:
-    """A row for each stimulus, kind and way, and for all stimuli: mean correlation with its interval, rmse, and what was left out.
-
-    Of images of no contact: the correlation with the taps' indentation, as a floor, and the largest height in the place of an rmse.
-    """
+def _scores(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> list[GeometryScore]:
+    """For each stimulus, kind and way, and for all stimuli."""
     rows = []
     groups = {"all": np.ones(len(contacts.stimulus), bool)}
     groups |= {name: contacts.stimulus == index for index, name in enumerate(names)}
     for group, inside in groups.items():
         for (kind, way), height in geometry.height_mm.items():
             matched = inside & ~np.isnan(height[:, 0])
-            row: Json = {
-                "name": f"{group}/{kind}/{way}",
-                "stimulus": group,
-                "kind": kind,
-                "way": way,
-                "contacts": int(inside.sum()),
-                "unmatched": int((inside & ~matched).sum()),
-                "ms_per_image": geometry.ms[kind, way],
-            }
+            row = GeometryScore(
+                name=f"{group}/{kind}/{way}",
+                stimulus=group,
+                kind=kind,
+                way=way,
+                contacts=int(inside.sum()),
+                unmatched=int((inside & ~matched).sum()),
+                ms_per_image=geometry.ms[kind, way],
+            )
             if matched.any():
                 true = contacts.indentation_mm[matched]
                 score = {"correlation": correlation(height[matched], true)}
                 if kind == UNTOUCHED:
-                    row["largest_mm"] = float(np.abs(height[matched]).max())
+                    row = replace(row, largest_mm=float(np.abs(height[matched]).max()))
                 else:
                     score["rmse_mm"] = np.sqrt(np.mean((height[matched] - true) ** 2, axis=-1))
                 spans = intervals(score, np.flatnonzero(matched), SEED)
-                for name, values in score.items():
-                    row |= {name: float(values.mean()), f"{name}_interval": spans[name]}
+                likeness = float(score["correlation"].mean())
+                row = replace(row, correlation=likeness, correlation_interval=spans["correlation"])
+                if "rmse_mm" in score:
+                    row = replace(row, rmse_mm=float(score["rmse_mm"].mean()), rmse_mm_interval=spans["rmse_mm"])
             rows.append(row)
     return rows
 

@@ -1,26 +1,31 @@
 """`jaxunshear reconstruct`: the shapes that walks around objects enclose, against the true ones."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxunshear.applications import fresh, perception
 from jaxunshear.applications.contour import Contour, outline
-from jaxunshear.applications.fresh import FreshContacts
+from jaxunshear.applications.fresh import FreshContacts, fresh_contacts
 from jaxunshear.applications.makers import Maker, makers_of
-from jaxunshear.applications.perception import Unshear, unsheared_by
+from jaxunshear.applications.perception import Unshear
 from jaxunshear.applications.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target
-from jaxunshear.applications.servo import CLOSED, Course, Walks
+from jaxunshear.applications.servo import CLOSED, WALKING, Course, Walks, made_with
 from jaxunshear.dataset.chunks import unpack
+from jaxunshear.errors import UserError
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.progress import Progress
+from jaxunshear.results.applications import ObjectScore
 from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_of
 from jaxunshear.settings.experiment import Experiment, simulated_of
-from jaxunshear.storage import Json
 
 EVERY = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
 
@@ -76,23 +81,54 @@ def solids(
     return found
 
 
-def objects_of(
-    experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], makers: Mapping[str, Maker]
-) -> dict[tuple[str, str], tuple[Json, Solid]]:
-    """By maker and way of perceiving: means over its walks as a row, and the object of its walk of middling likeness.
+@dataclass(frozen=True)
+class Objects:
+    """What walks around one object make of it, by maker and way of perceiving."""
+
+    course: Course
+    solids: Mapping[tuple[str, str], Solid]  # of the walk of middling likeness
+    scores: tuple[ObjectScore, ...]
+
+
+def reconstruct(folder: Path, experiment: Experiment, walked: Sequence[tuple[Course, Walks]]) -> Iterator[Objects]:
+    """Objects from finished walks by networks of the run in `folder`, each when it is done.
 
     Images are unsheared by the network that the walk perceived by; those of walks that know the true pose, or read the
-    pose code, by the disentangled one.
+    pose code, by the disentangled one. Raises UserError, for walks that are of others before anything is simulated.
     """
+    paired, _ = simulated_of(experiment, "reconstruct")
+    for course, walks in walked:
+        ways = tuple(dict.fromkeys(walks.way.tolist()))
+        if (walks.end == WALKING).any():
+            raise UserError(
+                f"walks around {course.stimulus} are not finished: run the same `jaxunshear servo` command again"
+            )
+        if str(walks.made) != made_with(experiment.sensor, paired, perception.digests(folder, ways)):
+            raise UserError(
+                f"walks around {course.stimulus} are of another model or sensor, or of an earlier simulator: name theirs with "
+                "--model, or walk again"
+            )
+    networks = perception.unshearers(folder, experiment, perception.unshearing_of(folder))
+
+    @cache
+    def makers(depth: float) -> dict[str, Maker]:
+        return makers_for(experiment, fresh_contacts(experiment, fresh.KNOWN, 1, depth))
+
+    return (_objects(experiment, each, networks, makers(each[0].depth_mm)) for each in walked)
+
+
+def _objects(
+    experiment: Experiment, walked: tuple[Course, Walks], networks: Mapping[str, Unshear], makers: Mapping[str, Maker]
+) -> Objects:
     course, walks = walked
     line = outline(stimulus_of(course.stimulus))
     paired, _ = simulated_of(experiment, "reconstruct")
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
-    found = {}
-    ways = list(dict.fromkeys(walks.way.tolist()))
+    typical: dict[tuple[str, str], Solid] = {}
+    scores = []
     with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:
-        for way in ways:
-            unshear = networks.get(unsheared_by(way))
+        for way in dict.fromkeys(walks.way.tolist()):
+            unshear = networks.get(perception.unsheared_by(way))
             rows, made = np.flatnonzero(walks.way == way), []
             for walk in rows:
                 made.append(solids(experiment, lattice, walked, int(walk), line, unshear, makers))
@@ -100,32 +136,30 @@ def objects_of(
             for maker in makers:
                 mine = [each[maker] for each in made]
                 order = np.argsort([each.likeness.iou for each in mine])
-                found[maker, way] = (
-                    _row(str(course.stimulus), maker, way, walks, rows, mine),
-                    mine[order[len(order) // 2]],
-                )
-    return found
+                typical[maker, way] = mine[order[len(order) // 2]]
+                scores.append(_score(str(course.stimulus), maker, way, walks, rows, mine))
+    return Objects(course, typical, tuple(scores))
 
 
-def _row(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> Json:
+def _score(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> ObjectScore:
     scores = np.array([each.likeness for each in solids])
     heights = [each.height_rms_mm for each in solids if each.height_rms_mm is not None]
-    return {
-        "name": f"{stimulus}/{maker}/{way}",
-        "stimulus": stimulus,
-        "object": maker,
-        "way": way,
-        "walks": len(rows),
-        "closed": int(np.sum(walks.end[rows] == CLOSED)),
-        "iou": float(scores[:, 0].mean()),
-        "walk_iou": scores[:, 0].tolist(),
-        "iou_felt": float(scores[:, 3].mean()),
-        "mean_mm": float(scores[:, 1].mean()),
-        "hausdorff_mm": float(scores[:, 2].mean()),
-        "height_rms_mm": float(np.mean(heights)) if heights else None,
-        "level": solids[0].level,
-        "unmatched": int(sum(each.unmatched for each in solids)),
-    }
+    return ObjectScore(
+        name=f"{stimulus}/{maker}/{way}",
+        stimulus=stimulus,
+        object=maker,
+        way=way,
+        walks=len(rows),
+        closed=int(np.sum(walks.end[rows] == CLOSED)),
+        iou=float(scores[:, 0].mean()),
+        walk_iou=scores[:, 0].tolist(),
+        iou_felt=float(scores[:, 3].mean()),
+        mean_mm=float(scores[:, 1].mean()),
+        hausdorff_mm=float(scores[:, 2].mean()),
+        height_rms_mm=float(np.mean(heights)) if heights else None,
+        level=solids[0].level,
+        unmatched=int(sum(each.unmatched for each in solids)),
+    )
 
 
 def _distance(stimulus: Stimulus, xy: np.ndarray) -> np.ndarray:

@@ -14,7 +14,6 @@ Model = tuple[Path, Experiment]  # the folder and the settings of trained networ
 DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones
 ENGINE = ("--engine", "--ray-address", "--ray-cores")  # options of `add_engine`
 RAY_CORES = 2  # for each row or chunk
-KNOWN = 300  # simulated taps that scales are fitted to
 
 
 def add_model(parser: argparse.ArgumentParser, default: Path = DEFAULT) -> None:

@@ -1,4 +1,4 @@
-"""What networks and pins were put to use for: the rows of servo.json and pins.json, which the command line writes."""
+"""What networks and pins were put to use for: the tables that the command line writes, a file each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -63,3 +63,58 @@ class PinRows:
     fit_s: float  # for finding where pins stand untouched
     ms_per_image: float
     left_out: Sequence[str]  # files, and why
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectScore:
+    """Objects that walks around one stimulus, by one way of perceiving, enclose as one maker sees them; means over these walks."""
+
+    name: str  # stimulus/object/way
+    stimulus: str
+    object: str  # its maker
+    way: str
+    walks: int
+    closed: int  # of these
+    iou: float  # with the true shape
+    walk_iou: Sequence[float]
+    iou_felt: float  # where the skin was
+    mean_mm: float  # between both outlines
+    hausdorff_mm: float
+    height_rms_mm: float | None  # of the felt top from the object's, where values are heights
+    level: float | None  # over which the object lies; none where it is what a ridge surrounds
+    unmatched: int  # steps whose pins were not identified for sure
+
+
+@dataclass(frozen=True)
+class ObjectScores:
+    """reconstruct.json"""
+
+    rows: Sequence[ObjectScore]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GeometryScore:
+    """One kind of image and way from pins to heights, of one stimulus or of all: mean correlation with the true indentation and rms
+    error, with their intervals; of images of no contact the correlation with the taps' indentation, as a floor, and the largest height."""
+
+    name: str  # stimulus/kind/way
+    stimulus: str
+    kind: str
+    way: str
+    contacts: int
+    unmatched: int  # of these, whose pins were not identified for sure; where that is all of them there is no score
+    ms_per_image: float
+    largest_mm: float | None = None
+    correlation: float | None = None
+    correlation_interval: Sequence[float] | None = None
+    rmse_mm: float | None = None
+    rmse_mm_interval: Sequence[float] | None = None
+
+
+@dataclass(frozen=True)
+class GeometryScores:
+    """geometry.json"""
+
+    rows: Sequence[GeometryScore]
+    mm_per_height: Mapping[str, float]  # by way, as fitted to taps that are not scored
+    dropped: int  # contacts that did not converge

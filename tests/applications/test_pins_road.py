@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.applications import servo
+from jaxunshear.applications import fresh, servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.perception import perceptions, unshearers, unshearing_of, ways_of
 from jaxunshear.applications.walk_scores import walk_scores
-from jaxunshear.cli import options
 from jaxunshear.dataset.chunks import render
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
@@ -115,7 +114,7 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path, monkeypatc
 
 @pytest.mark.long
 def test_servo_then_reconstruct_by_pins(command, model, tmp_path, monkeypatch):
-    monkeypatch.setattr(options, "KNOWN", 12)
+    monkeypatch.setattr(fresh, "KNOWN", 12)
     monkeypatch.setattr(servo, "PATIENCE", 4 * 0.5 / outline(STIMULI["disk"]).length)
     words = ("--model", model, "--out", tmp_path / "walks", "--stimulus", "disk")
     answer = command("servo", *words, "--starts", 1, "--ways", "sheared,disentangled")
