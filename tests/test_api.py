@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.api import Course
+from jaxunshear.api import Course, reconstruct
 from jaxunshear.api import servo as walk
 from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
@@ -82,7 +82,11 @@ def test_the_example_of_uses_runs(monkeypatch, capsys):
     exec(example, names)
     assert names["way_of_the_sensor"].shape == (2, 2, 3) and np.isfinite(names["way_of_the_sensor"]).all()
     assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["true", "disentangled"]
-    assert names["found"].scores[0].ends == {"took too long": 1} and names["found"].course.stimulus == "disk"
+    found, model = names["found"], names["model"]
+    assert found.scores[0].ends == {"took too long": 1} and found.course.stimulus == "disk"
+    found.walks.end[0] = servo.WALKING
+    with pytest.raises(UserError, match="walks around disk are not finished"):
+        reconstruct(model.folder, model.experiment, [(found.course, found.walks)])
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,10 @@ from jaxunshear.explore.drawing import HALF_MM, MAP_PX, map_svg, pins_svg, to_mm
 from jaxunshear.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, make_explorer
 from jaxunshear.explore.touch import DEEPEST_MM, FREE, LEVEL, SLIPPING, STUCK, Touch, feel, skin_state, warming_touches
 from jaxunshear.folders import RELEASED, load_settings
-from jaxunshear.scene.stimuli import STIMULI
+from jaxunshear.scene.stimuli import STIMULI, stimulus_of
 from jaxunshear.settings.reach import deepest_mm
 from jaxunshear.settings.sensor import SENSORS
+from jaxunshear.settings.stimuli import Outline
 
 FOLDER = RELEASED / "standard"
 
@@ -32,6 +33,12 @@ def touch(explorer):
 @pytest.fixture(scope="module")
 def picture(explorer, touch):
     return explorer.picture(touch)
+
+
+def test_shapes_of_ones_own_are_chosen_like_the_others(explorer):
+    own = stimulus_of(Outline("kite", ((0, -15), (12, 0), (0, 25), (-12, 0))))
+    assert list(replace(explorer, own=(own,)).stimuli.values()) == [own, *STIMULI.values()]
+    assert list(explorer.stimuli) == list(STIMULI)
 
 
 def test_a_picture_holds_both_kinds_of_image_and_what_is_read_of_them(explorer, picture):
