@@ -73,6 +73,7 @@ def test_models_that_are_none_are_refused_by_name(tmp_path):
         load_model("skin")
 
 
+@pytest.mark.long
 def test_the_example_of_uses_runs(monkeypatch, capsys):
     """Two steps of its walk."""
     monkeypatch.setattr(servo, "PATIENCE", 2 * 0.5 / outline(STIMULI["disk"]).length * 0.999)

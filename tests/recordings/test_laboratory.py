@@ -224,9 +224,8 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
     assert answer.code == 0, answer.err
 
 
-@pytest.mark.parametrize(
-    ("slid", "network"), [pytest.param(False, "posenet", marks=pytest.mark.long), (True, "posenet_sheared")]
-)
+@pytest.mark.long
+@pytest.mark.parametrize(("slid", "network"), [(False, "posenet"), (True, "posenet_sheared")])
 def test_taps_alone_or_slides_alone_teach_what_they_can(command, place, tmp_path, slid, network):
     folder = made.write(tmp_path / "surface", *made.contacts(60, slid, 4), "newer")
     words = (

@@ -238,6 +238,7 @@ def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, s
     assert sum(steps().values()) == 7
 
 
+@pytest.mark.long
 def test_a_deleted_shared_training_is_made_again(stand_in, swept, tmp_path):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.0, 1.0)),), seeds=(0,))
     first = swept(sweep)
@@ -307,8 +308,9 @@ def workers_of(folder: Path) -> list[int]:
     return found
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
-@pytest.mark.parametrize("kill", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
 def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill):
     def start(folder: Path, pause: float) -> subprocess.Popen:
         words = [*stand_in.WORKER, "sweep", str(folder)]
