@@ -9,6 +9,9 @@ from typing import NamedTuple
 
 import pytest
 
+from tests import shapes
+
+shapes.check_all()
 os.environ.setdefault("MPLBACKEND", "Agg")
 # Many tests, their workers and the commands they start compile the same programs: once is enough.
 COMPILED = "JAX_COMPILATION_CACHE_DIR"

@@ -5,10 +5,11 @@
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float, Float32
 
 
-def dots(pins: Array, radius_px: float, size: int) -> Array:
-    """Binary images (B, S, S, 1) float32 of pins (B, P, 2) px as (column, row); a pin that is NaN is not drawn.
+def dots(pins: Float[Array, "B P 2"], radius_px: float, size: int) -> Float32[Array, "B {size} {size} 1"]:
+    """Binary images of pins px as (column, row); a pin that is NaN is not drawn.
 
     A Gaussian is separable, so all dots of an image are one product of matrices; its level at the radius is the threshold.
     """
