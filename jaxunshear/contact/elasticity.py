@@ -116,10 +116,10 @@ def _along_surface(mesh: Mesh, samples: np.ndarray) -> tuple[np.ndarray, np.ndar
     return line, np.einsum("qn,snx->sqx", line, ends), speeds
 
 
-def ring_loads(mesh: Mesh, arcs: Float[np.ndarray, "R+1"]) -> tuple[Float[np.ndarray, "V R"], Float[np.ndarray, "R 2"]]:
+def ring_loads(mesh: Mesh, arcs: Float[np.ndarray, "_"]) -> tuple[Float[np.ndarray, "V R"], Float[np.ndarray, "R 2"]]:
     """How one unit of force on a ring spreads over the mesh nodes, and where the rings stand, r and z.
 
-    `arcs`: lengths along the surface from the axis, rising from 0; the last one only ends the last hat.
+    `arcs` (R + 1,): lengths along the surface from the axis, rising from 0; the last one only ends the last hat.
     """
     line, points, speeds = _along_surface(mesh, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * 2 - 1)
     lengths = 2 * speeds / _SAMPLES
@@ -159,7 +159,7 @@ def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
 def respond(
     mesh: Mesh,
     materials: Float[np.ndarray, "E 6 6"],
-    ring_arcs: Float[np.ndarray, "R"],
+    ring_arcs: Float[np.ndarray, "_"],
     pins: Float[np.ndarray, "P 3"],
     harmonics: int,
     progress: Progress | None = None,
@@ -232,7 +232,7 @@ def put_together(response: Response) -> Compliance:
 def condense(
     mesh: Mesh,
     materials: Float[np.ndarray, "E 6 6"],
-    ring_arcs: Float[np.ndarray, "R"],
+    ring_arcs: Float[np.ndarray, "_"],
     pins: Float[np.ndarray, "P 3"],
     harmonics: int,
     progress: Progress | None = None,

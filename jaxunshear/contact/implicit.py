@@ -84,9 +84,8 @@ def slopes(
     slips = ~sticks & ((pull > limit) | (mu == 0))
     along = tangential / jnp.where(pull > 0, pull, 1)[..., None]
     share = jnp.where(slips, limit / jnp.where(pull > 0, pull, 1), 1)
-    disk = share[..., None, None] * (
-        jnp.eye(2, dtype=moved.dtype) - jnp.where(slips, 1, 0)[..., None, None] * _outer(along, along)
-    )
+    outer = along[..., :, None] * along[..., None, :]
+    disk = share[..., None, None] * (jnp.eye(2, dtype=moved.dtype) - jnp.where(slips, 1, 0)[..., None, None] * outer)
     zero, one = jnp.zeros_like(normal), jnp.ones_like(normal)
     by_normal = jnp.where(slips, mu, 0)[..., None] * along
     bottom = jnp.stack([zero, zero, one], -1)[..., None, :]
@@ -94,10 +93,6 @@ def slopes(
     by_friction = jnp.concatenate([jnp.where(slips, jnp.maximum(normal, 0), 0)[..., None] * along, zero[..., None]], -1)
     touches = (normal > 0)[..., None]
     return jnp.where(touches[..., None], matrix, 0), jnp.where(touches, by_friction, 0)
-
-
-def _outer(a: Array, b: Array) -> Array:
-    return a[..., :, None] * b[..., None, :]
 
 
 def switch_distance(moved: Float[Array, "B N 3"], friction: Float[Array, "B"]) -> Float[Array, "B"]:

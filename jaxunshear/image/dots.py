@@ -16,6 +16,6 @@ def dots(pins: Float[Array, "B P 2"], radius_px: float, size: int) -> Float32[Ar
     pixel = jnp.arange(size, dtype=pins.dtype)
     seen = jnp.isfinite(pins).all(-1, keepdims=True)
     place = jnp.where(seen, pins, -1e3)
-    column, row = (jnp.exp2(-jnp.square((pixel[:, None] - place[:, None, :, k]) / radius_px)) for k in (0, 1))
+    column, row = (jnp.exp2(-jnp.square((pixel[None, :, None] - place[:, None, :, k]) / radius_px)) for k in (0, 1))
     level = jnp.matmul(row, column.swapaxes(-1, -2))
     return (level >= 0.5).astype(jnp.float32)[..., None]

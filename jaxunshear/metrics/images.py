@@ -87,7 +87,7 @@ def _checked(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     for x in (a, b):
         if not jnp.issubdtype(x.dtype, jnp.floating):
             raise ValueError(f"images in [0, 1] are needed, not {x.dtype}: divide 8-bit images by 255 first")
-    dtype = jnp.promote_types(jnp.promote_types(a.dtype, b.dtype), jnp.float32)
+    dtype = np.result_type(*(np.promote_types(x.dtype, np.float32) for x in (a, b)))
     return a.astype(dtype), b.astype(dtype)
 
 

@@ -6,6 +6,7 @@ gradients of kernels, which are kept in float32 from there on, as are parameters
 
 import flax.linen as nn
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -62,7 +63,7 @@ class Last(nn.Module):
         nn.share_scope(self, conv)
         bias = self.param("bias", nn.initializers.zeros, (1,))
         image: Array = conv(x)
-        return image.astype(jnp.promote_types(x.dtype, jnp.float32)) + bias
+        return image.astype(np.promote_types(x.dtype, np.float32)) + bias[None, None, None]
 
 
 def norm_relu(

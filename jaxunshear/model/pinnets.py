@@ -188,7 +188,7 @@ def distance(pins: Float[Array, "B P 2"], target: Float[Array, "B P 2"], variabl
     """Mean squared distance of pins in units of `spread`, over those that the target shows."""
     seen = jnp.isfinite(target)
     square = jnp.where(seen, jnp.square((pins - jnp.where(seen, target, 0)) / variables["batch_stats"]["spread"]), 0)
-    return square.sum((1, 2)) / jnp.maximum(seen.sum((1, 2)), 1)
+    return square.sum((1, 2)) / jnp.maximum(seen.sum((1, 2), dtype=square.dtype), 1)
 
 
 def spoilt(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
@@ -215,10 +215,10 @@ def _codes(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -
 def _motions(variables: Variables, pins: Array) -> Array:
     """(B, 2 P) in units of `spread`; 0 for pins that are not seen."""
     constants = variables["batch_stats"]
-    motion = (pins - constants["rest"]) / constants["spread"]
+    motion = (pins - constants["rest"][None]) / constants["spread"]
     return jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
 
 
 def _places(variables: Variables, motions: Array) -> Array:
     constants = variables["batch_stats"]
-    return constants["rest"] + constants["spread"] * motions.reshape(motions.shape[0], *constants["rest"].shape)
+    return constants["rest"][None] + constants["spread"] * motions.reshape(motions.shape[0], *constants["rest"].shape)

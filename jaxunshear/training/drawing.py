@@ -62,6 +62,6 @@ def _before_camera(rest: Array, pins: Array, spacing_px: float, key: Array) -> A
     radians = jnp.radians(TURNED_DEG) * jax.random.normal(angle, (len(pins), 1))
     cosine, sine = jnp.cos(radians), jnp.sin(radians)
     middle = rest.mean(axis=0)
-    x, y = jnp.moveaxis(pins - middle, -1, 0)
+    x, y = jnp.moveaxis(pins - middle[None, None], -1, 0)
     moved = jnp.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
-    return middle + moved + SHIFTED * spacing_px * jax.random.normal(shift, (len(pins), 1, 2))
+    return middle[None, None] + moved + SHIFTED * spacing_px * jax.random.normal(shift, (len(pins), 1, 2))

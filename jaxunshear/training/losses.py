@@ -49,14 +49,14 @@ def random_corners(key: Array, images: int, crops: int, size: int, side: int) ->
 
 def pose(outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]) -> Float[Array, "B"]:
     """PoseNet's L2 loss: weighted mean squared difference of outputs and targets."""
-    return jnp.mean(jnp.asarray(weights, outputs.dtype) * (outputs - targets) ** 2, -1)
+    return jnp.mean(jnp.asarray([weights], outputs.dtype) * (outputs - targets) ** 2, -1)
 
 
 def absolute_pose(
     outputs: Float[Array, "B K"], targets: Float[Array, "B K"], weights: tuple[float, ...]
 ) -> Float[Array, "B"]:
     """The same with absolute differences, which a few contacts that are hard to read bend less: of networks over pins."""
-    return jnp.mean(jnp.asarray(weights, outputs.dtype) * jnp.abs(outputs - targets), -1)
+    return jnp.mean(jnp.asarray([weights], outputs.dtype) * jnp.abs(outputs - targets), -1)
 
 
 def regularisation(params: Variables, l1: float, l2: float, kernels: str = "sum") -> Float[Array, ""]:

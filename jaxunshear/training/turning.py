@@ -54,8 +54,8 @@ def turns_of(rest: Float[np.ndarray, "P 2"], sense: int) -> Turns:
 
 def turned(turns: Turns, k: ArrayLike, pins: Float[Array, "B P 2"]) -> Float[Array, "B P 2"]:
     """Pins px after a turn by angle `k`; pins that are not seen count as untouched."""
-    motion = jnp.where(jnp.isfinite(pins), pins - turns.rest, 0)
-    return turns.rest + jnp.einsum("pq,bqi,ji->bpj", turns.mixed[k], motion, turns.rotation[k])
+    motion = jnp.where(jnp.isfinite(pins), pins - turns.rest[None], 0)
+    return turns.rest[None] + jnp.einsum("pq,bqi,ji->bpj", turns.mixed[k], motion, turns.rotation[k])
 
 
 def turned_outputs(turns: Turns, k: ArrayLike, outputs: Float[Array, "B K"], targets: Targets) -> Float[Array, "B K"]:
