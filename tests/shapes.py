@@ -10,7 +10,7 @@ from beartype import beartype
 from jaxtyping import AbstractArray, install_import_hook
 
 CHECKED = ("metrics", "scene", "contact", "image", "model")
-CHECKED += ("training.losses", "training.step", "training.turning", "training.drawing")
+CHECKED += ("training.losses", "training.turning", "training.drawing")
 
 
 def check_all() -> None:
