@@ -10,7 +10,6 @@ import pytest
 from jax import Array
 from jaxtyping import Float, TypeCheckError, jaxtyped
 
-from jaxunshear.image.growing import filled
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.training import losses
 from tests import shapes
@@ -27,10 +26,9 @@ def test_ranks_letters_and_kinds_are_checked():
 
 def test_arrays_of_numpy_are_checked_too():
     place = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), -1).reshape(-1, 2)
-    lattice = make_lattice(place)
-    assert filled(lattice, np.zeros((25, 2))).shape == (25, 2)
-    with pytest.raises(TypeCheckError, match="parameter 'motion'"):
-        filled(lattice, np.zeros((25, 3)))
+    assert make_lattice(place).place.shape == (25, 2)
+    with pytest.raises(TypeCheckError, match="parameter 'place'"):
+        make_lattice(np.zeros((25, 3)))
 
 
 def test_answers_are_checked_and_other_types_are_not():
