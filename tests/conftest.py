@@ -3,12 +3,15 @@
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
+from tests import shapes
+
+shapes.check_all()
 os.environ.setdefault("MPLBACKEND", "Agg")
 # Many tests, their workers and the commands they start compile the same programs: once is enough.
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
@@ -51,6 +54,21 @@ def real_recordings() -> Path:
 def pytest_unconfigure() -> None:
     if OWN:  # workers have it from the process that started them
         shutil.rmtree(os.environ[COMPILED], ignore_errors=True)
+
+
+STRICT = {"metrics", "model", "test_losses.py", "test_turning.py", "test_drawing.py", "test_dots.py", "test_camera.py"}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def strict(request: pytest.FixtureRequest) -> Iterator[None]:
+    """In these folders and files JAX broadcasts over axes, and promotes one kind of number to another, only where that is written."""
+    import jax
+
+    if not STRICT.intersection(request.path.relative_to(Path(__file__).parent).parts):
+        yield
+        return
+    with jax.numpy_rank_promotion("raise"), jax.numpy_dtype_promotion("strict"):
+        yield
 
 
 # They take a worker a minute and more; started last, they would keep one waiting for the other.

@@ -23,7 +23,7 @@ def px_apart(sensor: Sensor, pins: np.ndarray, others: np.ndarray) -> np.ndarray
     """Distances (..., P) in px between pins (..., P, 3) mm and `others`."""
 
     def seen(tips: np.ndarray) -> np.ndarray:
-        return np.asarray(project(Camera(), np.asarray(tips, np.float64), sensor))  # type: ignore[arg-type]
+        return np.asarray(project(Camera(), np.asarray(tips, np.float64), sensor))
 
     return np.linalg.norm(seen(pins) - seen(others), axis=-1)
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
+from jaxtyping import Bool, Float
 from threadpoolctl import threadpool_limits
 
 from jaxunshear.contact.cholesky import factorise
@@ -59,8 +60,8 @@ class Response:
     fields: np.ndarray
 
 
-def isotropic(modulus: float, poisson: float) -> np.ndarray:
-    """Stiffness (6, 6) in MPa for strains (rr, theta theta, zz, rz, r theta, theta z), the last three engineering shears."""
+def isotropic(modulus: float, poisson: float) -> Float[np.ndarray, "6 6"]:
+    """Stiffness in MPa for strains (rr, theta theta, zz, rz, r theta, theta z), the last three engineering shears."""
     first = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
     shear = modulus / (2 * (1 + poisson))
     d = np.diag([2 * shear] * 3 + [shear] * 3)
@@ -68,8 +69,8 @@ def isotropic(modulus: float, poisson: float) -> np.ndarray:
     return d
 
 
-def stiffness(mesh: Mesh, materials: np.ndarray) -> tuple[sp.csc_matrix, sp.csc_matrix, sp.csc_matrix]:
-    """K_0, K_1, K_2 of the module's docstring (per 2 pi); materials (E, 6, 6); unknowns ordered U, V, W node by node."""
+def stiffness(mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]) -> tuple[sp.csc_matrix, sp.csc_matrix, sp.csc_matrix]:
+    """K_0, K_1, K_2 of the module's docstring (per 2 pi); unknowns ordered U, V, W node by node."""
     corners = mesh.nodes[mesh.elements]
     values, gradients = shape_functions(_GAUSS)
     jacobian = np.einsum("qnl,enx->eqlx", gradients, corners)
@@ -115,8 +116,8 @@ def _along_surface(mesh: Mesh, samples: np.ndarray) -> tuple[np.ndarray, np.ndar
     return line, np.einsum("qn,snx->sqx", line, ends), speeds
 
 
-def ring_loads(mesh: Mesh, arcs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How one unit of force on a ring spreads over the mesh nodes, (V, R), and where the rings stand, (R, 2) r and z.
+def ring_loads(mesh: Mesh, arcs: Float[np.ndarray, "_"]) -> tuple[Float[np.ndarray, "V R"], Float[np.ndarray, "R 2"]]:
+    """How one unit of force on a ring spreads over the mesh nodes, and where the rings stand, r and z.
 
     `arcs` (R + 1,): lengths along the surface from the axis, rising from 0; the last one only ends the last hat.
     """
@@ -157,20 +158,20 @@ def _axis_constraints(mesh: Mesh, m: int) -> sp.csc_matrix:
 
 def respond(
     mesh: Mesh,
-    materials: np.ndarray,
-    ring_arcs: np.ndarray,
-    pins: np.ndarray,
+    materials: Float[np.ndarray, "E 6 6"],
+    ring_arcs: Float[np.ndarray, "_"],
+    pins: Float[np.ndarray, "P 3"],
     harmonics: int,
     progress: Progress | None = None,
-    levers: np.ndarray | None = None,
-    varied: np.ndarray | None = None,
+    levers: Float[np.ndarray, "P 3"] | None = None,
+    varied: Bool[np.ndarray, "E"] | None = None,
 ) -> Response:
     """As `condense`, before the harmonics are summed.
 
     A ring bears as many harmonics as it has nodes: what its hats hold beyond is less than a thousandth of W, and what
     a mesh answers to waves shorter than its elements is wrong.
 
-    With `varied` (E,) bool: instead its derivative by the logarithm of a factor on the moduli of these elements.
+    With `varied`: instead its derivative by the logarithm of a factor on the moduli of these elements.
     """
     loads, outline = ring_loads(mesh, ring_arcs)
     sizes = ring_sizes(len(loads.T))
@@ -230,17 +231,17 @@ def put_together(response: Response) -> Compliance:
 
 def condense(
     mesh: Mesh,
-    materials: np.ndarray,
-    ring_arcs: np.ndarray,
-    pins: np.ndarray,
+    materials: Float[np.ndarray, "E 6 6"],
+    ring_arcs: Float[np.ndarray, "_"],
+    pins: Float[np.ndarray, "P 3"],
     harmonics: int,
     progress: Progress | None = None,
-    levers: np.ndarray | None = None,
+    levers: Float[np.ndarray, "P 3"] | None = None,
 ) -> Compliance:
-    """Compliance of contact rings and of pins with tips at `pins` (P, 3), for materials (E, 6, 6) as of `isotropic`.
+    """Compliance of contact rings and of pins with tips at `pins`, for materials as of `isotropic`.
 
     `harmonics`: at most the number of nodes in the outer ring is used, as it should be for an answer that is definite.
-    `ring_arcs` (R + 1,): as for `ring_loads`. `levers` (P, 3): from the face on which a pin stands to its tip, along the
+    `ring_arcs`: as for `ring_loads`. `levers`: from the face on which a pin stands to its tip, along the
     face's normal: rigid, so that the tip moves with the face's rotation too; None: tips move with the gel around them.
     """
     return put_together(respond(mesh, materials, ring_arcs, pins, harmonics, progress, levers))

@@ -2,12 +2,13 @@
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from jaxunshear.scene.paths import TILT_X
 
 
-def level_frame(pose: jax.Array) -> jax.Array:
-    """Rotations (B, 3, 3) from the sensor frame to the level frame of poses (B, 6): Rodrigues' formula."""
+def level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
+    """Rotations from the sensor frame to the level frame of poses: Rodrigues' formula."""
     tilt = pose[:, TILT_X:]
     squared = jnp.sum(tilt**2, axis=-1)[:, None, None]
     angle = jnp.sqrt(jnp.maximum(squared, 1e-30))
@@ -20,11 +21,11 @@ def level_frame(pose: jax.Array) -> jax.Array:
     )
 
 
-def rotate(frame: jax.Array, vectors: jax.Array) -> jax.Array:
+def rotate(frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]) -> Float[jax.Array, "B N 3"]:
     return jnp.einsum("bij,bnj->bni", frame, vectors)
 
 
-def turn(angle: jax.Array, xy: jax.Array) -> jax.Array:
-    """Rotate (B, N, 2) by angle (B,) rad."""
+def turn(angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[jax.Array, "B N 2"]:
+    """By angles in rad."""
     cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
     return jnp.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)

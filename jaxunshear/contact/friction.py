@@ -19,6 +19,8 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float, Int
 
 from jaxunshear.contact.frame import level_frame, rotate, turn
 from jaxunshear.contact.obstacle import Obstacles, drop
@@ -42,38 +44,36 @@ class System(NamedTuple):
     directions (w itself where d = 3); `nodes` (N, 3) mm; `centre_mm`: height of the dome's centre above its apex.
     """
 
-    w: jax.Array
-    inverse: jax.Array
-    spread: jax.Array
-    nodes: jax.Array
-    centre_mm: jax.Array
+    w: Array
+    inverse: Array
+    spread: Array
+    nodes: Array
+    centre_mm: Array
 
 
 class Skin(NamedTuple):
     """State of B skins after a motion, in the sensor frame: all that a later motion needs to continue."""
 
-    force: jax.Array  # (B, N, d) scaled, mm
-    dual: jax.Array  # (B, N, d) of the solver, a warm start only
-    displacement: jax.Array  # (B, N, 3) mm
-    pose: jax.Array  # (B, 6) x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad)
+    force: Array  # (B, N, d) scaled, mm
+    dual: Array  # (B, N, d) of the solver, a warm start only
+    displacement: Array  # (B, N, 3) mm
+    pose: Array  # (B, 6) x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad)
 
 
 class Quality(NamedTuple):
     """How good the worst increment was: residual (B,) mm, its tolerance (B,) mm, iterations (B,) summed over the path."""
 
-    residual_mm: jax.Array
-    tolerance_mm: jax.Array
-    iterations: jax.Array
+    residual_mm: Array
+    tolerance_mm: Array
+    iterations: Array
 
 
-_Iterates = tuple[jax.Array, jax.Array, jax.Array, jax.Array]  # z, its dual, x, and z before
-_Solving = tuple[
-    _Iterates, jax.Array, jax.Array, jax.Array
-]  # with residual (B,), iterations (B,), and the count of them
+_Iterates = tuple[Array, Array, Array, Array]  # z, its dual, x, and z before
+_Solving = tuple[_Iterates, Array, Array, Array]  # with residual (B,), iterations (B,), and the count of them
 
 
-def project(force: jax.Array, friction: jax.Array) -> jax.Array:
-    """Cut (B, N, d) to p >= 0 and |t| <= friction * p; friction (B,), infinite for pure stick."""
+def project(force: Float[Array, "B N d"], friction: Float[Array, "B"]) -> Float[Array, "B N d"]:
+    """Cut to p >= 0 and |t| <= friction * p; friction infinite for pure stick."""
     normal = jnp.maximum(force[..., -1:], 0)
     if force.shape[-1] == 1:
         return normal
@@ -86,7 +86,7 @@ def project(force: jax.Array, friction: jax.Array) -> jax.Array:
     return jnp.concatenate([tangential * shrink.astype(force.dtype), normal], axis=-1)
 
 
-def _times(matrix: jax.Array, force: jax.Array, frame: jax.Array | None) -> jax.Array:
+def _times(matrix: Array, force: Array, frame: Array | None) -> Array:
     """matrix . force with both in the level frame (the matrix, symmetric, in the sensor frame)."""
     inside = force if frame is None else jnp.einsum("bji,bnj->bni", frame, force)
     product = (inside.reshape(force.shape[0], -1) @ matrix).reshape(force.shape)
@@ -95,34 +95,34 @@ def _times(matrix: jax.Array, force: jax.Array, frame: jax.Array | None) -> jax.
 
 def solve_increment(
     system: System,
-    frame: jax.Array | None,
-    offset: jax.Array,
-    friction: jax.Array,
-    start: tuple[jax.Array, jax.Array, jax.Array],
-    tolerance: jax.Array,
+    frame: Float[Array, "B 3 3"] | None,
+    offset: Float[Array, "B N d"],
+    friction: Float[Array, "B"],
+    start: tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B N d"]],
+    tolerance: Float[Array, "B"],
     limit: int,
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-    """Forces (B, N, d) of f = P(f - (W f + b)) with offset b (B, N, d), from a warm start (force f, dual, W f).
+) -> tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B"], Int[Array, "B"]]:
+    """Forces of f = P(f - (W f + b)) with offset b, from a warm start (force f, dual, W f).
 
-    Iterates until every scene is below its tolerance (B,) in mm, or `limit` iterations. Returns force, dual, residual (B,) in
-    mm and iterations (B,). Scenes with an infinite tolerance are not waited for.
+    Iterates until every scene is below its tolerance in mm, or `limit` iterations. Returns force, dual, residual in mm and
+    iterations. Scenes with an infinite tolerance are not waited for.
     """
 
-    def iterate(_: jax.Array, state: _Iterates) -> _Iterates:
+    def iterate(_: Array, state: _Iterates) -> _Iterates:
         z, y, _, _ = state
         x = _times(system.inverse, RHO * (z - y) - offset, frame)
         relaxed = OVER_RELAXATION * x + (1 - OVER_RELAXATION) * z
         after = project(relaxed + y, friction)
         return after, y + relaxed - after, x, z
 
-    def error(state: _Iterates) -> jax.Array:
+    def error(state: _Iterates) -> Array:
         z, _, x, before = state
         apart = _times(system.w, x - z, frame)
         change = RHO * (z - before)
         touching = jnp.sum(z[..., -1] > 0, axis=-1)
         return jnp.sqrt(jnp.sum(apart**2 + change**2, axis=(1, 2)) / jnp.maximum(touching, 1))
 
-    def unfinished(state: _Solving) -> jax.Array:
+    def unfinished(state: _Solving) -> Array:
         _, error, _, count = state
         return jnp.any(error > tolerance) & (count < limit)
 
@@ -142,7 +142,7 @@ def solve_increment(
     return z, y, missing, spent
 
 
-def _levelled(system: System, frame: jax.Array | None, points: jax.Array) -> jax.Array:
+def _levelled(system: System, frame: Array | None, points: Array) -> Array:
     """Points (B, N, 3) of the sensor frame in the level frame, whose lowest point of the dome lies at z = 0."""
     if frame is None:
         return points
@@ -153,21 +153,21 @@ def _levelled(system: System, frame: jax.Array | None, points: jax.Array) -> jax
 def increment_offset(
     system: System,
     obstacles: Obstacles,
-    which: jax.Array,
+    which: Int[Array, "B"],
     skin: Skin,
-    pose: jax.Array,
+    pose: Float[Array, "B 6"],
     tilted: bool,
-    displacement: jax.Array | None = None,
-) -> tuple[jax.Array, jax.Array | None]:
-    """Offset b (B, N, d) in mm of the increment from `skin` to pose (B, 6), and the level frame there (None if not tilted).
+    displacement: Float[Array, "B N 3"] | None = None,
+) -> tuple[Float[Array, "B N d"], Float[Array, "B 3 3"] | None]:
+    """Offset b in mm of the increment from `skin` to a pose, and the level frame there (None if not tilted).
 
-    How far each node slips if the skin keeps its shape, and its gap, taken where `displacement` (B, N, 3) puts the node: that
+    How far each node slips if the skin keeps its shape, and its gap, taken where `displacement` puts the node: that
     of `skin` (None) to begin with, then that of a first answer. At a shape's edge a node that slides by a step changes its gap
     by half of that.
     """
     frame = level_frame(pose) if tilted else None
 
-    def in_target_frame(displaced: jax.Array) -> jax.Array:
+    def in_target_frame(displaced: Array) -> Array:
         return turn(pose[:, YAW], _levelled(system, frame, displaced)[..., :2]) + pose[:, None, :2]
 
     place = system.nodes + skin.displacement
@@ -184,15 +184,17 @@ def increment_offset(
     return jnp.concatenate([slip - moved[..., :2], height[..., None]], axis=-1), frame
 
 
-def rest(system: System, pose: jax.Array) -> Skin:
-    """B undeformed skins at pose (B, 6)."""
+def rest(system: System, pose: Float[Array, "B 6"]) -> Skin:
+    """B undeformed skins."""
     count, nodes = pose.shape[0], system.nodes.shape[0]
     force = jnp.zeros((count, nodes, len(system.w) // nodes), pose.dtype)
     return Skin(force, force, jnp.zeros((count, nodes, 3), pose.dtype), pose)
 
 
-def increment_length(before: jax.Array, after: jax.Array, radius_mm: jax.Array) -> jax.Array:
-    """(B,) mm by which the dome's tip region moves from pose (B, 6) to pose (B, 6); turns count at `radius_mm`."""
+def increment_length(
+    before: Float[Array, "B 6"], after: Float[Array, "B 6"], radius_mm: Float[Array, ""]
+) -> Float[Array, "B"]:
+    """In mm, by which the dome's tip region moves from pose to pose; turns count at `radius_mm`."""
     change = after - before
     turns = radius_mm * jnp.linalg.norm(change[:, jnp.array([YAW, TILT_X, TILT_X + 1])], axis=-1)
     return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns
@@ -201,18 +203,18 @@ def increment_length(before: jax.Array, after: jax.Array, radius_mm: jax.Array) 
 def advance(
     system: System,
     obstacles: Obstacles,
-    which: jax.Array,
-    friction: jax.Array,
-    pose: jax.Array,
+    which: Int[Array, "B"],
+    friction: Float[Array, "B"],
+    pose: Float[Array, "B 6"],
     skin: Skin,
     tolerance: float,
     limit: int,
     tilted: bool,
-    lost: jax.Array | bool = False,
+    lost: Bool[Array, "B"] | bool = False,
 ) -> tuple[Skin, Quality]:
-    """Move B skins by one increment, to pose (B, 6); a skin that does not move is left as it is.
+    """Move B skins by one increment, to `pose`; a skin that does not move is left as it is.
 
-    Those `lost` (B,), by an increment that did not converge, are no longer waited for. Solved PASSES times, the first time with
+    Those `lost`, by an increment that did not converge, are no longer waited for. Solved PASSES times, the first time with
     gaps where the nodes were, then with gaps where they came to lie.
     """
     length = increment_length(skin.pose, pose, system.centre_mm / 4)
@@ -250,22 +252,22 @@ def advance(
 def follow_path(
     system: System,
     obstacles: Obstacles,
-    which: jax.Array,
-    friction: jax.Array,
-    path: jax.Array,
+    which: Int[Array, "B"],
+    friction: Float[Array, "B"],
+    path: Float[Array, "T B 6"],
     skin: Skin,
     tolerance: float,
     limit: int,
     tilted: bool = False,
-    steps: jax.Array | None = None,
+    steps: Int[Array, ""] | None = None,
 ) -> tuple[Skin, Quality]:
-    """Move B skins along path (T, B, 6) of poses x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad) in the target frame.
+    """Move B skins along a path of poses x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad) in the target frame.
 
-    which (B,) indexes the obstacles; an increment stops below `tolerance` times its own length; `tilted` False leaves the
+    `which` indexes the obstacles; an increment stops below `tolerance` times its own length; `tilted` False leaves the
     rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew.
     """
 
-    def step(state: tuple[jax.Array, Skin, Quality]) -> tuple[jax.Array, Skin, Quality]:
+    def step(state: tuple[Array, Skin, Quality]) -> tuple[Array, Skin, Quality]:
         number, skin, worst = state
         # both are written so that a NaN counts as the worst
         lost = ~(worst.residual_mm <= worst.tolerance_mm)
@@ -282,8 +284,10 @@ def follow_path(
     return skin, worst
 
 
-def contact_state(skin: Skin, friction: jax.Array, tilted: bool = False) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Numbers of stuck, slipping and free nodes, each (B,)."""
+def contact_state(
+    skin: Skin, friction: Float[Array, "B"], tilted: bool = False
+) -> tuple[Int[Array, "B"], Int[Array, "B"], Int[Array, "B"]]:
+    """Numbers of stuck, slipping and free nodes."""
     force = rotate(level_frame(skin.pose), skin.force) if tilted else skin.force
     touching = force[..., -1] > 0
     if force.shape[-1] == 1:

@@ -22,6 +22,8 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
+from jaxtyping import Float
 
 from jaxunshear.contact import dome as domes
 from jaxunshear.contact.batches import Stimuli, obstacles_of
@@ -48,26 +50,26 @@ class PinModel:
     The compliance is known, with its slope, at M ratios of the moduli (`knots`), mm/N for the sensor's gel.
     """
 
-    log_ratio: jax.Array  # () the sensor's own log(skin modulus : gel modulus)
-    knots: jax.Array  # (M,) of it
-    w: jax.Array  # (M, 3N, 3N), and its slope
-    w_slope: jax.Array
-    g: jax.Array  # (M, 3P, 3N)
-    g_slope: jax.Array
-    nodes: jax.Array  # (N, 3)
-    centre_mm: jax.Array
-    tips: jax.Array  # (P, 3) pin tips at rest
+    log_ratio: Array  # () the sensor's own log(skin modulus : gel modulus)
+    knots: Array  # (M,) of it
+    w: Array  # (M, 3N, 3N), and its slope
+    w_slope: Array
+    g: Array  # (M, 3P, 3N)
+    g_slope: Array
+    nodes: Array  # (N, 3)
+    centre_mm: Array
+    tips: Array  # (P, 3) pin tips at rest
     obstacles: Obstacles
-    which: jax.Array  # (B,)
-    shares: jax.Array  # (B, T + 1, K) of the way points in each pose of the path
-    force_n: jax.Array  # (B, N, 3) at the first point
+    which: Array  # (B,)
+    shares: Array  # (B, T + 1, K) of the way points in each pose of the path
+    force_n: Array  # (B, N, 3) at the first point
     most: int = field(metadata={"static": True})  # nodes of a scene that touch at once, probably
 
 
 class Pins(NamedTuple):
-    pins: jax.Array  # (B, P, 3) mm in the sensor frame
-    margin_mm: jax.Array  # (B,) to the nearest switch
-    residual_mm: jax.Array  # (B,) of the worst increment
+    pins: Array  # (B, P, 3) mm in the sensor frame
+    margin_mm: Array  # (B,) to the nearest switch
+    residual_mm: Array  # (B,) of the worst increment
 
 
 class PinGradient(NamedTuple):
@@ -144,8 +146,8 @@ def pin_model(
     )
 
 
-def path_shares(paths: Paths, level: Level, radius_mm: float) -> np.ndarray:
-    """(B, T + 1, K): poses as `plan.increments` cuts them, as means of the way points.
+def path_shares(paths: Paths, level: Level, radius_mm: float) -> Float[np.ndarray, "B T K"]:
+    """Poses as `plan.increments` cuts them, as means of the way points.
 
     A leg without length has no increments: its end carries no derivative, as what would come of it depends on where to.
     """
@@ -162,7 +164,9 @@ def path_shares(paths: Paths, level: Level, radius_mm: float) -> np.ndarray:
     return shares
 
 
-def compliance(model: PinModel, log_ratio: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+def compliance(
+    model: PinModel, log_ratio: Float[Array, ""]
+) -> tuple[Float[Array, "N3 N3"], Float[Array, "P3 N3"], Float[Array, ""]]:
     """w (3N, 3N) and g (3P, 3N) at this ratio of the moduli, over the mean diagonal of w, which comes third."""
     if len(model.knots) == 1:
         step = log_ratio - model.knots[0]
@@ -173,7 +177,7 @@ def compliance(model: PinModel, log_ratio: jax.Array) -> tuple[jax.Array, jax.Ar
         s = (log_ratio - model.knots[left]) / width
         weights = (1 + 2 * s) * (1 - s) ** 2, s**2 * (3 - 2 * s), width * s * (1 - s) ** 2, width * s**2 * (s - 1)
 
-        def between(values: jax.Array, slopes: jax.Array) -> jax.Array:
+        def between(values: Array, slopes: Array) -> Array:
             ends = jnp.stack([values[left], values[left + 1], slopes[left], slopes[left + 1]])
             return jnp.tensordot(jnp.stack(weights), ends, 1)
 
@@ -182,8 +186,13 @@ def compliance(model: PinModel, log_ratio: jax.Array) -> tuple[jax.Array, jax.Ar
     return w / scale, g / scale, scale
 
 
-def pins(model: PinModel, points: jax.Array, friction: jax.Array, log_ratio: jax.Array | None = None) -> Pins:
-    """Pins at the ends of paths through way points (B, K, 6) mm and degrees, friction (B,), log(skin : gel modulus) ().
+def pins(
+    model: PinModel,
+    points: Float[Array, "B K 6"],
+    friction: Float[Array, "B"],
+    log_ratio: Float[Array, ""] | None = None,
+) -> Pins:
+    """Pins at the ends of paths through way points mm and degrees, at friction and log(skin : gel modulus).
 
     Differentiable by all three; for points not far from the model's own, whose nodes and increments it keeps.
     """
@@ -230,9 +239,7 @@ def pin_gradient(
 
 
 @jax.jit
-def _derivatives(
-    model: PinModel, points: jax.Array, friction: jax.Array
-) -> tuple[Pins, jax.Array, jax.Array, jax.Array]:
+def _derivatives(model: PinModel, points: Array, friction: Array) -> tuple[Pins, Array, Array, Array]:
     """One tangent for all scenes at once, as none knows of another; all tangents share each increment's matrix."""
     count, ways = points.shape[0], points.shape[1] * 6
     tangents = (
@@ -242,8 +249,8 @@ def _derivatives(
     )
     at = (points, friction, model.log_ratio)
 
-    def push(*tangent: jax.Array) -> tuple[Pins, jax.Array]:
-        def both(*x: jax.Array) -> tuple[jax.Array, Pins]:
+    def push(*tangent: Array) -> tuple[Pins, Array]:
+        def both(*x: Array) -> tuple[Array, Pins]:
             answer = pins(model, *x)
             return answer.pins, answer
 

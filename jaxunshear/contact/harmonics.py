@@ -6,24 +6,25 @@ angle: two points at angles a and b see each other through cos m(a - b) and sin 
 """
 
 import numpy as np
+from jaxtyping import Float, Int
 
 # Which pairs (displacement, force) of radial, tangential, up go with sin m(a - b), and its sign; the others go with the cosine.
 _ODD = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
 
 
-def ring_sizes(rings: int) -> np.ndarray:
-    """Nodes of each ring, (rings,)."""
+def ring_sizes(rings: int) -> Int[np.ndarray, "{rings}"]:
+    """Nodes of each ring."""
     return np.maximum(6 * np.arange(rings), 1)
 
 
-def lattice(rings: int) -> tuple[np.ndarray, np.ndarray]:
+def lattice(rings: int) -> tuple[Int[np.ndarray, "N"], Float[np.ndarray, "N"]]:
     """Ring and angle (rad) of each of the N nodes, ring by ring, counter-clockwise from +x."""
     sizes = ring_sizes(rings)
     return np.repeat(np.arange(rings), sizes), np.concatenate([np.arange(n) * 2 * np.pi / n for n in sizes])
 
 
-def spread_forces(rings: int, harmonics: int) -> np.ndarray:
-    """(harmonics + 1, rings, 3, 3): real part of harmonic m, (U, V, W) per unit force (radial, tangential, up), at angle 0."""
+def spread_forces(rings: int, harmonics: int) -> Float[np.ndarray, "{harmonics+1} {rings} 3 3"]:
+    """Real part of harmonic m, (U, V, W) per unit force (radial, tangential, up), at angle 0."""
 
     def hat(order: np.ndarray) -> np.ndarray:
         width = 2 * np.pi / ring_sizes(rings)[1:]
@@ -39,8 +40,8 @@ def spread_forces(rings: int, harmonics: int) -> np.ndarray:
     return forces
 
 
-def sixfold(count: int) -> np.ndarray:
-    """(6, count) permutations of the ring lattice 1 + 6 + 12 + ...: [k, i] is the node where node i comes to lie when the
+def sixfold(count: int) -> Int[np.ndarray, "6 {count}"]:
+    """Permutations of the ring lattice 1 + 6 + 12 + ...: [k, i] is the node where node i comes to lie when the
     lattice turns by +60 k degrees. Raises ValueError where `count` nodes do not fill complete rings."""
     rings = (1 + np.sqrt(max(4 * count - 1, 1) / 3)) / 2
     if rings != round(rings) or count < 1:
@@ -51,8 +52,8 @@ def sixfold(count: int) -> np.ndarray:
     return np.concatenate(turned, axis=1)
 
 
-def node_to_node(between: np.ndarray) -> np.ndarray:
-    """(3N, 3N) from `between` (M, 3R, 3R): rings' mean displacement (U, V, W) per load (U, V, W) on rings; symmetric.
+def node_to_node(between: Float[np.ndarray, "M R3 R3"]) -> Float[np.ndarray, "N3 N3"]:
+    """From `between` rings: their mean displacement (U, V, W) per load (U, V, W) on rings; symmetric.
 
     Forces on one sixth of the nodes; the other columns are these, turned.
     """
@@ -74,8 +75,10 @@ def node_to_node(between: np.ndarray) -> np.ndarray:
     return _symmetric(w.reshape(3 * len(ring), -1))
 
 
-def node_to_point(fields: np.ndarray, place: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """(3P, 3N) from `fields` (M, 3Q, 3R), displacements at Q places of the half-plane; point p is at place[p], angle[p]."""
+def node_to_point(
+    fields: Float[np.ndarray, "M Q3 R3"], place: Int[np.ndarray, "P"], angle: Float[np.ndarray, "P"]
+) -> Float[np.ndarray, "3*P N3"]:
+    """From `fields`, displacements at Q places of the half-plane; point p is at place[p], angle[p]."""
     rings = fields.shape[2] // 3
     blocks = fields.reshape(len(fields), -1, 3, rings, 3)
     g = _sum(blocks, place, angle, spread_forces(rings, len(fields) - 1), slice(None))

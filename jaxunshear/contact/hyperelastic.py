@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy.sparse as sp
+from jaxtyping import Float
 
 from jaxunshear.contact.mesh import Mesh, shape_functions
 
@@ -49,8 +50,10 @@ class Body:
         return np.unique(np.concatenate([clamped, clamped + 1, 2 * self.mesh.axis]))
 
 
-def neo_hookean(gradient: jax.Array, shear: jax.Array, first: jax.Array) -> jax.Array:
-    """W (MPa) of a deformation gradient (3, 3); NaN where it turns matter inside out."""
+def neo_hookean(
+    gradient: Float[jax.Array, "3 3"], shear: Float[jax.Array, ""], first: Float[jax.Array, ""]
+) -> Float[jax.Array, ""]:
+    """W (MPa) of a deformation gradient; NaN where it turns matter inside out."""
     log_j = jnp.log(jnp.linalg.det(gradient))
     return shear / 2 * (jnp.sum(gradient**2) - 3 - 2 * log_j) + first / 2 * log_j**2
 
@@ -60,8 +63,10 @@ def lame(modulus: float, poisson: float) -> tuple[float, float]:
     return modulus / (2 * (1 + poisson)), modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
 
 
-def make_body(mesh: Mesh, shear: np.ndarray, first: np.ndarray, density: Density = neo_hookean) -> Body:
-    """Body of moduli (E,) MPa on a mesh."""
+def make_body(
+    mesh: Mesh, shear: Float[np.ndarray, "E"], first: Float[np.ndarray, "E"], density: Density = neo_hookean
+) -> Body:
+    """Body of moduli MPa on a mesh."""
     corners = mesh.nodes[mesh.elements]
     values, local = shape_functions(_GAUSS)
     jacobian = np.einsum("qnl,enx->eqlx", local, corners)
@@ -112,28 +117,30 @@ def _on_elements(function: Callable[..., jax.Array], body: Body, moved: np.ndarr
         return np.asarray(function(body.density, at, body.slopes, body.hoop, body.volume, body.shear, body.first))
 
 
-def energy(body: Body, moved: np.ndarray) -> float:
-    """Strain energy (N mm) at displacement (V, 2) mm; NaN where matter is inside out."""
+def energy(body: Body, moved: Float[np.ndarray, "V 2"]) -> float:
+    """Strain energy (N mm) at displacement mm; NaN where matter is inside out."""
     return float(_on_elements(_energies, body, moved).sum())
 
 
-def forces(body: Body, moved: np.ndarray) -> np.ndarray:
-    """Gradient (2V,) of the energy, N; NaN where matter is inside out."""
+def forces(body: Body, moved: Float[np.ndarray, "V 2"]) -> Float[np.ndarray, "2*V"]:
+    """Gradient of the energy, N; NaN where matter is inside out."""
     if deformation(body, moved)[1].min() <= 0:  # log J has a gradient there too
         return np.full(moved.size, np.nan)
     parts = _on_elements(_forces, body, moved)
     return np.bincount(body.unknowns.ravel(), parts.ravel(), minlength=moved.size)
 
 
-def tangent(body: Body, moved: np.ndarray) -> sp.csc_matrix:
+def tangent(body: Body, moved: Float[np.ndarray, "V 2"]) -> sp.csc_matrix:
     """Hessian (2V, 2V) of the energy, N/mm."""
     blocks = _on_elements(_tangents, body, moved)
     rows, columns = np.repeat(body.unknowns, 16, axis=1).ravel(), np.tile(body.unknowns, (1, 16)).ravel()
     return sp.coo_matrix((blocks.ravel(), (rows, columns)), shape=(moved.size, moved.size)).tocsc()
 
 
-def deformation(body: Body, moved: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Principal stretches (E, Q, 3), not below zero, and signed volume ratios (E, Q)."""
+def deformation(
+    body: Body, moved: Float[np.ndarray, "V 2"]
+) -> tuple[Float[np.ndarray, "E Q 3"], Float[np.ndarray, "E Q"]]:
+    """Principal stretches, not below zero, and signed volume ratios."""
     at = moved[body.mesh.elements]
     plane = np.eye(2) + np.einsum("eni,eqnj->eqij", at, body.slopes)
     around = 1 + np.einsum("eqn,en->eq", body.hoop, at[..., 0])

@@ -20,8 +20,10 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 from jax.ad_checkpoint import checkpoint_name
 from jax.custom_batching import custom_vmap
+from jaxtyping import Float, Int
 
 from jaxunshear.contact.frame import level_frame, rotate
 from jaxunshear.contact.friction import (
@@ -48,28 +50,30 @@ GOAL_MM = {"float64": 1e-10, "float32": 2e-6}  # natural residual at which an in
 class Guess(NamedTuple):
     """What helps to find a force and does not change it; carries no derivative."""
 
-    inverse: jax.Array
-    force: jax.Array  # (B, N, 3), in the level frame
-    dual: jax.Array
-    length_mm: jax.Array  # (B,) of the increment, 0 for skins that stay
+    inverse: Array
+    force: Array  # (B, N, 3), in the level frame
+    dual: Array
+    length_mm: Array  # (B,) of the increment, 0 for skins that stay
 
 
 class PinState(NamedTuple):
     """After a path. Only `motion` and `skin` carry derivatives."""
 
-    motion: jax.Array  # (B, P, 3) mm that the pin tips moved, sensor frame
+    motion: Array  # (B, P, 3) mm that the pin tips moved, sensor frame
     skin: Skin
-    margin_mm: jax.Array  # (B,) to the nearest switch of any node in any increment
-    residual_mm: jax.Array  # (B,) natural residual of the worst increment
+    margin_mm: Array  # (B,) to the nearest switch of any node in any increment
+    residual_mm: Array  # (B,) natural residual of the worst increment
 
 
-_Search = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
-_Given = tuple[jax.Array, jax.Array, jax.Array, jax.Array, Guess]
-_Pass = tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]
+_Search = tuple[Array, Array, Array, Array]
+_Given = tuple[Array, Array, Array, Array, Guess]
+_Pass = tuple[Array, Array, Array, Array, Array]
 
 
-def slopes(moved: jax.Array, friction: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """Derivatives of P at (B, N, 3): by the force (B, N, 3, 3), and by friction (B, N, 3).
+def slopes(
+    moved: Float[Array, "B N 3"], friction: Float[Array, "B"]
+) -> tuple[Float[Array, "B N 3 3"], Float[Array, "B N 3"]]:
+    """Derivatives of P: by the force, and by friction.
 
     Without friction the disk is a point and P is smooth: no tangential force, and none that answers to a tangential move.
     """
@@ -80,9 +84,8 @@ def slopes(moved: jax.Array, friction: jax.Array) -> tuple[jax.Array, jax.Array]
     slips = ~sticks & ((pull > limit) | (mu == 0))
     along = tangential / jnp.where(pull > 0, pull, 1)[..., None]
     share = jnp.where(slips, limit / jnp.where(pull > 0, pull, 1), 1)
-    disk = share[..., None, None] * (
-        jnp.eye(2, dtype=moved.dtype) - jnp.where(slips, 1, 0)[..., None, None] * _outer(along, along)
-    )
+    outer = along[..., :, None] * along[..., None, :]
+    disk = share[..., None, None] * (jnp.eye(2, dtype=moved.dtype) - jnp.where(slips, 1, 0)[..., None, None] * outer)
     zero, one = jnp.zeros_like(normal), jnp.ones_like(normal)
     by_normal = jnp.where(slips, mu, 0)[..., None] * along
     bottom = jnp.stack([zero, zero, one], -1)[..., None, :]
@@ -92,12 +95,8 @@ def slopes(moved: jax.Array, friction: jax.Array) -> tuple[jax.Array, jax.Array]
     return jnp.where(touches[..., None], matrix, 0), jnp.where(touches, by_friction, 0)
 
 
-def _outer(a: jax.Array, b: jax.Array) -> jax.Array:
-    return a[..., :, None] * b[..., None, :]
-
-
-def switch_distance(moved: jax.Array, friction: jax.Array) -> jax.Array:
-    """(B,) mm by which f - (W f + b), (B, N, 3), may change before any node touches, parts, sticks or slips.
+def switch_distance(moved: Float[Array, "B N 3"], friction: Float[Array, "B"]) -> Float[Array, "B"]:
+    """In mm, by which f - (W f + b) may change before any node touches, parts, sticks or slips.
 
     For a free node that is its gap, for a slipping one its slip beyond the last that would stick; forces count in mm of the
     displacement that each would give to its own node.
@@ -110,7 +109,7 @@ def switch_distance(moved: jax.Array, friction: jax.Array) -> jax.Array:
     return jnp.min(jnp.minimum(jnp.abs(normal), jnp.where(either, beyond, jnp.inf)), axis=-1)
 
 
-def _solve_linear(w: jax.Array, frame: jax.Array, slope: jax.Array, right: jax.Array, most: int) -> jax.Array:
+def _solve_linear(w: Array, frame: Array, slope: Array, right: Array, most: int) -> Array:
     """df (B, N, 3) of (I - D (I - W)) df = right, in the level frame; free nodes, D = 0, drop out.
 
     As long as no scene touches with more than `most` nodes, the systems have that size.
@@ -125,7 +124,7 @@ def _solve_linear(w: jax.Array, frame: jax.Array, slope: jax.Array, right: jax.A
 
 
 @custom_vmap
-def _most_touching(touches: jax.Array) -> jax.Array:
+def _most_touching(touches: Array) -> Array:
     """Of all scenes, of those of a vmap too: the choice that stands on it stays one, or both of its sides would be worked out.
 
     XLA's CPU client was seen to wait for ever for two such factorisations of one loop.
@@ -134,11 +133,11 @@ def _most_touching(touches: jax.Array) -> jax.Array:
 
 
 @_most_touching.def_vmap
-def _most_touching_rule(size: int, batched: list[bool], touches: jax.Array) -> tuple[jax.Array, bool]:
+def _most_touching_rule(size: int, batched: list[bool], touches: Array) -> tuple[Array, bool]:
     return _most_touching(touches), False
 
 
-def _on_touching(most: int, w: jax.Array, slope: jax.Array, right: jax.Array) -> jax.Array:
+def _on_touching(most: int, w: Array, slope: Array, right: Array) -> Array:
     touches = jnp.any(slope != 0, axis=(2, 3))
     index = jnp.argsort(~touches, axis=1, stable=True)[:, :most]
     free = jnp.where(touches[..., None], 0, right)
@@ -156,12 +155,12 @@ def _on_touching(most: int, w: jax.Array, slope: jax.Array, right: jax.Array) ->
     )
 
 
-def _dense(w: jax.Array, slope: jax.Array, right: jax.Array) -> jax.Array:
+def _dense(w: Array, slope: Array, right: Array) -> Array:
     nodes = right.shape[1]
     return _dense_blocks(w.T.reshape(1, nodes, 3, nodes, 3), slope, right)
 
 
-def _dense_blocks(blocks: jax.Array, slope: jax.Array, right: jax.Array) -> jax.Array:
+def _dense_blocks(blocks: Array, slope: Array, right: Array) -> Array:
     """(I - D (I - W)) x = right for W as blocks (B or 1, M, 3, M, 3)."""
     count, nodes = right.shape[:2]
     one = jnp.eye(3 * nodes, dtype=right.dtype).reshape(nodes, 3, nodes, 3)
@@ -170,20 +169,20 @@ def _dense_blocks(blocks: jax.Array, slope: jax.Array, right: jax.Array) -> jax.
     return jax.vmap(jax.scipy.linalg.lu_solve)(factors, right.reshape(count, -1)).reshape(right.shape)
 
 
-def _moved(w: jax.Array, frame: jax.Array, offset: jax.Array, force: jax.Array) -> jax.Array:
+def _moved(w: Array, frame: Array, offset: Array, force: Array) -> Array:
     return force - _times(w, force, frame) - offset
 
 
-def _size(miss: jax.Array) -> jax.Array:
+def _size(miss: Array) -> Array:
     return jnp.max(jnp.linalg.norm(miss, axis=-1), axis=-1)
 
 
-def _find(most: int, w: jax.Array, frame: jax.Array, offset: jax.Array, friction: jax.Array, guess: Guess) -> jax.Array:
+def _find(most: int, w: Array, frame: Array, offset: Array, friction: Array, guess: Guess) -> Array:
     """The force by rounds of ADMM, each ten times tighter than the one before, and Newton steps where these help."""
     goal = jnp.where(guess.length_mm > 0, GOAL_MM[offset.dtype.name], jnp.inf).astype(offset.dtype)
     system = System(w, guess.inverse, w, jnp.zeros((0, 3), w.dtype), jnp.zeros((), w.dtype))
 
-    def miss(force: jax.Array) -> jax.Array:
+    def miss(force: Array) -> Array:
         return force - project(_moved(w, frame, offset, force), friction)
 
     def newton(state: _Search) -> _Search:
@@ -195,7 +194,7 @@ def _find(most: int, w: jax.Array, frame: jax.Array, offset: jax.Array, friction
         pick = lambda new, old: jnp.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)  # noqa: E731
         return pick(after, force), pick(error_after, error), jnp.any(better), number + 1
 
-    def newton_goes_on(state: _Search) -> jax.Array:
+    def newton_goes_on(state: _Search) -> Array:
         _, error, improved, number = state
         return jnp.any(error > goal) & improved & (number < NEWTON)
 
@@ -218,9 +217,14 @@ def _find(most: int, w: jax.Array, frame: jax.Array, offset: jax.Array, friction
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def contact_force(
-    most: int, w: jax.Array, frame: jax.Array, offset: jax.Array, friction: jax.Array, guess: Guess
-) -> jax.Array:
-    """Force (B, N, 3), in the level frame, of f = P(f - (W f + b)); w (3N, 3N), frame (B, 3, 3), offset b (B, N, 3).
+    most: int,
+    w: Float[Array, "N3 N3"],
+    frame: Float[Array, "B 3 3"],
+    offset: Float[Array, "B N 3"],
+    friction: Float[Array, "B"],
+    guess: Guess,
+) -> Float[Array, "B N 3"]:
+    """Force, in the level frame, of f = P(f - (W f + b)) with offset b; N3 = 3 N.
 
     Fastest where no more than `most` nodes of a scene touch, and right anyway.
     """
@@ -228,7 +232,7 @@ def contact_force(
 
 
 @contact_force.defjvp
-def _contact_force_jvp(most: int, primals: _Given, tangents: _Given) -> tuple[jax.Array, jax.Array]:
+def _contact_force_jvp(most: int, primals: _Given, tangents: _Given) -> tuple[Array, Array]:
     w, frame, offset, friction, guess = primals
     force = checkpoint_name(contact_force(most, *primals), "force")
     total, change = jax.jvp(
@@ -242,25 +246,23 @@ def _contact_force_jvp(most: int, primals: _Given, tangents: _Given) -> tuple[ja
 
 def pin_state(
     system: System,
-    to_pins: jax.Array,
+    to_pins: Float[Array, "N3 P3"],
     obstacles: Obstacles,
-    which: jax.Array,
-    friction: jax.Array,
-    path: jax.Array,
+    which: Int[Array, "B"],
+    friction: Float[Array, "B"],
+    path: Float[Array, "T B 6"],
     skin: Skin | None = None,
     most: int | None = None,
 ) -> PinState:
-    """Where the pins are after B skins followed path (T + 1, B, 6), as `friction.follow_path`, each increment to rounding.
+    """Where the pins are after B skins followed `path`, as `friction.follow_path`, each increment to rounding.
 
-    Differentiable by `system.w`, `to_pins` (3N, 3P) (both scaled as in `System`), `friction`, `path`, and the displacement of
+    Differentiable by `system.w`, `to_pins` (both scaled as in `System`), `friction`, `path`, and the displacement of
     `skin`, at rest at path[0] by default. `system` must have three unknowns a node; float64 is advised. Runs under jit;
     the batch is its own.
     `most`: see `contact_force`; all nodes by default.
     """
 
-    def step(
-        state: tuple[Skin, jax.Array, jax.Array], pose: jax.Array
-    ) -> tuple[tuple[Skin, jax.Array, jax.Array], None]:
+    def step(state: tuple[Skin, Array, Array], pose: Array) -> tuple[tuple[Skin, Array, Array], None]:
         skin, margin, worst = state
         moves = jnp.any(pose != skin.pose, axis=-1)
         length = jnp.where(moves, increment_length(skin.pose, pose, system.centre_mm / 4), 0)

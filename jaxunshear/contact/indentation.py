@@ -1,6 +1,7 @@
 """How far the skin has been pressed in above each pin: the truth that a reconstructed contact geometry is compared with."""
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial import Delaunay, cKDTree
 
 from jaxunshear.contact.batches import dome
@@ -9,16 +10,16 @@ from jaxunshear.scene.pins import pin_lattice
 from jaxunshear.settings.sensor import Sensor
 
 
-def indentation(sensor: Sensor, skins: Skins) -> np.ndarray:
-    """(B, P) mm: inward normal displacement of the dome's outer face above each pin, positive where it is pressed in.
+def indentation(sensor: Sensor, skins: Skins) -> Float[np.ndarray, "B P"]:
+    """In mm, inward normal displacement of the dome's outer face above each pin, positive where it is pressed in.
 
     Of a pin beyond the contact nodes, where nothing ever touches, that of the nearest node.
     """
     return skins.force_n.reshape(len(skins.force_n), -1) @ per_force(sensor).T
 
 
-def per_force(sensor: Sensor) -> np.ndarray:
-    """(P, 3N) mm/N: the same per unit of force on each contact node."""
+def per_force(sensor: Sensor) -> Float[np.ndarray, "P N3"]:
+    """In mm/N, the same per unit of force on each contact node."""
     full = dome(sensor)
     outward = full.nodes - np.array([0, 0, sensor.dome_radius_mm])
     outward = outward / np.linalg.norm(outward, axis=-1, keepdims=True)

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
+from jaxtyping import Bool, Float
 from scipy.sparse.linalg import splu
 
 from jaxunshear.contact.hyperelastic import Body, Density, deformation, forces, lame, make_body, neo_hookean, tangent
@@ -111,7 +112,7 @@ def _edge_shapes(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], -1), np.stack([s - 0.5, -2 * s, s + 0.5], -1)
 
 
-def follow(body: Body, face: Face, depths: np.ndarray, progress: Progress | None = None) -> list[State]:
+def follow(body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Progress | None = None) -> list[State]:
     """States at rising `depths` (mm of the plate's z); after one that fails, all fail."""
     state = State(np.zeros_like(body.mesh.nodes), np.zeros(len(face.place)), 0.0, 0, True)
     moving, pushing = np.zeros_like(state.moved), np.zeros_like(state.push)  # per mm of depth
@@ -191,8 +192,10 @@ def _row(sensor: Sensor, body: Body, face: Face, state: State, depth: float) -> 
     return (depth, state.push.sum(), radius, pins, stretches.max(), strained, *quality)
 
 
-def contact_radius(radius: np.ndarray, gap: np.ndarray, touching: np.ndarray) -> float:
-    """Where the gap closes, mm, from points (C,) in rising radius: past the rim it opens as (r - a)^1.5 (Johnson 1985,
+def contact_radius(
+    radius: Float[np.ndarray, "C"], gap: Float[np.ndarray, "C"], touching: Bool[np.ndarray, "C"]
+) -> float:
+    """Where the gap closes, mm, from points in rising radius: past the rim it opens as (r - a)^1.5 (Johnson 1985,
     Contact Mechanics, sec. 4.2), so its power 2/3 is a line through the first two points that do not touch."""
     if not touching.any():
         return 0.0
@@ -205,8 +208,8 @@ def contact_radius(radius: np.ndarray, gap: np.ndarray, touching: np.ndarray) ->
     return float(np.clip(rim, radius[last], inner))
 
 
-def pins_at(sensor: Sensor, mesh: Mesh, moved: np.ndarray) -> np.ndarray:
-    """Displaced pin tips (P, 3) in mm: rigid levers that stand on the skin's inner face and turn with it."""
+def pins_at(sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]) -> Float[np.ndarray, "P 3"]:
+    """Displaced pin tips in mm: rigid levers that stand on the skin's inner face and turn with it."""
     flat = pin_lattice(sensor)
     arc = np.linalg.norm(flat, axis=-1)
     arcs, which = np.unique(np.round(arc, 9), return_inverse=True)

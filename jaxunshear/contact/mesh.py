@@ -7,6 +7,7 @@ Both are a quarter disk: a square core on the axis, then layers out to the arc, 
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 # corners, then mid-sides, counter-clockwise in the reference square [-1, 1]^2
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
@@ -28,8 +29,8 @@ class Mesh:
         return np.flatnonzero(self.nodes[:, 0] < 1e-9)
 
 
-def shape_functions(local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Serendipity shape functions at local (Q, 2): values (Q, 8) and local gradients (Q, 8, 2)."""
+def shape_functions(local: Float[np.ndarray, "Q 2"]) -> tuple[Float[np.ndarray, "Q 8"], Float[np.ndarray, "Q 8 2"]]:
+    """Serendipity shape functions: values and local gradients."""
     x, y = local[:, :1], local[:, 1:]
     cx, cy = _CORNERS.T
     values = [(1 + x * cx) * (1 + y * cy) * (x * cx + y * cy - 1) / 4]

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Int
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import Stimulus, signed_distance
@@ -45,8 +46,10 @@ def sample(stimuli: tuple[Stimulus, ...]) -> Obstacles:
     return Obstacles(jnp.stack(grids))
 
 
-def distance_at(obstacles: Obstacles, which: jax.Array, xy: jax.Array) -> jax.Array:
-    """Signed distance (B, N) in mm at points xy (B, N, 2) of the target frame of obstacle which (B,).
+def distance_at(
+    obstacles: Obstacles, which: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]
+) -> Float[jax.Array, "B N"]:
+    """Signed distance in mm at points of the target frame of each obstacle.
 
     Beyond the grid the way to the grid is added: far outside, as every shape lies within.
     """
@@ -63,7 +66,7 @@ def distance_at(obstacles: Obstacles, which: jax.Array, xy: jax.Array) -> jax.Ar
     return lower * (1 - share[..., 1]) + upper * share[..., 1] + jnp.max(jnp.abs(xy - inside), axis=-1)
 
 
-def drop(obstacles: Obstacles, which: jax.Array, xy: jax.Array) -> jax.Array:
+def drop(obstacles: Obstacles, which: Int[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[jax.Array, "B N"]:
     """How far (mm) the stimulus' surface lies below its flat top: a parabola that osculates the edge's rounding."""
     outside = jnp.maximum(distance_at(obstacles, which, xy), 0)
     return outside**2 / (2 * EDGE_RADIUS_MM)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxunshear.contact.mesh import Mesh, shape_functions
 from jaxunshear.errors import UserError
@@ -10,8 +11,8 @@ from jaxunshear.errors import UserError
 _ON_AXIS_MM = 1e-9
 
 
-def interpolation(mesh: Mesh, points: np.ndarray) -> np.ndarray:
-    """(3, P, V): values of the shape functions at points (P, 2) of the half-plane, and their slopes in r and in z.
+def interpolation(mesh: Mesh, points: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "3 P V"]:
+    """Values of the shape functions at points of the half-plane, and their slopes in r and in z.
 
     Newton's method in each near element; where elements meet, their mean (slopes along the line where they meet agree).
     """
@@ -44,8 +45,8 @@ class Pins:
     levers: np.ndarray
     at: np.ndarray
 
-    def motion(self, field: np.ndarray, m: int) -> np.ndarray:
-        """Harmonic m of the tips' displacement (3Q, K), of displacements `field` (3V, K).
+    def motion(self, field: Float[np.ndarray, "V3 K"], m: int) -> Float[np.ndarray, "Q3 K"]:
+        """Harmonic m of the tips' displacement, of displacements `field`.
 
         With length L, normal n and linearised rotation a tip moves by u - L [(n . du/ds) t + (n . du/ds_theta) theta], t being
         the tangent in the half-plane. On the axis the face turns with harmonic 1 alone, and 1/r becomes a slope.

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from jaxunshear.contact.frame import level_frame
 from jaxunshear.contact.level import Level
@@ -46,8 +47,8 @@ class Batch(NamedTuple):
     tilted: bool
 
 
-def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (B, T + 1, 6) along the paths, angles in rad, each padded by staying at its end; numbers of increments (B,).
+def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[Float[np.ndarray, "B T 6"], Int[np.ndarray, "B"]]:
+    """Poses along the paths, angles in rad, each padded by staying at its end; numbers of increments.
 
     Twists count as motion at `radius_mm` / 4 of the axis, tilts at the dome's radius.
     """
@@ -126,13 +127,13 @@ def _gaps(
 
 def gaps(
     obstacles: Obstacles,
-    nodes: np.ndarray,
+    nodes: Float[np.ndarray, "N 3"],
     centre_mm: float,
-    which: np.ndarray,
-    pose: np.ndarray,
-    displacement: np.ndarray,
-) -> np.ndarray:
-    """(B, N) mm between displaced nodes (N, 3) and the stimulus at poses (B, 6) with angles in rad; negative inside."""
+    which: Int[np.ndarray, "B"],
+    pose: Float[np.ndarray, "B 6"],
+    displacement: Float[np.ndarray, "B N 3"],
+) -> Float[np.ndarray, "B N"]:
+    """In mm, between displaced nodes and the stimulus at poses with angles in rad; negative inside."""
     count, size = len(pose), padded(len(nodes), NODE_COUNTS)
     rows = np.minimum(np.arange(padded(count, BATCHES)), count - 1)
     columns = np.minimum(np.arange(size), len(nodes) - 1)
@@ -148,8 +149,10 @@ def gaps(
     return np.asarray(found)[:count, : len(nodes)]
 
 
-def reachable(obstacles: Obstacles, nodes: np.ndarray, centre_mm: float, paths: Paths, wide: bool) -> np.ndarray:
-    """(B, N) bool: the contact nodes (N, 3) that each path can bring into contact; `wide` searches further."""
+def reachable(
+    obstacles: Obstacles, nodes: Float[np.ndarray, "N 3"], centre_mm: float, paths: Paths, wide: bool
+) -> Bool[np.ndarray, "B N"]:
+    """The contact nodes that each path can bring into contact; `wide` searches further."""
     points = paths.points.astype(float).copy()
     points[..., [YAW, TILT_X, TILT_X + 1]] = np.radians(points[..., [YAW, TILT_X, TILT_X + 1]])
     change = np.diff(points, axis=1)
@@ -181,15 +184,15 @@ def reachable(obstacles: Obstacles, nodes: np.ndarray, centre_mm: float, paths: 
 
 def make_plan(
     obstacles: Obstacles,
-    nodes: np.ndarray,
-    sixfold: np.ndarray,
+    nodes: Float[np.ndarray, "N 3"],
+    sixfold: Int[np.ndarray, "6 N"],
     centre_mm: float,
     paths: Paths,
     level: Level,
     batch: int,
     wide: bool,
 ) -> list[Batch]:
-    """Every path in one batch of at most `batch`; nodes (N, 3), sixfold (6, N) as `elasticity.sixfold`.
+    """Every path in one batch of at most `batch`; `sixfold` as `elasticity.sixfold`.
 
     The dome is the same after a turn by 60 deg, so each scene is turned to bring its contact to the side of +x: scenes
     that touch with half of the dome then need the same half.

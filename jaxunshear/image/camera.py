@@ -7,12 +7,13 @@ cut off at 1 is a flat round dot with a soft edge. No gathers and no scatters, s
     grey = jax.jit(frame, static_argnums=(0, 1, 2))(camera, sensor, nuisance, tips, key)   # (F, F) in [0, 1]
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float, Float32
 
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
@@ -24,6 +25,8 @@ DARK_GREY = 0.03
 HOUSING_GREY = 0.75
 LAMPS = 6  # around the housing
 
+Place = TypeVar("Place", np.ndarray, Array)
+
 PIXEL_BLUR = 12**-0.5  # standard deviation of a pixel's own square aperture
 DRIFT_DIRECTION = (0.8, 0.6)  # one fixed direction: a set wears one way
 
@@ -33,18 +36,18 @@ def _focal_px(camera: Camera, sensor: Sensor) -> float:
     return camera.frame_px / camera.mm_across * (camera.distance_mm - apex_pin)
 
 
-def project(camera: Camera, tips: Array, sensor: Sensor) -> Array:
-    """Pin tips (..., P, 3) in mm of the sensor frame -> (..., P, 2) px of the frame as (column, row); x -> +column, y -> +row."""
+def project(camera: Camera, tips: Float[Place, "*B 3"], sensor: Sensor) -> Float[Place, "*B 2"]:
+    """Pin tips in mm of the sensor frame -> px of the frame as (column, row); x -> +column, y -> +row."""
     centre = (camera.frame_px - 1) / 2
     return centre + _focal_px(camera, sensor) * tips[..., :2] / (camera.distance_mm - tips[..., 2:])
 
 
-def drift(nuisance: Nuisance, age: Array | float) -> Array:
-    """How far the entire view has moved at `age` (...,) in [0, 1]: (..., 2) px of the frame as (column, row)."""
+def drift(nuisance: Nuisance, age: Float[Array, "*B"] | float) -> Float[Array, "*B 2"]:
+    """How far the entire view has moved at `age` in [0, 1]: px of the frame as (column, row)."""
     return nuisance.drift_px * jnp.asarray(age, jnp.float32)[..., None] * np.asarray(DRIFT_DIRECTION, np.float32)
 
 
-def to_image_px(camera: Camera, preprocess: Preprocess, px_frame: Array) -> Array:
+def to_image_px(camera: Camera, preprocess: Preprocess, px_frame: Float[Place, "*B 2"]) -> Float[Place, "*B 2"]:
     """Positions in px of the frame -> px of the preprocessed image (pixel centres lie at integers in both)."""
     return (px_frame + 0.5) * (preprocess.size / camera.frame_px) - 0.5
 
@@ -57,9 +60,14 @@ def outer_fraction(camera: Camera, sensor: Sensor) -> float:
 
 
 def frame(
-    camera: Camera, sensor: Sensor, nuisance: Nuisance, tips: Array, key: Array, age: Array | float = 0.0
-) -> Array:
-    """One grey frame (F, F) float32 in [0, 1] of pin tips (P, 3) in mm; `age` in [0, 1] says how far a drifting set has come.
+    camera: Camera,
+    sensor: Sensor,
+    nuisance: Nuisance,
+    tips: Float[Array | np.ndarray, "P 3"],
+    key: Array,
+    age: Float[Array, ""] | float = 0.0,
+) -> Float32[Array, "F F"]:
+    """One grey frame in [0, 1] of pin tips in mm; `age` in [0, 1] says how far a drifting set has come.
 
     `camera`, `sensor` and `nuisance` are static under jit; vmap over `tips`, `key` and `age` for a batch.
     """

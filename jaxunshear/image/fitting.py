@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from jaxunshear.errors import UserError
@@ -70,8 +71,8 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def fit_lattice(frames: list[np.ndarray], layout: Layout) -> Lattice:
-    """The lattice that the found pins (N, 2) px of images of one camera share: the mean place of each pin.
+def fit_lattice(frames: list[Float[np.ndarray, "_ 2"]], layout: Layout) -> Lattice:
+    """The lattice that the found pins px of images of one camera share: the mean place of each pin.
 
     Raises UserError where they do not appear to be pins of this layout.
     """

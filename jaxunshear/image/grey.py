@@ -1,6 +1,7 @@
 """The numbers of a frame: which of them is white, and whether there are others than black and white. Imports no JAX."""
 
 import numpy as np
+from jaxtyping import Bool, Float, Float32, Shaped
 
 from jaxunshear.errors import UserError
 
@@ -9,8 +10,8 @@ SMALLEST_PX = 16
 NEXT = np.uint8(1)  # after it, as bytes wrap round, 255 and 0 are the only two below 2
 
 
-def white_pixels(raw: np.ndarray) -> np.ndarray | None:
-    """(H, W) bool, where a frame of black and white is white; None for every other frame, and for one that is all black or white.
+def white_pixels(raw: np.ndarray) -> Bool[np.ndarray, "H W"] | None:
+    """Where a frame of black and white is white; None for every other frame, and for one that is all black or white.
 
     What `to_grey` and `is_binary` find out in ten times the time for bytes of 0 and 255, and for masks.
     """
@@ -35,8 +36,8 @@ def white_of(raw: np.ndarray) -> float:
     return next((float(white) for white in (255, 1023, 4095, 16383, 65535) if most <= white), most)
 
 
-def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
-    """An image array -> (H, W) float32 in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger, or
+def to_grey(raw: np.ndarray, white: float = 0.0) -> Float32[np.ndarray, "H W"]:
+    """An image array -> grey in [0, 1], where 1 is the number `white`, or the frame's own (`white_of`) if that is larger, or
     1 itself.
 
     Raises UserError for a wrong shape, no pixels, values that are no numbers, or numbers below zero (floats may overshoot).
@@ -62,7 +63,7 @@ def to_grey(raw: np.ndarray, white: float = 0.0) -> np.ndarray:
     return np.clip(grey if grey.ndim == 2 else grey[..., :3] @ LUMA, 0.0, 1.0)
 
 
-def is_binary(grey: np.ndarray) -> bool:
+def is_binary(grey: Shaped[np.ndarray, "H W"]) -> bool:
     """Whether (nearly) all pixels are one of two levels far apart: a frame thresholded before (a few greys come of compression)."""
     if grey.dtype == bool:
         return True
@@ -72,11 +73,11 @@ def is_binary(grey: np.ndarray) -> bool:
     return float(np.mean((grey - low < 0.1 * (high - low)) | (high - grey < 0.1 * (high - low)))) > 0.97
 
 
-def middle_level(grey: np.ndarray) -> float:
+def middle_level(grey: Shaped[np.ndarray, "H W"]) -> float:
     return float(np.min(grey) + np.max(grey)) / 2
 
 
-def check_seen(grey: np.ndarray) -> None:
+def check_seen(grey: Float[np.ndarray, "H W"]) -> None:
     """Raises UserError for a frame of one level."""
     if np.ptp(grey) < 0.05:
         raise UserError("this image is one flat grey: there is nothing to see in it")

@@ -7,6 +7,7 @@ Erased there and grown back, pin by pin from what is known, the row comes out ri
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.spatial import cKDTree
 
 from jaxunshear.image.lattice import Lattice, weights
@@ -17,16 +18,16 @@ GROWN = (0.3, 0.45)  # of the spacing, from where a found pin is expected: first
 ENOUGH = 3  # known ones among a pin's eight nearest, to grow from
 
 
-def filled(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
-    """A motion (P, 2) whose missing rows follow the nearest known ones."""
+def filled(lattice: Lattice, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 2"]:
+    """A motion whose missing rows follow the nearest known ones."""
     known = ~np.isnan(motion[:, 0])
     nearest = cKDTree(lattice.place[known]).query(lattice.place)[1]
     guess = motion[known][nearest]
     return np.where(known[:, None], motion, lattice.around @ guess)
 
 
-def off_neighbours(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
-    """(P,) how far each pin stands from where its neighbours' motion (P, 2) px puts it, over the spacing; 0 for those not seen."""
+def off_neighbours(lattice: Lattice, motion: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P"]:
+    """How far each pin stands from where its neighbours' motion px puts it, over the spacing; 0 for those not seen."""
     known = filled(lattice, motion) if np.isnan(motion).any() else motion
     off = np.linalg.norm(known - lattice.around @ known, axis=-1) / lattice.spacing
     return np.where(np.isnan(motion[:, 0]), 0, off)
@@ -41,8 +42,8 @@ class Rating(NamedTuple):
         return bool(self.off.max() <= CALM)
 
 
-def rated(lattice: Lattice, found: np.ndarray, which: np.ndarray) -> Rating:
-    """Of rows (P,) of the found pins (N, 2) px, -1 for none."""
+def rated(lattice: Lattice, found: Float[np.ndarray, "N 2"], which: Int[np.ndarray, "P"]) -> Rating:
+    """Of rows of the found pins px, -1 for none."""
     known = which >= 0
     if known.mean() < 0.6:
         return Rating(np.full(len(which), np.inf), np.inf)
@@ -50,8 +51,10 @@ def rated(lattice: Lattice, found: np.ndarray, which: np.ndarray) -> Rating:
     return Rating(off, float(np.sum(off > CALM) + 0.5 * np.sum(~known)))
 
 
-def repaired(lattice: Lattice, found: np.ndarray, tree: cKDTree, which: np.ndarray) -> np.ndarray:
-    """Rows (P,) of the found pins (N, 2) px, -1 for none, with fewer doubtful ones where that can be had."""
+def repaired(
+    lattice: Lattice, found: Float[np.ndarray, "N 2"], tree: cKDTree, which: Int[np.ndarray, "P"]
+) -> Int[np.ndarray, "P"]:
+    """Rows of the found pins px, -1 for none, with fewer doubtful ones where that can be had."""
     rating = rated(lattice, found, which)
     for reach in ERASED:
         if rating.calm:

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 
 from jaxunshear.settings.sensor import Sensor
@@ -20,24 +21,24 @@ class Lattice(NamedTuple):
     powers: dict[int, np.ndarray]  # by degree, (P, terms) polynomials of the place
 
     @property
-    def middle(self) -> np.ndarray:
-        """(2,) px of the outermost shell, which a touch moves least."""
+    def middle(self) -> Float[np.ndarray, "2"]:
+        """In px, of the outermost shell, which a touch moves least."""
         return self.place[self.shell == self.shell.max()].mean(axis=0)
 
 
-def shells(sensor: Sensor) -> np.ndarray:
-    """(P,) index of the shell of each pin, 0 for the one in the middle."""
+def shells(sensor: Sensor) -> Int[np.ndarray, "P"]:
+    """Index of the shell of each pin, 0 for the one in the middle."""
     return np.repeat(np.arange(sensor.rings + 1), [1] + [6 * k for k in range(1, sensor.rings + 1)])
 
 
-def shells_of(place: np.ndarray) -> np.ndarray:
-    """(P,) the same for pins in any order and layout: by their distance from the middle, in spacings."""
+def shells_of(place: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
+    """The same for pins in any order and layout: by their distance from the middle, in spacings."""
     off = np.linalg.norm(place - place.mean(axis=0), axis=-1)
     return np.round(off / _spacing(place)).astype(int)
 
 
-def make_lattice(place: np.ndarray, shell: np.ndarray | None = None) -> Lattice:
-    """A lattice from the places (P, 2) px of its pins."""
+def make_lattice(place: Float[np.ndarray, "P 2"], shell: Int[np.ndarray, "P"] | None = None) -> Lattice:
+    """A lattice from the places px of its pins."""
     offset = place - place.mean(axis=0)
     powers = {degree: _powers(offset / np.abs(offset).max(), degree) for degree in DEGREES}
     shell = shells_of(place) if shell is None else shell
@@ -57,10 +58,12 @@ def _powers(x: np.ndarray, degree: int) -> np.ndarray:
     return np.stack([x[..., 0] ** i * x[..., 1] ** j for i, j in pairs], axis=-1)
 
 
-def weights(offset: np.ndarray, spacing: float, known: np.ndarray | None = None) -> np.ndarray:
-    """(M, N) weights of other pins at offsets (M, N, 2) px: of a quadratic motion fitted to theirs, read at the pin itself.
+def weights(
+    offset: Float[np.ndarray, "M N 2"], spacing: float, known: Bool[np.ndarray, "M N"] | None = None
+) -> Float[np.ndarray, "M N"]:
+    """Weights of other pins at offsets px: of a quadratic motion fitted to theirs, read at the pin itself.
 
-    Those not `known` (M, N) have none.
+    Those not `known` have none.
     """
     offset = offset / spacing
     share = 1 / (1 + (offset**2).sum(-1))

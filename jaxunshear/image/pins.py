@@ -5,6 +5,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 from skimage.feature import peak_local_max
@@ -25,8 +26,8 @@ class Found(NamedTuple):
     radius: float = 0.0  # px, of the usual pin; 0 where there is none
 
 
-def find_pins(image: np.ndarray) -> np.ndarray:
-    """Binary (or nearly binary) image (S, S), uint8 of {0, 255} or in [0, 1] -> centroids (N, 2) px as (column, row).
+def find_pins(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
+    """Binary (or nearly binary) image (S, S), uint8 of {0, 255} or in [0, 1] -> centroids px as (column, row).
 
     Pins that touch are parted at the waist. The housing ring and specks are left out: they are too long, too large,
     too small or too far from other pins.
@@ -39,7 +40,7 @@ def detect(image: np.ndarray) -> Found:
     return _detected(image, _parted)
 
 
-def glance(image: np.ndarray) -> np.ndarray:
+def glance(image: np.ndarray) -> Float[np.ndarray, "N 2"]:
     """`find_pins` in a third of the time, and in a tenth for noise: pins that touch are set in a row of equal steps, a fraction of a pixel
     off. Good for what many pins have in common."""
     return _detected(image, _in_a_row).pins
@@ -147,8 +148,8 @@ def _in_a_row(parts: _Parts, number: int, diameter: float) -> tuple[np.ndarray, 
     return centre + steps[:, None] * axis, np.full(count, area / count)
 
 
-def in_company(centre: np.ndarray) -> np.ndarray:
-    """Rows of those points (N, 2) that are near two others: within twice the usual distance between neighbours.
+def in_company(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
+    """Rows of those points that are near two others: within twice the usual distance between neighbours.
 
     On the outline, where glints of the housing lie and the skin hardly stretches, within 1.5 times.
     """

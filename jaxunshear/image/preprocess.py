@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Bool, Float, Float32, Shaped, UInt8
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 from skimage.filters import threshold_otsu
@@ -34,8 +35,8 @@ OUTER_PINS_OF_DISC = 0.82  # radius of the outermost pins over that of the dark 
 Grey = TypeVar("Grey", np.ndarray, Array)
 
 
-def binarise(preprocess: Preprocess, grey: Array) -> Array:
-    """Square grey crops (..., H, H) in [0, 1] -> binary images (..., S, S) uint8 of {0, 255}."""
+def binarise(preprocess: Preprocess, grey: Array) -> UInt8[Array, "... S S"]:
+    """Square grey crops (..., H, H) in [0, 1] -> binary images of {0, 255}."""
     _check_square(grey.shape)
     return _binarise(jnp, _jax_matmul, preprocess, jnp.asarray(grey, jnp.float32))
 
@@ -64,8 +65,8 @@ def _check_square(shape: tuple[int, ...]) -> None:
 
 
 @lru_cache
-def area_matrix(before: int, after: int) -> np.ndarray:
-    """(after, before): the share of each old pixel in each new one, rows summing to 1."""
+def area_matrix(before: int, after: int) -> Float32[np.ndarray, "{after} {before}"]:
+    """The share of each old pixel in each new one, rows summing to 1."""
     edges = np.arange(after + 1) * (before / after)
     old = np.arange(before)
     overlap = np.minimum(edges[1:, None], old + 1) - np.maximum(edges[:-1, None], old)
@@ -73,16 +74,16 @@ def area_matrix(before: int, after: int) -> np.ndarray:
 
 
 @lru_cache
-def mean_matrix(preprocess: Preprocess) -> np.ndarray:
-    """(size, size): the mean over the block of pixels around each, mirrored at the border as scipy's mode 'reflect'."""
+def mean_matrix(preprocess: Preprocess) -> Float32[np.ndarray, "S S"]:
+    """The mean over the block of pixels around each, mirrored at the border as scipy's mode 'reflect'."""
     size = preprocess.size
     block = max(3, 2 * round(preprocess.block * size / 2) + 1)
     return ndimage.uniform_filter1d(np.eye(size), block, axis=0, mode="reflect").astype(np.float32)
 
 
 @lru_cache
-def mask_of(preprocess: Preprocess) -> np.ndarray:
-    """(size, size) bool: the circle within which pins are."""
+def mask_of(preprocess: Preprocess) -> Bool[np.ndarray, "S S"]:
+    """The circle within which pins are."""
     across = np.arange(preprocess.size) - (preprocess.size - 1) / 2
     return np.hypot(across[:, None], across) <= preprocess.mask_radius * preprocess.size
 
@@ -96,8 +97,8 @@ class View(NamedTuple):
     ] = ()  # (type of number, the one that stands for white), unless a frame is brighter
 
 
-def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) -> np.ndarray:
-    """A recorded frame (H, W) or (H, W, 1 to 4 channels), of any number type -> binary image (S, S) uint8 of {0, 255}.
+def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) -> UInt8[np.ndarray, "S S"]:
+    """A recorded frame (H, W) or (H, W, 1 to 4 channels), of any number type -> binary image of {0, 255}.
 
     Without a box in `view` the dome is found and cropped. A frame that is binary already is
     not thresholded again, and not cropped unless its framing is clearly another. Raises UserError for what is no image.
@@ -161,7 +162,7 @@ def _reframed(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
     return _square(pins.row, pins.column, pins.radius / outer_pins)
 
 
-def find_dome(grey: np.ndarray, outer_pins: float) -> tuple[int, int, int, int]:
+def find_dome(grey: Float[np.ndarray, "H W"], outer_pins: float) -> tuple[int, int, int, int]:
     """The square (left, top, right, bottom) that puts the outermost pins `outer_pins` of its side from its middle.
 
     It goes by the dark dome disc in a light surround; without such a disc by the pins; without pins it is the middle square.
@@ -247,7 +248,7 @@ def _middle(shape: tuple[int, ...]) -> tuple[int, int, int, int]:
     return _square((shape[0] - 1) / 2, (shape[1] - 1) / 2, min(shape))
 
 
-def crop(grey: np.ndarray, bbox: tuple[int, int, int, int]) -> np.ndarray:
+def crop(grey: Shaped[np.ndarray, "H W"], bbox: tuple[int, int, int, int]) -> Shaped[np.ndarray, "S S"]:
     """A square crop; what lies outside the frame repeats its border. A bbox that is not square grows about its middle."""
     left, top, right, bottom = (round(edge) for edge in bbox)
     height, width = grey.shape

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from jaxunshear.image.growing import CALM, ENOUGH, off_neighbours
 from jaxunshear.image.lattice import Lattice
@@ -25,13 +26,12 @@ class Track(NamedTuple):
     sure: bool
 
     @property
-    def seen(self) -> np.ndarray:
-        """(P,) bool"""
+    def seen(self) -> Bool[np.ndarray, "P"]:
         return ~np.isnan(self.motion[:, 0])
 
 
-def judged(lattice: Lattice, motion: np.ndarray, which: np.ndarray, found: int) -> Track:
-    """A track of these motions (P, 2), NaN where a pin is not seen.
+def judged(lattice: Lattice, motion: Float[np.ndarray, "P 2"], which: Int[np.ndarray, "P"], found: int) -> Track:
+    """A track of these motions, NaN where a pin is not seen.
 
     It is sure where motions are smooth, nothing is missing within, and not both pins and found ones are left over: identities that are
     one place off leave a row of each. A pin without the company to vouch for it counts as not seen.

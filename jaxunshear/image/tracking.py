@@ -19,6 +19,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -66,8 +67,8 @@ def followed(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray, alone:
     return Followed(np.where(sure[:, None, None], motion, np.nan), sure)
 
 
-def motions_of(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray) -> np.ndarray:
-    """(N, P, 2) px: motions of the pins in images (N, S, S), missing ones filled in; NaN rows where pins were not identified for sure."""
+def motions_of(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray) -> Float[np.ndarray, "N P 2"]:
+    """In px: motions of the pins in images (N, S, S), missing ones filled in; NaN rows where pins were not identified for sure."""
     motion, sure = followed(lattice, images)
     for row in np.flatnonzero(sure):
         motion[row] = filled(lattice, motion[row])

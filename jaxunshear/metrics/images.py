@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 WINDOW = 11  # pixels
 SIGMA = 1.5  # pixels
@@ -39,8 +40,8 @@ def ms_ssim_name(scales: int) -> str:
     return "ms_ssim" if scales == len(WEIGHTS) else f"ms_ssim@{scales}"
 
 
-def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Array:
-    """Multi-scale structural similarity of (B, H, W, 1) images in [0, 1] -> (B,), 1 for equal images.
+def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Float[Array, "B"]:
+    """Multi-scale structural similarity of (B, H, W, 1) images in [0, 1], 1 for equal images.
 
     Contrast-structure at all scales but the coarsest, full SSIM there; each is averaged over its image, clamped at 0
     and raised to its weight. With fewer than five scales the first weights are used, made to sum to 1: another
@@ -61,8 +62,8 @@ def ms_ssim(a: ArrayLike, b: ArrayLike, scales: int = 5) -> Array:
     return _ms_ssim(a, b, scales)
 
 
-def ssim(a: ArrayLike, b: ArrayLike) -> Array:
-    """Structural similarity (Wang 2004), averaged over the image, of (B, H, W, 1) images in [0, 1] -> (B,) in [-1, 1].
+def ssim(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
+    """Structural similarity (Wang 2004), averaged over the image, of (B, H, W, 1) images in [0, 1]: in [-1, 1].
 
     Raises `ValueError` as `ms_ssim` does.
     """
@@ -72,8 +73,8 @@ def ssim(a: ArrayLike, b: ArrayLike) -> Array:
     return _ssim(a, b)
 
 
-def mse(a: ArrayLike, b: ArrayLike) -> Array:
-    """Mean squared error of (B, H, W, 1) images in [0, 1] -> (B,). Raises `ValueError` as `ms_ssim` does."""
+def mse(a: ArrayLike, b: ArrayLike) -> Float[Array, "B"]:
+    """Mean squared error of (B, H, W, 1) images in [0, 1]. Raises `ValueError` as `ms_ssim` does."""
     a, b = _checked(a, b)
     return jnp.mean(jnp.square(a - b), axis=(1, 2, 3))
 
@@ -86,7 +87,7 @@ def _checked(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
     for x in (a, b):
         if not jnp.issubdtype(x.dtype, jnp.floating):
             raise ValueError(f"images in [0, 1] are needed, not {x.dtype}: divide 8-bit images by 255 first")
-    dtype = jnp.promote_types(jnp.promote_types(a.dtype, b.dtype), jnp.float32)
+    dtype = np.result_type(*(np.promote_types(x.dtype, np.float32) for x in (a, b)))
     return a.astype(dtype), b.astype(dtype)
 
 

@@ -1,19 +1,20 @@
 """How much one set of numbers says about another: pure functions of arrays."""
 
 import numpy as np
+from jaxtyping import Float
 
 PERMUTATIONS = 199
 
 
-def r2(squares: np.ndarray, scatter: np.ndarray) -> float:
-    """1 - SSE / SST of squared errors and squared distances from the mean, (N,) or (N, K): 1 where all is known, 0 where nothing is, below
-    where a guess misleads; NaN where nothing varies."""
+def r2(squares: Float[np.ndarray, "*N"], scatter: Float[np.ndarray, "*N"]) -> float:
+    """1 - SSE / SST of squared errors and squared distances from the mean: 1 where all is known, 0 where nothing is, below where a guess
+    misleads; NaN where nothing varies."""
     total = float(np.sum(scatter, dtype=np.float64))
     return 1 - float(np.sum(squares, dtype=np.float64)) / total if total > 0 else float("nan")
 
 
-def hsic(one: np.ndarray, other: np.ndarray, seed: int = 0) -> tuple[float, float]:
-    """Hilbert-Schmidt independence criterion of N paired rows, (N, F) and (N, K), with Gaussian kernels as wide as the median distance,
+def hsic(one: Float[np.ndarray, "N F"], other: Float[np.ndarray, "M K"], seed: int = 0) -> tuple[float, float]:
+    """Hilbert-Schmidt independence criterion of N = M paired rows, with Gaussian kernels as wide as the median distance,
     over the root of each one's criterion with itself (0: independent, 1: the same); and the p-value of independence.
 
     Gretton et al. 2005, the biased estimate; p by PERMUTATIONS permutations, so never below 1 / (1 + PERMUTATIONS). Rows must be

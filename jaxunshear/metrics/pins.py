@@ -6,6 +6,7 @@ Similarity of images is blind to a grid shifted by a full pitch; centroids match
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, UInt8
 from scipy.optimize import linear_sum_assignment
 
 from jaxunshear.image.pins import find_pins
@@ -30,8 +31,8 @@ class PinError(NamedTuple):
     extra: float
 
 
-def match_pins(found: np.ndarray, true: np.ndarray, limit_px: float) -> PinMatch:
-    """Found pins (N, 2) to true pins (P, 2) px, one to one with the least sum of squares; none beyond `limit_px`."""
+def match_pins(found: Float[np.ndarray, "N 2"], true: Float[np.ndarray, "P 2"], limit_px: float) -> PinMatch:
+    """Found pins to true pins, px, one to one with the least sum of squares; none beyond `limit_px`."""
     if len(found) == 0 or len(true) == 0:
         return PinMatch(np.zeros(0), len(true), len(found))
     distance = np.linalg.norm(np.asarray(found)[:, None] - np.asarray(true)[None], axis=-1)
@@ -42,8 +43,10 @@ def match_pins(found: np.ndarray, true: np.ndarray, limit_px: float) -> PinMatch
     return PinMatch(error, len(true) - len(error), len(found) - len(error))
 
 
-def pin_error(images: np.ndarray, true_px: np.ndarray, mm_per_px: float, limit_px: float) -> PinError:
-    """Binary images (B, S, S) uint8 against true pins (B, P, 2) px as (column, row), matched within `limit_px`.
+def pin_error(
+    images: UInt8[np.ndarray, "B S S"], true_px: Float[np.ndarray, "B P 2"], mm_per_px: float, limit_px: float
+) -> PinError:
+    """Binary images against true pins px as (column, row), matched within `limit_px`.
 
     NaN errors where no pin matched at all.
     """

@@ -3,11 +3,13 @@
 from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Float32
 
 
-def pose_errors(predicted: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Absolute errors of all that is `predicted`, in the order of the labels, each (B,) float32; angles the short way round, so at
-    most 180.
+def pose_errors(
+    predicted: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
+) -> dict[str, Float32[np.ndarray, "B"]]:
+    """Absolute errors of all that is `predicted`, in the order of the labels; angles the short way round, so at most 180.
 
     Raises `ValueError` where a label is missing or lengths differ.
     """

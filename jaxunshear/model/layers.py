@@ -6,14 +6,16 @@ gradients of kernels, which are kept in float32 from there on, as are parameters
 
 import flax.linen as nn
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 INIT = nn.initializers.normal(0.02)  # paper, appendix B
 MOMENTUM = 0.9  # of the running statistics
 EPSILON = 1e-5
 
 
-def in_precision(images: Array, precision: str) -> Array:
+def in_precision(images: Float[Array, "*B"], precision: str) -> Float[Array, "*B"]:
     """Images as a network of this precision ("float32", "bfloat16") is to be given them; wider ones stay as they are in float32."""
     return images.astype(jnp.bfloat16) if precision == "bfloat16" else images
 
@@ -61,10 +63,12 @@ class Last(nn.Module):
         nn.share_scope(self, conv)
         bias = self.param("bias", nn.initializers.zeros, (1,))
         image: Array = conv(x)
-        return image.astype(jnp.promote_types(x.dtype, jnp.float32)) + bias
+        return image.astype(np.promote_types(x.dtype, np.float32)) + bias[None, None, None]
 
 
-def norm_relu(layer: nn.Module, conv: nn.Conv | nn.ConvTranspose, x: Array, train: bool) -> Array:
+def norm_relu(
+    layer: nn.Module, conv: nn.Conv | nn.ConvTranspose, x: Float[Array, "B H W C"], train: bool
+) -> Float[Array, "B _ _ N"]:
     """A layer's convolution, whose kernel is the layer's own parameter, batch normalisation and ReLU."""
     nn.share_scope(layer, conv)
     norm = nn.BatchNorm(

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from jaxunshear.model.parts import Variables, check_sheared, holds
 from jaxunshear.settings.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
@@ -82,8 +83,8 @@ class Codes(nn.Module):
         return self.DC(z_p), None if z_s is None else self.decode_sheared(z_p, z_s)
 
 
-def init(net: PinNet, rest: ArrayLike, spread: float, key: Array, outputs: int = 0) -> Variables:
-    """Fresh variables for pins that stand untouched at `rest` (P, 2) px and move by `spread` px (root mean square). `outputs`: of the
+def init(net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, outputs: int = 0) -> Variables:
+    """Fresh variables for pins that stand untouched at `rest` px and move by `spread` px (root mean square). `outputs`: of the
     pose targets together, for all but PinUnshear."""
     motions = int(np.size(rest))
     given = outputs if isinstance(net, PinRenderer) else motions + (2 if net.turned else 0)
@@ -92,25 +93,29 @@ def init(net: PinNet, rest: ArrayLike, spread: float, key: Array, outputs: int =
     return {"params": params, "batch_stats": constants}
 
 
-def unshear(net: PinUnshear, variables: Variables, pins: Array) -> Array:
-    """Sheared pins (B, P, 2) px -> canonical ones; needs neither the shear code nor DS, which released weights leave out."""
+def unshear(net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]) -> Float[Array, "B P 2"]:
+    """Sheared pins px -> canonical ones; needs neither the shear code nor DS, which released weights leave out."""
     return decode_canonical(net, variables, _codes(net, variables, "pose_code", _motions(variables, pins)))
 
 
-def encode(net: PinUnshear, variables: Variables, pins: Array) -> tuple[Array, Array | None]:
-    """Pins (B, P, 2) px -> (z_p (B, pose_code), z_s (B, shear_code) or None, as in released weights)."""
+def encode(
+    net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]
+) -> tuple[Float[Array, "B {net.pose_code}"], Float[Array, "B {net.shear_code}"] | None]:
+    """Pins px -> (z_p, z_s, or None as in released weights)."""
     if net.shear_code and not holds(variables, "shear"):
         return _codes(net, variables, "pose_code", _motions(variables, pins)), None
     return _codes(net, variables, "encode", _motions(variables, pins))
 
 
-def decode_canonical(net: PinUnshear, variables: Variables, z_p: Array) -> Array:
-    """DC: pose code -> pins (B, P, 2) px of the tap."""
+def decode_canonical(net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"]) -> Float[Array, "B P 2"]:
+    """DC: pose code -> pins px of the tap."""
     return _places(variables, _codes(net, variables, "decode_canonical", z_p))
 
 
-def decode_sheared(net: PinUnshear, variables: Variables, z_p: Array, z_s: Array) -> Array:
-    """DS: both codes -> pins (B, P, 2) px of the slide. Raises UserError for released weights, which leave it out."""
+def decode_sheared(
+    net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"], z_s: Float[Array, "B G"]
+) -> Float[Array, "B P 2"]:
+    """DS: both codes -> pins px of the slide. Raises UserError for released weights, which leave it out."""
     check_sheared(variables)
     return _places(variables, _codes(net, variables, "decode_sheared", z_p, z_s))
 
@@ -127,12 +132,12 @@ class Decoded(NamedTuple):
 def reconstruct(
     net: PinUnshear,
     variables: Variables,
-    pins: Array,
+    pins: Float[Array, "B P 2"],
     key: Array | None = None,
-    same_pose: Array | None = None,
-    same_slide: Array | None = None,
+    same_pose: Float[Array, "B P 2"] | None = None,
+    same_slide: Float[Array, "B P 2"] | None = None,
 ) -> Decoded:
-    """Both decoders over sheared pins (B, P, 2) px; in training a `key` spoils pins and codes a little. `same_pose`: a tap there, or
+    """Both decoders over sheared pins px; in training a `key` spoils pins and codes a little. `same_pose`: a tap there, or
     the pins after another slide; `same_slide`: of another pose after that other slide."""
     partners = [each for each in (same_slide, same_pose) if each is not None]
     seen = jnp.concatenate([pins, *partners])
@@ -156,14 +161,16 @@ def reconstruct(
     return Decoded(canonical, sheared, exchanged, apart + disagreement(own_s[second], own_s[last]))
 
 
-def disagreement(one: Array, other: Array) -> Array:
-    """(B,) mean square difference of codes (B, F) that should be equal, over their mean variance in the batch."""
+def disagreement(one: Float[Array, "B F"], other: Float[Array, "B F"]) -> Float[Array, "B"]:
+    """Mean square difference of codes that should be equal, over their mean variance in the batch."""
     variance = jnp.mean(jnp.var(jnp.concatenate([one, other]), axis=0))
     return jnp.mean(jnp.square(one - other), -1) / (variance + LEAST_VARIANCE)
 
 
-def predict(net: PinPoseNet, variables: Variables, pins: Array, radians: ArrayLike = 0.0) -> Array:
-    """Pins (B, P, 2) px -> outputs (B, K), scaled as PoseNet's but not bounded. `radians`: by how much all of them were turned, for
+def predict(
+    net: PinPoseNet, variables: Variables, pins: Float[Array, "B P 2"], radians: ArrayLike = 0.0
+) -> Float[Array, "B K"]:
+    """Pins px -> outputs, scaled as PoseNet's but not bounded. `radians`: by how much all of them were turned, for
     networks that learn from turned pins."""
     motions = _motions(variables, pins)
     if net.turned:
@@ -172,19 +179,19 @@ def predict(net: PinPoseNet, variables: Variables, pins: Array, radians: ArrayLi
     return _dense(net, variables, motions)
 
 
-def render(net: PinRenderer, variables: Variables, outputs: Array) -> Array:
-    """Poses as PoseNet's outputs (B, K) in [0, 1] -> pins (B, P, 2) px of a tap there."""
+def render(net: PinRenderer, variables: Variables, outputs: Float[Array, "B K"]) -> Float[Array, "B P 2"]:
+    """Poses as PoseNet's outputs in [0, 1] -> pins px of a tap there."""
     return _places(variables, _dense(net, variables, 2 * outputs - 1))
 
 
-def distance(pins: Array, target: Array, variables: Variables) -> Array:
-    """(B,) mean squared distance of pins (B, P, 2) in units of `spread`, over those that the target shows."""
+def distance(pins: Float[Array, "B P 2"], target: Float[Array, "B P 2"], variables: Variables) -> Float[Array, "B"]:
+    """Mean squared distance of pins in units of `spread`, over those that the target shows."""
     seen = jnp.isfinite(target)
     square = jnp.where(seen, jnp.square((pins - jnp.where(seen, target, 0)) / variables["batch_stats"]["spread"]), 0)
-    return square.sum((1, 2)) / jnp.maximum(seen.sum((1, 2)), 1)
+    return square.sum((1, 2)) / jnp.maximum(seen.sum((1, 2), dtype=square.dtype), 1)
 
 
-def spoilt(net: PinNet, pins: Array, key: Array) -> Array:
+def spoilt(net: PinNet, pins: Float[Array, "B P 2"], key: Array) -> Float[Array, "B P 2"]:
     """Pins with the noise of a training example."""
     return pins + net.noise_px * jax.random.normal(key, pins.shape)
 
@@ -208,10 +215,10 @@ def _codes(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -
 def _motions(variables: Variables, pins: Array) -> Array:
     """(B, 2 P) in units of `spread`; 0 for pins that are not seen."""
     constants = variables["batch_stats"]
-    motion = (pins - constants["rest"]) / constants["spread"]
+    motion = (pins - constants["rest"][None]) / constants["spread"]
     return jnp.where(jnp.isfinite(motion), motion, 0).reshape(pins.shape[0], -1)
 
 
 def _places(variables: Variables, motions: Array) -> Array:
     constants = variables["batch_stats"]
-    return constants["rest"] + constants["spread"] * motions.reshape(motions.shape[0], *constants["rest"].shape)
+    return constants["rest"][None] + constants["spread"] * motions.reshape(motions.shape[0], *constants["rest"].shape)

@@ -9,7 +9,9 @@ Ours, not the paper's. It sees the entire code, as PoseNet's two dense layers se
 
 import flax.linen as nn
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from jaxunshear.model.layers import INIT
 from jaxunshear.model.parts import Variables
@@ -42,8 +44,8 @@ def of(variables: Variables) -> Variables | None:
     return head if "norm" in head else None
 
 
-def predict(params: Variables, z_p: Array) -> Array:
-    """Pose codes (B, s, s, channels) -> outputs (B, K) in [0, 1], in float32 or wider."""
+def predict(params: Variables, z_p: Float[Array, "B s s channels"]) -> Float[Array, "B K"]:
+    """Pose codes -> outputs in [0, 1], in float32 or wider."""
     known = len(params["Dense_1"]["bias"])
-    outputs: Array = Network(known).apply({"params": params}, z_p.astype(jnp.promote_types(z_p.dtype, jnp.float32)))  # type: ignore[assignment]
+    outputs: Array = Network(known).apply({"params": params}, z_p.astype(np.promote_types(z_p.dtype, np.float32)))  # type: ignore[assignment]
     return outputs

@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float
 
 from jaxunshear.model import kernels
 from jaxunshear.model.fast import networks as fast
@@ -64,13 +65,15 @@ def check(net: networks.PoseNet) -> None:
         raise ValueError(f"size: {net.size} px is no multiple of 16")
 
 
-def predict(net: networks.PoseNet, variables: Variables, images: Array) -> Array:
-    """Images (B, S, S, 1) in [0, 1] -> outputs (B, K) in [0, 1]; each image on its own."""
+def predict(net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B K"]:
+    """Images in [0, 1] -> outputs in [0, 1]; each image on its own."""
     outputs: Array = _of(net, variables).apply(variables, images, False)  # type: ignore[assignment]
     return outputs
 
 
-def predict_training(net: networks.PoseNet, variables: Variables, images: Array) -> tuple[Array, Variables]:
+def predict_training(
+    net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> tuple[Float[Array, "B K"], Variables]:
     """The same with the batch's statistics, and the updated running ones."""
     outputs, updates = _of(net, variables).apply(variables, images, True, mutable=["batch_stats"])
     return outputs, updates["batch_stats"]
@@ -90,8 +93,8 @@ def output_weights(targets: Targets) -> tuple[float, ...]:
     return tuple(target.weight for target in targets for _ in range(target.outputs))
 
 
-def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Array:
-    """Labels of a batch, (B, columns) mm and deg by field -> what the outputs should be, (B, K) in [0, 1]."""
+def pose_targets(batch: Mapping[str, Float[ArrayLike, "B _"]], targets: Targets) -> Float[Array, "B K"]:
+    """Labels of a batch, mm and deg by field -> what the outputs should be, in [0, 1]."""
     signed: list[Array] = []
     for target in targets:
         value = jnp.asarray(batch[target.field])[:, target.column]
@@ -103,8 +106,8 @@ def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Array:
     return (jnp.stack(signed, -1) + 1) / 2
 
 
-def drawn_outputs(targets: Targets, count: int, key: Array) -> Array:
-    """Outputs (count, K) in [0, 1] of poses that are uniform over the targets' ranges and circles."""
+def drawn_outputs(targets: Targets, count: int, key: Array) -> Float[Array, "{count} K"]:
+    """Outputs in [0, 1] of poses that are uniform over the targets' ranges and circles."""
     signed: list[Array] = []
     for target, one in zip(targets, jax.random.split(key, len(targets)), strict=True):
         drawn = jax.random.uniform(one, (count,), minval=-1.0)
@@ -112,8 +115,8 @@ def drawn_outputs(targets: Targets, count: int, key: Array) -> Array:
     return (jnp.stack(signed, -1) + 1) / 2
 
 
-def pose_from_outputs(outputs: Array, targets: Targets) -> dict[str, Array]:
-    """Outputs (B, K) -> mm and deg by target, each (B,); angles of a full circle in (-180, 180]."""
+def pose_from_outputs(outputs: Float[Array, "B K"], targets: Targets) -> dict[str, Float[Array, "B"]]:
+    """Outputs -> mm and deg by target; angles of a full circle in (-180, 180]."""
     signed = 2 * outputs - 1
     pose, column = {}, 0
     for target in targets:
@@ -125,7 +128,9 @@ def pose_from_outputs(outputs: Array, targets: Targets) -> dict[str, Array]:
     return pose
 
 
-def mean_pose(one: dict[str, Array], other: dict[str, Array], targets: Targets) -> dict[str, Array]:
+def mean_pose(
+    one: dict[str, Float[Array, "B"]], other: dict[str, Float[Array, "B"]], targets: Targets
+) -> dict[str, Float[Array, "B"]]:
     """The mean of two answers in the form of `pose_from_outputs`; of an angle on a full circle that of the unit vectors."""
     mean = {}
     for target in targets:

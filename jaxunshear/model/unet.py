@@ -11,6 +11,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
 from jaxunshear.model import kernels, unshearnet
 from jaxunshear.model.fast import networks as fast
@@ -53,13 +54,15 @@ def check(net: networks.UNet) -> None:
     unshearnet.check(networks.UnshearNet(net.size, net.widths))
 
 
-def unshear(net: networks.UNet, variables: Variables, images: Array) -> Array:
-    """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones."""
+def unshear(net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B S S 1"]:
+    """Sheared images in [0, 1] -> canonical ones."""
     logits: Array = _network(net).apply(variables, images, False)  # type: ignore[assignment]
     return jax.nn.sigmoid(logits)
 
 
-def reconstruct(net: networks.UNet, variables: Variables, images: Array) -> tuple[Array, None, None, Variables]:
+def reconstruct(
+    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> tuple[Float[Array, "B S S 1"], None, None, Variables]:
     """The training pass: logits of the canonical image, nothing in the places of the sheared one and of a code, new running
     statistics."""
     canonical, updates = _network(net).apply(variables, images, True, mutable=["batch_stats"])

@@ -17,6 +17,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 
 from jaxunshear.model import kernels
 from jaxunshear.model.fast import layers as fast_layers
@@ -135,36 +136,48 @@ def as_large_entangled(net: UnshearNet) -> UnshearNet:
     return min(scaled(low), scaled(high), key=lambda other: abs(parameters(other) - wanted))
 
 
-def encode(net: UnshearNet, variables: Variables, images: Array, train: bool = False) -> tuple[Array, Array | None]:
-    """Images (B, S, S, 1) in [0, 1] -> (z_p, z_s), each (B, s, s, channels); z_s is None without a shear code, as in released weights.
+def encode(
+    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"], train: bool = False
+) -> tuple[Float[Array, "B s s _"], Float[Array, "B s s _"] | None]:
+    """Images in [0, 1] -> (z_p, z_s), by channels; z_s is None without a shear code, as in released weights.
     With `train` the batch's own statistics are used (and not kept)."""
     if net.disentangled and net.shear_channels and not holds(variables, "shear"):
         return _apply(net, variables, "encode_pose", images, train=train), None
     return _apply(net, variables, "encode", images, train=train)
 
 
-def encode_pose(net: UnshearNet, variables: Variables, images: Array) -> Array:
+def encode_pose(net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B s s _"]:
     """z_p alone; needs no variables of the shear code, which released weights do not hold."""
     return _apply(net, variables, "encode_pose", images, train=False)
 
 
-def decode_canonical(net: UnshearNet, variables: Variables, z_p: Array, train: bool = False) -> Array:
-    """DC: pose code -> logits (B, S, S, 1) of the canonical image."""
+def decode_canonical(
+    net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"], train: bool = False
+) -> Float[Array, "B S S 1"]:
+    """DC: pose code -> logits of the canonical image."""
     return _apply(net, variables, "decode_canonical", z_p, train=train)
 
 
-def decode_sheared(net: UnshearNet, variables: Variables, z_p: Array, z_s: Array, train: bool = False) -> Array:
-    """DS: both codes -> logits (B, S, S, 1) of the sheared image. Raises UserError for released weights, which leave it out."""
+def decode_sheared(
+    net: UnshearNet,
+    variables: Variables,
+    z_p: Float[Array, "B s s _"],
+    z_s: Float[Array, "B s s _"],
+    train: bool = False,
+) -> Float[Array, "B S S 1"]:
+    """DS: both codes -> logits of the sheared image. Raises UserError for released weights, which leave it out."""
     check_sheared(variables)
     return _apply(net, variables, "decode_sheared", z_p, z_s, train=train)
 
 
-def unshear(net: UnshearNet, variables: Variables, images: Array) -> Array:
-    """Sheared images (B, S, S, 1) in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
+def unshear(net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B S S 1"]:
+    """Sheared images in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
     return _apply(net, variables, "unshear", images, train=False)
 
 
-def reconstruct(net: UnshearNet, variables: Variables, images: Array) -> tuple[Array, Array | None, Array, Variables]:
+def reconstruct(
+    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
+) -> tuple[Float[Array, "B S S 1"], Float[Array, "B S S 1"] | None, Float[Array, "B s s _"], Variables]:
     """The training pass over sheared images: logits of the canonical and the sheared image (None without DS), the pose code,
     and the updated running statistics."""
     (canonical, sheared, z_p), updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])

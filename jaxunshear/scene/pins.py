@@ -1,12 +1,13 @@
 """Where the pins of a sensor stand, in its frame."""
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxunshear.settings.sensor import Sensor, check_sensor
 
 
-def pin_lattice(sensor: Sensor) -> np.ndarray:
-    """Pins of the flattened dome, (P, 2) in mm of arc from the apex; ring by ring, each counter-clockwise from +x."""
+def pin_lattice(sensor: Sensor) -> Float[np.ndarray, "P 2"]:
+    """Pins of the flattened dome, in mm of arc from the apex; ring by ring, each counter-clockwise from +x."""
     points = [np.zeros((1, 2))]
     for ring in range(1, sensor.rings + 1):
         turn = np.arange(6 * ring) / (6 * ring)
@@ -21,8 +22,8 @@ def pin_lattice(sensor: Sensor) -> np.ndarray:
     return sensor.pin_spacing_mm * np.concatenate(points)
 
 
-def pin_tips(sensor: Sensor) -> np.ndarray:
-    """Undeformed pin tips, (P, 3) in mm in the sensor frame: they stand on the skin's inner face, along the normal.
+def pin_tips(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
+    """Undeformed pin tips, in mm in the sensor frame: they stand on the skin's inner face, along the normal.
 
     Raises `UserError` for a sensor that cannot be.
     """
@@ -32,8 +33,8 @@ def pin_tips(sensor: Sensor) -> np.ndarray:
     )
 
 
-def pin_levers(sensor: Sensor) -> np.ndarray:
-    """(P, 3) mm from where each pin stands on the skin's inner face to its tip: along the normal, inwards."""
+def pin_levers(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
+    """In mm, from where each pin stands on the skin's inner face to its tip: along the normal, inwards."""
     return -sensor.pin_length_mm * _outwards(sensor)
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Num
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_of
@@ -36,8 +37,8 @@ class Scenes:
 
 def draw_poses(
     generator: np.random.Generator, count: int, lateral_mm: float, yaw_deg: float, depth_mm: tuple[float, float]
-) -> np.ndarray:
-    """Uniform poses (count, 4) as in section 3.2 of the paper."""
+) -> Float[np.ndarray, "{count} 4"]:
+    """Uniform poses as in section 3.2 of the paper."""
     if count < 1:
         raise UserError(f"poses = {count}: draw at least one")
     low = [-lateral_mm, -lateral_mm, -yaw_deg, depth_mm[0]]
@@ -45,21 +46,21 @@ def draw_poses(
     return generator.uniform(low, high, (count, 4))
 
 
-def draw_moves(generator: np.random.Generator, count: int, move_mm: float) -> np.ndarray:
-    """Slide offsets (count, 2) in mm: uniform along x alone, along y alone or along both, a third of the chances each."""
+def draw_moves(generator: np.random.Generator, count: int, move_mm: float) -> Float[np.ndarray, "{count} 2"]:
+    """Slide offsets in mm: uniform along x alone, along y alone or along both, a third of the chances each."""
     offset = generator.uniform(-move_mm, move_mm, (count, 2))
     axis = generator.integers(3, size=count)
     return np.where(axis[:, None] == [1, 0], 0, offset)
 
 
-def draw_tilts(generator: np.random.Generator, count: int, tilt_deg: float) -> np.ndarray:
-    """Tilts (count, 2) in deg, as in `paths.Paths`: uniform over the disk of this radius, so none leans by more."""
+def draw_tilts(generator: np.random.Generator, count: int, tilt_deg: float) -> Float[np.ndarray, "{count} 2"]:
+    """Tilts in deg, as in `paths.Paths`: uniform over the disk of this radius, so none leans by more."""
     size, way = tilt_deg * np.sqrt(generator.uniform(size=count)), generator.uniform(0, 2 * np.pi, count)
     return size[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1)
 
 
-def turned(move: np.ndarray, degrees: np.ndarray) -> np.ndarray:
-    """Offsets (..., 2) turned by angles (...). By minus the yaw: from the target frame to the sensor's, as the sensor feels them."""
+def turned(move: Num[np.ndarray, "*B 2"], degrees: Num[np.ndarray, "*B"]) -> Float[np.ndarray, "*B 2"]:
+    """Offsets turned by angles. By minus the yaw: from the target frame to the sensor's, as the sensor feels them."""
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     x, y = np.moveaxis(move, -1, 0)
     return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
@@ -77,8 +78,8 @@ def make_scenes(
     return Scenes(np.asarray(stimulus), np.asarray(pose, float), np.asarray(move, float), friction[stimulus])
 
 
-def edge_labels(stimuli: tuple[str | Outline, ...], scenes: Scenes) -> np.ndarray:
-    """(B, 2): signed distance (mm, negative inside) of the sensor's lowest point, on its axis where it is upright, from the nearest edge,
+def edge_labels(stimuli: tuple[str | Outline, ...], scenes: Scenes) -> Float[np.ndarray, "B 2"]:
+    """Signed distance (mm, negative inside) of the sensor's lowest point, on its axis where it is upright, from the nearest edge,
     and the direction of that edge's outward normal in the sensor frame (deg, in (-180, 180]): the pose that is not ambiguous on a
     smooth edge."""
     labels = np.zeros((len(scenes), 2))
@@ -91,13 +92,13 @@ def edge_labels(stimuli: tuple[str | Outline, ...], scenes: Scenes) -> np.ndarra
 
 
 def edge_teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
-    """A function that gives the same two labels (B, 2) of points (B, 3), x y mm and yaw deg; NaN where they are."""
+    """A function that gives the same two labels of points, x y mm and yaw deg; NaN where they are."""
 
     @jax.jit
     def both(xy: jax.Array) -> tuple[jax.Array, jax.Array]:
         return signed_distance(stimulus, xy), outward_normal(stimulus, xy)
 
-    def report(point: np.ndarray) -> np.ndarray:
+    def report(point: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 2"]:
         distance, normal = both(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))
         angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - point[:, 2]
         return np.stack([np.where(np.isnan(point[:, 0]), np.nan, distance), 180 - (180 - angle) % 360], -1)

@@ -14,8 +14,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float, Num
 
-Distance = Callable[[jax.Array], jax.Array]
+Distance = Callable[[Float[jax.Array, "*B 2"]], Float[jax.Array, "*B"]]
 Radius = Callable[
     [jax.Array], tuple[jax.Array, ...]
 ]  # angle (rad) -> a polar curve's radius and its first two derivatives
@@ -197,8 +198,8 @@ def _along(p: jax.Array, start: np.ndarray, end: np.ndarray) -> tuple[jax.Array,
     return index, t, point
 
 
-def polygon(corners: np.ndarray) -> Distance:
-    """A closed polygon that does not cross itself, corners (V, 2).
+def polygon(corners: Num[np.ndarray, "V 2"]) -> Distance:
+    """A closed polygon that does not cross itself.
 
     Beside a segment the distance is that from its line, which knows inside from outside and has a slope on the outline, too. At a
     corner it is that from the corner, outside where the mean of both normals points to.
@@ -227,8 +228,8 @@ def polygon(corners: np.ndarray) -> Distance:
     return distance
 
 
-def stroke(points: np.ndarray, half_width: float) -> Distance:
-    """An open curve through points (V, 2), drawn with a round pen.
+def stroke(points: Num[np.ndarray, "V 2"], half_width: float) -> Distance:
+    """An open curve through points, drawn with a round pen.
 
     Exact outside; inside it is so but where the pen covers its own track: at crossings, and on the inner side of sharp bends.
     """

@@ -18,6 +18,7 @@ from functools import lru_cache
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.shapes import (
@@ -51,8 +52,8 @@ class Stimulus:
     material: str = "ABS"
 
 
-def signed_distance(stimulus: Stimulus, xy: jax.Array) -> jax.Array:
-    """Distance to the shape's edge in mm, negative inside; xy (..., 2) in mm in the target frame -> (...)."""
+def signed_distance(stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]) -> Float[jax.Array, "*B"]:
+    """Distance to the shape's edge in mm, negative inside; xy in mm in the target frame."""
     x, y, turn = stimulus.target
     cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
     # no matrix product: on accelerators those are of fewer digits
@@ -60,8 +61,8 @@ def signed_distance(stimulus: Stimulus, xy: jax.Array) -> jax.Array:
     return stimulus.distance(jnp.stack(own, axis=-1))
 
 
-def outward_normal(stimulus: Stimulus, xy: jax.Array) -> jax.Array:
-    """Unit gradient of the signed distance, (..., 2) -> (..., 2): the direction away from the nearest edge."""
+def outward_normal(stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]) -> Float[jax.Array, "*B 2"]:
+    """Unit gradient of the signed distance: the direction away from the nearest edge."""
     flat = xy.reshape(-1, 2)
     slope = jax.vmap(jax.grad(lambda p: signed_distance(stimulus, p)))(flat)
     length = jnp.linalg.norm(slope, axis=-1, keepdims=True)

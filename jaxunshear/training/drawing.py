@@ -1,6 +1,6 @@
 """Simulated pins as another sensor, camera and day would show them: networks that learn from these work on real skin.
 
-draw = drawing_of(rest, share)       # rest (P, 2) px
+draw = drawing_of(rest, share)       # rest in px
 batch = draw(batch, key)             # {"pins"}, or {"canonical_pins", "sheared_pins"} (B, P, 2) px, and {"edge"}
 
 The dome is the same all round, so an entire batch is turned about its axis by one angle, the edge's direction with it. How far a slide
@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 from scipy.spatial import cKDTree
 
 from jaxunshear.storage import Json
@@ -25,7 +26,7 @@ TURNED_DEG, SHIFTED = 4.0, 0.065  # standard deviations of the camera's place; t
 Batch = Json
 
 
-def drawing_of(rest: np.ndarray, share: float) -> Callable[[Batch, Array], Batch]:
+def drawing_of(rest: Float[np.ndarray, "P 2"], share: float) -> Callable[[Batch, Array], Batch]:
     """Draws `share` of all batches anew; the others are as the simulator gave them."""
     turns = turns_of(rest, 1)
     spacing_px = float(np.median(cKDTree(rest).query(rest, k=2)[0][:, 1]))
@@ -61,6 +62,6 @@ def _before_camera(rest: Array, pins: Array, spacing_px: float, key: Array) -> A
     radians = jnp.radians(TURNED_DEG) * jax.random.normal(angle, (len(pins), 1))
     cosine, sine = jnp.cos(radians), jnp.sin(radians)
     middle = rest.mean(axis=0)
-    x, y = jnp.moveaxis(pins - middle, -1, 0)
+    x, y = jnp.moveaxis(pins - middle[None, None], -1, 0)
     moved = jnp.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
-    return middle + moved + SHIFTED * spacing_px * jax.random.normal(shift, (len(pins), 1, 2))
+    return middle[None, None] + moved + SHIFTED * spacing_px * jax.random.normal(shift, (len(pins), 1, 2))

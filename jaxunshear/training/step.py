@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from jax import Array
+from jaxtyping import Float, Int
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.training import Training
@@ -18,7 +19,7 @@ from jaxunshear.training.tasks import Batch, Task, Tree
 class State(NamedTuple):
     """All that a step changes."""
 
-    step: Array
+    step: Int[Array, ""]
     params: Tree
     batch_stats: Tree
     optimiser: Tree
@@ -68,7 +69,7 @@ def make_step(
         total = kernels + sum(task.weights[name] * value for name, value in metrics.items())
         return total, (metrics | {"regularisation": kernels}, batch_stats)
 
-    def step(state: State, batch: Batch) -> tuple[State, dict[str, Array]]:
+    def step(state: State, batch: Batch) -> tuple[State, dict[str, Float[Array, ""]]]:
         step_key = jax.random.fold_in(key, state.step)
         gradient_of = jax.grad(loss, has_aux=True)
         gradient, (metrics, batch_stats) = gradient_of(state.params, state.batch_stats, batch, step_key)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
+from jaxtyping import Float
 from scipy.interpolate import RBFInterpolator
 
 from jaxunshear.dataset import pairing
@@ -38,8 +39,8 @@ class Turns(NamedTuple):
     sense: int  # 1 or -1
 
 
-def turns_of(rest: np.ndarray, sense: int) -> Turns:
-    """Of pins that stand untouched at `rest` (P, 2) px: thin-plate splines between them."""
+def turns_of(rest: Float[np.ndarray, "P 2"], sense: int) -> Turns:
+    """Of pins that stand untouched at `rest` px: thin-plate splines between them."""
     rest = np.asarray(rest, np.float64)
     radians = 2 * np.pi * np.arange(ANGLES) / ANGLES
     cosine, sine = np.cos(radians), np.sin(radians)
@@ -51,14 +52,14 @@ def turns_of(rest: np.ndarray, sense: int) -> Turns:
     return Turns(single(rest), single(mixed), single(rotation), single(radians), sense)
 
 
-def turned(turns: Turns, k: ArrayLike, pins: Array) -> Array:
-    """Pins (B, P, 2) px after a turn by angle `k`; pins that are not seen count as untouched."""
-    motion = jnp.where(jnp.isfinite(pins), pins - turns.rest, 0)
-    return turns.rest + jnp.einsum("pq,bqi,ji->bpj", turns.mixed[k], motion, turns.rotation[k])
+def turned(turns: Turns, k: ArrayLike, pins: Float[Array, "B P 2"]) -> Float[Array, "B P 2"]:
+    """Pins px after a turn by angle `k`; pins that are not seen count as untouched."""
+    motion = jnp.where(jnp.isfinite(pins), pins - turns.rest[None], 0)
+    return turns.rest[None] + jnp.einsum("pq,bqi,ji->bpj", turns.mixed[k], motion, turns.rotation[k])
 
 
-def turned_outputs(turns: Turns, k: ArrayLike, outputs: Array, targets: Targets) -> Array:
-    """PoseNet's outputs (B, K) in [0, 1] of the pose after that turn: of all targets only the twist changes."""
+def turned_outputs(turns: Turns, k: ArrayLike, outputs: Float[Array, "B K"], targets: Targets) -> Float[Array, "B K"]:
+    """PoseNet's outputs in [0, 1] of the pose after that turn: of all targets only the twist changes."""
     angle, column, columns = turns.sense * turns.radians[k], 0, []
     for target in targets:
         here = outputs[:, column : column + target.outputs]
@@ -71,8 +72,13 @@ def turned_outputs(turns: Turns, k: ArrayLike, outputs: Array, targets: Targets)
     return jnp.concatenate(columns, -1)
 
 
-def sense_of(rest: np.ndarray, pins: np.ndarray, poses: np.ndarray, targets: Targets) -> int:
-    """Whether the twist grows (1) or falls (-1) as the pins (N, P, 2) px turn with their labels (N, 6), from x towards y of the image.
+def sense_of(
+    rest: Float[np.ndarray, "P 2"],
+    pins: Float[np.ndarray, "N P 2"],
+    poses: Float[np.ndarray, "N 6"],
+    targets: Targets,
+) -> int:
+    """Whether the twist grows (1) or falls (-1) as the pins px turn with their labels, from x towards y of the image.
 
     Taps are turned both ways and compared with those recorded nearest to where they should be. Raises UserError where the twist is no
     target over the full circle, and where neither resembles what was recorded: then what is touched does not turn with its label.

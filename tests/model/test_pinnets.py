@@ -94,7 +94,7 @@ def test_distance_is_in_units_of_the_spread_and_skips_what_is_not_seen():
 def test_a_fresh_renderer_draws_nearly_the_untouched_pins():
     net, variables = made(PinRenderer, 4)
     drawn = pinnets.render(net, variables, jnp.full((2, 4), 0.7))
-    assert drawn.shape == (2, *REST.shape) and 0 < np.abs(drawn - REST).max() < 1.0
+    assert drawn.shape == (2, *REST.shape) and 0 < np.abs(drawn - REST[None]).max() < 1.0
 
 
 def test_spoiling_adds_its_noise():

@@ -20,6 +20,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from jaxunshear.model.fast import native
@@ -116,7 +117,7 @@ def _gradient_in_slices(x: Array, dy: Array, k: int, border: int) -> Array:
     if inner:
         h, w = h - border, w - border
     step = max(s for s in range(1, images + 1) if images % s == 0 and (s == 1 or s * h * w <= SLICE))
-    wide = jnp.promote_types(x.dtype, jnp.float32)
+    wide = np.promote_types(x.dtype, np.float32)
     product = partial(jnp.matmul, preferred_element_type=wide)
 
     def at(array: Array, turn: Array, i: int, j: int) -> Array:

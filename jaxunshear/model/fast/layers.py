@@ -7,6 +7,7 @@ gradients of kernels, which are kept in float32 from there on, as are parameters
 
 import flax.linen as nn
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from jaxunshear.model.fast import conv, outermost
@@ -91,4 +92,4 @@ class Last(nn.Module):
         w = self.param("kernel", INIT, (4, 4, x.shape[-1] // 4, 1)).astype(x.dtype)
         bias = self.param("bias", nn.initializers.zeros, (1,))
         image = outermost.last(x, w, compiled=train)
-        return image.astype(jnp.promote_types(x.dtype, jnp.float32)) + bias[None, None, None]
+        return image.astype(np.promote_types(x.dtype, np.float32)) + bias[None, None, None]

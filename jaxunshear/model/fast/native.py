@@ -109,7 +109,7 @@ def moments(x: Array, *, source: str) -> tuple[Array, Array]:
     """Of bands of rows, then of all: a band stays in the cache for the deviations from its own mean."""
     parts = _call("Moments", _bands(x, source), x, source=source)
     mean = jnp.mean(parts[:, 0], 0)
-    return mean, jnp.mean(parts[:, 1] + (parts[:, 0] - mean) ** 2, 0)
+    return mean, jnp.mean(parts[:, 1] + (parts[:, 0] - mean[None]) ** 2, 0)
 
 
 def affine_relu(x: Array, factor: Array, shift: Array, *, source: str, target: str) -> Array:

@@ -168,7 +168,7 @@ _gradient = _compiled(_gradient_by_xla, native.gradient)
 
 def _images(x: Array) -> Array:
     b, h, w, c = x.shape
-    return x.reshape(b, h * w, c).astype(jnp.promote_types(x.dtype, jnp.float32))
+    return x.reshape(b, h * w, c).astype(np.promote_types(x.dtype, np.float32))
 
 
 def _count(x: Array, source: str) -> int:
@@ -182,12 +182,13 @@ def _inside(numbers: Array, x: Array, source: str) -> Array:
     if source != "blocks":
         return numbers
     _, h, w, c = x.shape
-    return numbers * jnp.asarray(np.repeat(inside(h, w).reshape(-1, 4), c // 4, axis=1), numbers.dtype)
+    mask = np.repeat(inside(h, w).reshape(-1, 4), c // 4, axis=1)
+    return numbers * jnp.asarray(mask[None] if numbers.ndim == 3 else mask, numbers.dtype)
 
 
 def _wide(channels: Array, source: str) -> Array:
-    """(C,), or (4 C,) for blocks."""
-    return _exact(channels, _four_times(channels)) if source == "blocks" else channels
+    """(1, 1, C), or (1, 1, 4 C) for blocks."""
+    return (_exact(channels, _four_times(channels)) if source == "blocks" else channels)[None, None]
 
 
 def _sums(images: Array, x: Array, source: str) -> Array:
