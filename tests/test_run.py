@@ -51,7 +51,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, light: dict[str, str]) ->
 
 
 def results(folder: Path) -> dict:
-    return json.loads((folder / "runs" / "tiny" / "results.json").read_text())
+    return read_json(folder / "runs" / "tiny" / "results.json")
 
 
 def test_results_bear_the_names_that_others_rely_on(finished):

@@ -14,8 +14,6 @@ from jaxunshear.settings.experiment import Experiment, further_tests, takes_taps
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import blame_the_machine, checksum, os_error, read_json
 
-METADATA = "metadata.json"
-
 
 def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) -> dict:
     """`metadata.json` of a set: settings, sensor, counts, versions. Raises `UserError` if it is missing, or was made with
@@ -25,13 +23,17 @@ def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) ->
         raise UserError(f"there is no data set in {folder}: make it with `jaxunshear data`")
     remedy = f"delete {folder} and run `jaxunshear data` again"
     try:
-        metadata, sums = read_json(folder / METADATA), read_json(folder / configs.MANIFEST)
+        metadata, sums = read_json(folder / configs.METADATA), read_json(folder / configs.MANIFEST)
     except UserError as error:
         blame_the_machine(folder, error)
         raise UserError(f"the data set in {folder} is damaged ({first_line(error)}): {remedy}") from error
-    intact = isinstance(metadata, dict) and isinstance(sums, dict) and sums.get(METADATA) in (None, checksum(metadata))
+    intact = (
+        isinstance(metadata, dict)
+        and isinstance(sums, dict)
+        and sums.get(configs.METADATA) in (None, checksum(metadata))
+    )
     if not intact or not isinstance(metadata.get("counts"), dict):
-        raise UserError(f"the data set in {folder} is damaged ({METADATA}): {remedy}")
+        raise UserError(f"the data set in {folder} is damaged ({configs.METADATA}): {remedy}")
     wanted = configs.describe(settings, sensor)
     changed = configs.differences({key: metadata.get(key) for key in wanted}, wanted)
     if changed:

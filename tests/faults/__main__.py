@@ -34,7 +34,7 @@ def main() -> int:
             for row in import_module(f"tests.faults.{part}").rows(places, size, Path(scratch).resolve()):
                 rows.append(row)
                 print(asdict(row), flush=True)
-                _write(arguments.json, size, rows)
+                _write(arguments.json, rows)
     return int(any(row.lost or row.silent for row in rows))
 
 
@@ -52,13 +52,15 @@ def _parsed() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _write(path: Path | None, size: Size, rows: list[Row]) -> None:
+def _write(path: Path | None, rows: list[Row]) -> None:
+    """Rows of another call that were not run again stay."""
     from jaxunshear.metrics.machine import machine, versions
-    from jaxunshear.storage import write_json
+    from jaxunshear.storage import read_json, write_json
 
     if path is not None:
-        held = {"size": asdict(size), "rows": [asdict(row) for row in rows]}
-        write_json(path, held | {"machine": machine(), "versions": versions()})
+        before = read_json(path)["rows"] if path.exists() else []
+        found = {(row["fault"], row["command"]): row for row in [*before, *map(asdict, rows)]}
+        write_json(path, {"rows": list(found.values()), "machine": machine(), "versions": versions()})
 
 
 def _again_with_the_shim() -> int:

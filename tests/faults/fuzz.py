@@ -1,5 +1,6 @@
 """Settings, tables, images and folders of every kind, drawn by hypothesis: exit code 2 and one line, or an answer."""
 
+import contextlib
 import io
 import random
 import time
@@ -45,6 +46,10 @@ def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
         yield _of(kind, drawn, act, size)
 
 
+class _Over(Exception):
+    """The row has had its time."""
+
+
 def _of(kind: str, drawn: st.SearchStrategy[Any], act: Callable[[Any], object], size: Size) -> Row:
     row = Row("inputs of every kind", kind, size.seed)
     began = time.monotonic()
@@ -60,17 +65,18 @@ def _of(kind: str, drawn: st.SearchStrategy[Any], act: Callable[[Any], object], 
     @given(drawn)
     def each(case: object) -> None:
         if time.monotonic() - began > size.seconds:
-            return
+            raise _Over
         try:
             kept = act(case)
-        except UserError as error:
-            row.count("refused" if "\n" not in str(error) else "lost", f"{case!r}: {error}")
+        except UserError:
+            row.count("refused")  # the command line makes one line of it
         except Exception as error:
             row.count("lost", f"{case!r}: {type(error).__name__}: {error}")
         else:
             row.count("harmless" if kept else "silent", repr(case))
 
-    each()
+    with contextlib.suppress(_Over):
+        each()
     row.seconds = time.monotonic() - began
     return row
 

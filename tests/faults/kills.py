@@ -40,7 +40,7 @@ def _of(job: Job, size: Size, work: Path) -> Row:
             code, said = ended(started(job, work, shim.killing(Path(os.environ["FAULTS"]), work, nth)))
             where = f"at write {nth}"
         else:
-            seconds = draw.uniform(0.2, 1) * long
+            seconds = draw.uniform(0.2, 0.9) * long
             code, said = ended(started(job, work, {}), seconds)
             where = f"after {seconds:.1f} s"
         if code == 0:  # it was at its end before the kill: from the start, then

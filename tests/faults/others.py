@@ -2,6 +2,7 @@
 
 import os
 import random
+import shutil
 import subprocess
 import sys
 import time
@@ -15,7 +16,7 @@ from tests.faults.outcome import Row, Size, commanded
 from tests.faults.places import Places
 
 DECADE = 10 * 365 * 86_400.0
-KIB = (64, 1024)  # room of a file system that is too small
+KIB = (16, 1024)  # room that is left in a file system that is too small
 
 
 def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
@@ -24,7 +25,7 @@ def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
     for name in ("data", "train"):
         yield _two(made[name], size, scratch / "work")
         yield _moved(made[name], size, scratch / "work")
-    if not _mount(scratch / "small", f"size={KIB[0]}k"):
+    if not _mount(scratch / "small", f"size={KIB[1]}k"):
         print("no right to mount a tmpfs: its rows are left out", file=sys.stderr)
         return
     subprocess.run(["umount", scratch / "small"], check=True)
@@ -79,13 +80,13 @@ def _mounted(job: Job, size: Size, place: Path, option: str, fault: str) -> Row:
     began, draw = time.monotonic(), random.Random(size.seed)
     right = None
     for number in size.places(size.moments + 1):
-        kib = draw.randint(*KIB)
+        room = draw.randint(*KIB)
         _mount(place, "size=1g")
         try:
             fresh(job, place / "work")
             if number:
-                _remount(place, option.format(kib))
-                _one(job, place, row, right, f"{fault}, {kib} KiB")
+                _remount(place, option.format(shutil.disk_usage(place).used // 1024 + room))
+                _one(job, place, row, right, f"{fault}, {room} KiB left")
             else:
                 commanded(*job.words(place / "work"))
                 right = job.found(place / "work")
@@ -96,9 +97,9 @@ def _mounted(job: Job, size: Size, place: Path, option: str, fault: str) -> Row:
 
 
 def _one(job: Job, place: Path, row: Row, right: object, where: str) -> None:
-    kind = "harmless"
     try:
         commanded(*job.words(place / "work"))
+        return row.count("harmless" if job.found(place / "work") == right else "silent", where)
     except UserError:
         kind = "refused"
     except Exception as error:

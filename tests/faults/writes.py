@@ -45,11 +45,11 @@ def _of(job: Job, size: Size, work: Path) -> Row:
 
 
 def _one(job: Job, work: Path, row: Row, fault: tuple[int, str], right: object) -> None:
-    where, kind = f"{fault[1]} at write {fault[0]}", "harmless"
+    where = f"{fault[1]} at write {fault[0]}"
     shim.arm(work, *fault)
     try:
         commanded(*job.words(work))
-        kind = "harmless" if job.found(work) == right else "silent"
+        return row.count("harmless" if job.found(work) == right else "silent", where)
     except UserError as error:
         kind, where = "refused", f"{where}: {error}"
     except Exception as error:

@@ -21,7 +21,6 @@ import tensorflow_datasets as tfds
 
 from jaxunshear.dataset.chunks import Engine, simulate_chunks, simulator
 from jaxunshear.dataset.examples import summary
-from jaxunshear.dataset.making import METADATA
 from jaxunshear.dataset.shots import draw
 from jaxunshear.errors import UserError
 from jaxunshear.settings import configs
@@ -85,7 +84,7 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
         super()._download_and_prepare(*args, **kwargs)
         folder = Path(self.data_dir)  # still the unfinished one
         shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
-        sums = {path.name: sha256(path) for path in shards} | {METADATA: checksum(dict(self.info.metadata))}
+        sums = {path.name: sha256(path) for path in shards} | {configs.METADATA: checksum(dict(self.info.metadata))}
         write_json(folder / configs.MANIFEST, sums)
 
     def _keep_metadata(self, counts: dict, **more: object) -> None:
