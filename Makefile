@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test check check-long docs clean
+.PHONY: demo test check check-long faults docs clean
 
 demo: $(READY)
 	$(BIN)/jaxunshear run experiments/demo.py
@@ -17,6 +17,10 @@ check: $(READY)
 
 check-long: $(READY)
 	$(BIN)/python -m pytest -m long
+
+# Hours at its full size; needs a C compiler, and the right to mount for the rows of full and read-only file systems.
+faults: $(READY)
+	$(BIN)/python -m tests.faults --json docs/results/faults.json $(FAULTS)
 
 # Pages in site/: open site/index.html. Their search needs a server: python -m http.server -d site
 docs: $(READY)

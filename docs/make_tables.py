@@ -599,6 +599,18 @@ def few_pairs() -> str:
     return "\n".join(lines)
 
 
+def faults() -> str:
+    """What became of the cases of each fault."""
+    counts = ("cases", "harmless", "refused", "lost", "silent")
+    lines = [
+        "| fault | read or done by | cases | harmless | refused by name | lost | silent |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in json.loads((RESULTS / "faults.json").read_text())["rows"]:
+        lines.append(_line(row["fault"], [row["command"], *(f"{row[name]:,}" for name in counts)]))
+    return "\n".join(lines)
+
+
 def _of_values(values: list[float], digits: int) -> str:
     """Mean [least, most]."""
     return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
@@ -634,6 +646,7 @@ TABLES = {
         frontier,
     ),
     "docs/cluster.md": (sizing,),
+    "docs/faults.md": (faults,),
     "docs/limits.md": (few_pairs, twisted, tilted),
 }
 

@@ -15,16 +15,16 @@ from jaxunshear.errors import UserError
 from jaxunshear.folders import model_folder
 from jaxunshear.locks import locked
 from jaxunshear.results.run import Results
+from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json
-from jaxunshear.storage import read_json, read_json_if_sound, write_json
+from jaxunshear.storage import read_json, write_json
 from jaxunshear.training.kept_out import exams_of
 from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, taken_over
 
 TEACHER_SEED = 1000  # beyond the run's own
-TIMES = "times.json"
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
 
 
@@ -53,7 +53,7 @@ def _run(
     results = None
     for stage in stages:
         halfway = partial(_halfway, experiment, stage, folder, data)
-        before = _times(folder).get(stage, 0.0) if halfway() else 0.0
+        before = read_times(folder).get(stage, 0.0) if halfway() else 0.0
         began, worked = time.perf_counter(), False
         try:
             if stage == "data":
@@ -197,16 +197,9 @@ def _halfway(experiment: Experiment, stage: str, folder: Path, data: Path) -> bo
     return stage in TRAINABLE and (place / "model.json").exists() and not (place / "summary.json").exists()
 
 
-def _times(folder: Path) -> dict[str, float]:
-    """times.json: wall-clock seconds of each stage, summed over the runs that it was stopped and continued in.
-
-    A stage that is done again from the start counts anew. What a run had spent that was killed outright is lost.
-    """
-    return read_json_if_sound(folder / TIMES) or {}  # times are no reason to lose the work that they measure
-
-
 def _keep_time(folder: Path, stage: str, seconds: float) -> None:
-    write_json(folder / TIMES, _times(folder) | {stage: round(seconds, 3)})
+    """A stage that is done again from the start counts anew. What a run had spent that was killed outright is lost."""
+    write_json(folder / TIMES, read_times(folder) | {stage: round(seconds, 3)})
 
 
 def _print_summary(results: Results, folder: Path) -> None:

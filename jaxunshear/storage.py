@@ -8,6 +8,7 @@ import contextlib
 import csv
 import dataclasses
 import errno
+import hashlib
 import io
 import json
 import os
@@ -21,6 +22,9 @@ from typing import Any
 from jaxunshear.errors import UserError
 
 Json = dict[str, Any]  # an object whose keys are a command's own, as rows of its tables are
+
+
+SEAL = "checksum"  # of an object of JSON, beside its fields
 
 
 def cache_folder() -> Path:
@@ -158,19 +162,50 @@ def write_text(path: Path, text: str) -> None:
 
 
 def write_json(path: Path, obj: object) -> None:
-    """Replace `path` by `obj` as indented JSON in one step; NaN and infinity become null, as JSON has neither."""
-    write_text(path, json.dumps(plain(obj), indent=2, allow_nan=False) + "\n")
+    """Replace `path` by `obj` as indented JSON in one step; NaN and infinity become null, as JSON has neither. Objects are sealed."""
+    held = plain(obj)
+    write_text(path, json.dumps(sealed(held) if isinstance(held, dict) else held, indent=2, allow_nan=False) + "\n")
 
 
 def read_json(path: Path) -> Any:
-    """What `path` holds. Raises `UserError` where it is missing or is no JSON."""
+    """What `path` holds, without its seal. Raises `UserError` where it is missing, is no JSON, or is not what was sealed."""
     path = Path(path)
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        held = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise os_error(path, error, "read") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise UserError(f"{path} is not valid JSON ({error}): delete it and make it again") from error
+    try:
+        return unsealed(held)
+    except ValueError as error:
+        remedy = f"make it again, or, where you changed it by hand, delete its line '{SEAL}'"
+        raise UserError(f"{path} is damaged ({error}): {remedy}") from error
+
+
+def checksum(obj: object) -> str:
+    """Of what JSON keeps of `obj`: its values, whatever their order and spacing in a file."""
+    return hashlib.blake2b(json.dumps(plain(obj), sort_keys=True).encode(), digest_size=16).hexdigest()
+
+
+def sealed(held: Json) -> Json:
+    """With its checksum beside it: a bit that flips in a digit leaves valid JSON, of another figure."""
+    bare = {name: value for name, value in held.items() if name != SEAL}
+    return bare | {SEAL: checksum(bare)}
+
+
+def unsealed(held: Any) -> Any:
+    """Without its checksum; what bears none is taken as it is. Raises ValueError where it is of something else, or its name is damaged."""
+    if not isinstance(held, dict) or not held:
+        return held
+    *names, last = held
+    kept = {name: held[name] for name in names}
+    agrees = held[last] == checksum(kept)
+    if agrees and last == SEAL:
+        return kept
+    if agrees or SEAL in held:
+        raise ValueError("its checksum differs")
+    return held
 
 
 def read_json_if_sound(path: Path) -> Any | None:

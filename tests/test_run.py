@@ -25,7 +25,7 @@ from jaxunshear.evaluation.measurements import reproducible
 from jaxunshear.locks import locked
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.storage import write_json
+from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import tasks
 from jaxunshear.training.checkpoint import load_best
 
@@ -51,7 +51,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory, light: dict[str, str]) ->
 
 
 def results(folder: Path) -> dict:
-    return json.loads((folder / "runs" / "tiny" / "results.json").read_text())
+    return read_json(folder / "runs" / "tiny" / "results.json")
 
 
 def test_results_bear_the_names_that_others_rely_on(finished):
@@ -122,7 +122,7 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
     out = shutil.copytree(finished / "runs", tmp_path / "runs")
     (out / "tiny" / "results.json").unlink()
     file = out / "tiny" / "disentangled" / "model.json"
-    file.write_text(file.read_text().replace('"version": "', '"version": "0.'))
+    write_json(file, json.loads(file.read_text().replace('"version": "', '"version": "0.')))
     words = [out / "tiny"] if stage == "ablate" else [TINY, "--out", out]
     answer = command(stage, *words, "--data", finished / "datasets")
     assert (
@@ -156,7 +156,7 @@ def test_a_network_is_taught_by_a_posenet_and_reported_poses(finished, command, 
 
     shutil.rmtree(folder / "disentangled")
     teacher["origin"]["version"] = "2.3.0"
-    (folder / "posenet_teacher" / "model.json").write_text(json.dumps(teacher))
+    write_json(folder / "posenet_teacher" / "model.json", teacher)
     refused = command("train", *words, "--network", "disentangled")
     assert refused.code == 2 and "posenet_teacher learnt from a data set with another version" in refused.err
 
@@ -183,7 +183,7 @@ def test_a_training_goes_on_from_another_run(finished, command, tmp_path):
     )  # the same data
     older = shutil.copytree(finished / "runs" / "tiny" / "disentangled", tmp_path / "older" / "disentangled")
     model = json.loads((older / "model.json").read_text())
-    (older / "model.json").write_text(json.dumps(model | {"origin": model["origin"] | {"version": "2.4.0"}}))
+    write_json(older / "model.json", model | {"origin": model["origin"] | {"version": "2.4.0"}})
     leaks = command("run", TINY, *words[:6], "--name", "leak", "--train.start", older.parent)
     assert leaks.code == 2 and f"{older} learnt from tactip_paired 2.4.0 of seed 0" in leaks.err
     assert leaks.err.count("\n") == 1 and not (tmp_path / "leak").exists()
@@ -234,7 +234,7 @@ def stage(tmp_path, monkeypatch):
         with contextlib.suppress(KeyboardInterrupt, UserError):
             run.run_stages(SMALL, ("posenet",), tmp_path, tmp_path, "none")
         path = tmp_path / "small" / "times.json"
-        return json.loads(path.read_text()) if path.exists() else {}
+        return read_json(path) if path.exists() else {}
 
     monkeypatch.setattr(run, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     return act
@@ -276,12 +276,12 @@ def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch):
     for seconds in (5, 10):
         with contextlib.suppress(KeyboardInterrupt):
             run.run_stages(SMALL, ("data",), tmp_path, tmp_path, "none")
-        assert json.loads((tmp_path / "small" / "times.json").read_text()) == {"data": seconds}
+        assert read_json(tmp_path / "small" / "times.json") == {"data": seconds}
     for folder in made.values():
         shutil.rmtree(folder)
     with contextlib.suppress(KeyboardInterrupt):
         run.run_stages(SMALL, ("data",), tmp_path, tmp_path, "none")
-    assert json.loads((tmp_path / "small" / "times.json").read_text()) == {"data": 5}
+    assert read_json(tmp_path / "small" / "times.json") == {"data": 5}
 
 
 def test_two_runs_in_one_folder_are_refused(stage, tmp_path):

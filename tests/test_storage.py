@@ -1,6 +1,7 @@
 """Files appear whole or not at all, and every failure names its path."""
 
 import errno
+import json
 import os
 from pathlib import Path
 
@@ -87,3 +88,31 @@ def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
     assert storage.read_json_if_sound(path) is None
     storage.write_json(path, {"data": 1.0})
     assert storage.read_json_if_sound(path) == {"data": 1.0}
+
+
+def test_a_flipped_bit_is_never_another_figure(tmp_path):
+    """Every bit of a file: a digit that became another, a name that did, the seal's own."""
+    path, held = tmp_path / "results.json", {"edge_mm": 0.125, "ok": True, "of": [1, None]}
+    storage.write_json(path, held)
+    sound, refused = path.read_bytes(), 0
+    for bit in range(8 * len(sound)):
+        damaged = bytearray(sound)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        try:
+            assert storage.read_json(path) == held
+        except UserError as error:
+            refused += "results.json" in str(error) and "make it again" in str(error)
+    assert refused > 0.8 * 8 * len(sound)
+
+
+def test_what_bears_no_seal_is_read_and_what_is_written_again_is_sealed_anew(tmp_path):
+    path = tmp_path / "results.json"
+    path.write_text(json.dumps({"a": 1}))
+    assert storage.read_json(path) == {"a": 1}
+    storage.write_json(path, storage.read_json(path) | {"b": [0.5, float("nan")]})
+    storage.write_json(path, json.loads(path.read_text()) | {"c": 2})  # with the old seal in it
+    assert storage.read_json(path) == {"a": 1, "b": [0.5, None], "c": 2}
+    path.write_text(path.read_text().replace("0.5", "0.7"))
+    with pytest.raises(UserError, match=r"its checksum differs.*by hand, delete its line 'checksum'"):
+        storage.read_json(path)

@@ -1,14 +1,17 @@
 """`jaxunshear stream`: perception for a robot, a JSON line a frame."""
 
 import argparse
+import contextlib
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TextIO
 
 from jaxunshear.cli.options import SKIN, Commands, Model, add_like, add_model
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import Json, check_beside, check_new_file, check_new_folder
+from jaxunshear.storage import Json, check_beside, check_new_file, check_new_folder, os_error
 
 
 def add_parser(commands: Commands) -> None:
@@ -35,7 +38,6 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
-    import contextlib
 
     from jaxunshear.applications.perceiver import frame_for
     from jaxunshear.applications.sources import frames_of, truth_of
@@ -57,8 +59,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     robot = robot_of(folder, experiment, arguments.precision, arguments.way, frame)
     frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
     truth = truth_of(arguments.source, experiment)
-    with contextlib.ExitStack() as stack:
-        lines = stack.enter_context(arguments.lines.open("w")) if arguments.lines else sys.stdout
+    with _lines(arguments.lines) as lines:
         summary = stream(frames, live, robot, lines, arguments.images, not arguments.no_images, truth)
     latency = summary["latency_ms"]
     times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
@@ -75,3 +76,18 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     if not summary["used"]:
         raise UserError(f"no frame of {arguments.source} could be used")
     return summary
+
+
+@contextlib.contextmanager
+def _lines(path: Path | None) -> Iterator[TextIO]:
+    """Where the lines go. Raises UserError where the file can be written no more, also when it is closed."""
+    if path is None:
+        yield sys.stdout
+        return
+    try:
+        with path.open("w") as file:
+            yield file
+    except OSError as error:
+        if error.filename not in (None, str(path)):
+            raise
+        raise os_error(path, error) from error

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.shots import check
-from jaxunshear.errors import UserError
+from jaxunshear.errors import UserError, first_line
 from jaxunshear.settings import configs
 from jaxunshear.settings.data import PoseData, Recorded
 from jaxunshear.settings.experiment import Experiment, further_tests, takes_taps
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
-from jaxunshear.storage import os_error, read_json
+from jaxunshear.storage import blame_the_machine, checksum, os_error, read_json
 
 
 def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) -> dict:
@@ -23,11 +23,17 @@ def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) ->
         raise UserError(f"there is no data set in {folder}: make it with `jaxunshear data`")
     remedy = f"delete {folder} and run `jaxunshear data` again"
     try:
-        metadata = read_json(folder / "metadata.json")
+        metadata, sums = read_json(folder / configs.METADATA), read_json(folder / configs.MANIFEST)
     except UserError as error:
-        raise UserError(f"the data set in {folder} is damaged (metadata.json): {remedy}") from error
-    if not isinstance(metadata, dict) or not isinstance(metadata.get("counts"), dict):
-        raise UserError(f"the data set in {folder} is damaged (metadata.json): {remedy}")
+        blame_the_machine(folder, error)
+        raise UserError(f"the data set in {folder} is damaged ({first_line(error)}): {remedy}") from error
+    intact = (
+        isinstance(metadata, dict)
+        and isinstance(sums, dict)
+        and sums.get(configs.METADATA) in (None, checksum(metadata))
+    )
+    if not intact or not isinstance(metadata.get("counts"), dict):
+        raise UserError(f"the data set in {folder} is damaged ({configs.METADATA}): {remedy}")
     wanted = configs.describe(settings, sensor)
     changed = configs.differences({key: metadata.get(key) for key in wanted}, wanted)
     if changed:

@@ -23,7 +23,7 @@ from PIL import Image
 from jaxunshear.dataset.chunks import pack, unpack
 from jaxunshear.dataset.making import read_metadata
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.settings.configs import Settings, set_folder, set_name
+from jaxunshear.settings.configs import MANIFEST, Settings, set_folder, set_name
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import blame_the_machine, read_json
@@ -186,7 +186,7 @@ def _remedy(folder: Path) -> str:
 
 def _check_shards(folder: Path, split: str) -> None:
     """Compares every shard of a split with its checksum from when it was written."""
-    from jaxunshear.dataset.builders.stored import MANIFEST, sha256
+    from jaxunshear.dataset.builders.stored import sha256
 
     remedy = _remedy(folder)
     try:

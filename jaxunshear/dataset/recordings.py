@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 # Folders that hold a recording's images, the most processed first: only the first that has any is read.
 IMAGE_FOLDERS = ("processed_images", "frames_bw", "images", "frames", "sensor_images")
+PNG = b"\x89PNG\r\n\x1a\n"  # how its files start
 PHOTOMETRIC, SAMPLE_FORMAT = 262, 339  # TIFF's tags: 0 for white at zero; 1 for numbers without a sign
 PROBES = 20  # frames that a common crop is found from
 DEPTH = 4  # folders below the given one that are searched
@@ -127,6 +128,7 @@ def read_image(file: Path) -> np.ndarray:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of tags that are broken: the image is read without them
             warnings.simplefilter("error", Image.DecompressionBombWarning)
+            _check_png(file)
             with Image.open(file) as opened:
                 frames = getattr(opened, "n_frames", 1)
                 if frames > 1 and opened.format != "MPO":  # a JPEG with a small copy of itself behind it
@@ -143,6 +145,14 @@ def read_image(file: Path) -> np.ndarray:
     except Exception as error:  # decoders meet broken files with errors of every kind
         raise UserError(f"no readable image ({_one_line(error)})") from None
     return _unsigned(raw, tags)
+
+
+def _check_png(file: Path) -> None:
+    """Compares the checksums of a PNG, which Pillow passes over in its pixels: a damaged one may come out as another image."""
+    with file.open("rb") as data:
+        if data.read(len(PNG)) == PNG:
+            data.seek(0)
+            Image.open(data).verify()
 
 
 def _unsigned(raw: np.ndarray, tags: Mapping[int, object]) -> np.ndarray:

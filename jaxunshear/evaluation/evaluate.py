@@ -37,12 +37,13 @@ from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.results.rows import Machine, Summary
 from jaxunshear.results.run import Bar, Counts, Further, Results, Tables
 from jaxunshear.results.stored import read, write
+from jaxunshear.results.times import read_times
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
-from jaxunshear.storage import read_json_if_sound, write_bytes
+from jaxunshear.storage import write_bytes
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
 
@@ -75,7 +76,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     results = replace(
         results,
         ms_per_image=ms_per_image(run_dir, experiment.networks, experiment.train.precision),
-        time_s=(read_json_if_sound(run_dir / "times.json") or {}) | {"evaluate": time.perf_counter() - started},
+        time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
         machine=machine(),
         trained_on=_trained_on(experiment, run_dir),
         versions=versions(),

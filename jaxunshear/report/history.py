@@ -1,10 +1,12 @@
 """The training logs of a run, read for drawing: one JSON object a line, written at each validation."""
 
 import json
+import warnings
 from pathlib import Path
 from typing import NamedTuple
 
-from jaxunshear.storage import Json
+from jaxunshear.errors import Note
+from jaxunshear.storage import Json, unsealed
 
 
 class History(NamedTuple):
@@ -17,19 +19,22 @@ class History(NamedTuple):
 
 
 def read_lines(path: Path) -> list[Json]:
-    """Of a training log, those that hold a validation; none where there is no log yet. A line that is damaged, or cut short by a kill, is
-    left out."""
+    """Of a training log, those that hold a validation; none where there is no log yet. A line that is damaged is
+    left out, and a note says so."""
     try:
         text = Path(path).read_text(encoding="utf-8", errors="replace")
     except OSError:
         return []
-    lines = []
-    for line in text.splitlines():
+    rows, lines = text.splitlines(), []
+    for line in rows:
         try:
-            lines.append(json.loads(line))
+            lines.append(unsealed(json.loads(line)))
         except ValueError:
             continue
-    return [line for line in lines if isinstance(line, dict) and "train_seconds" in line and "epoch" in line]
+    kept = [line for line in lines if isinstance(line, dict) and "train_seconds" in line and "epoch" in line]
+    if len(kept) < len(rows):
+        warnings.warn(f"{path} is damaged: {len(rows) - len(kept)} of its lines are left out", Note, stacklevel=2)
+    return kept
 
 
 def read_history(path: Path) -> History | None:

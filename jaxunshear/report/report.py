@@ -14,8 +14,9 @@ from jaxunshear.report.history import read_history
 from jaxunshear.results.rows import Summary
 from jaxunshear.results.run import EVALUATED, Results
 from jaxunshear.results.stored import read
+from jaxunshear.results.times import read_times
 from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.storage import read_json_if_sound, write_bytes, write_text
+from jaxunshear.storage import write_bytes, write_text
 
 SIMULATED = Markup(
     "A soft dome that slides over an edge feels its own shear on top of the shape. The networks of "
@@ -38,7 +39,7 @@ def write_report(run_dir: Path) -> Path:
     """
     run_dir = Path(run_dir)
     results = read(run_dir / "results.json", Results, EVALUATED)
-    grown = read_json_if_sound(run_dir / "times.json") or {}  # since the evaluation
+    grown = read_times(run_dir)  # since the evaluation
     results = replace(results, time_s={**results.time_s, **grown})
     logs = {name: read_history(run_dir / name / "log.jsonl") for name in TRAINABLE}
     histories = {name: history for name, history in logs.items() if history}

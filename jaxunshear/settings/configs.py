@@ -16,6 +16,8 @@ from jaxunshear.storage import Json
 
 VERSION = "3.0.0"  # of the stored sets; raise it whenever the same settings give other bits
 RECORDED_VERSION = "1.0.0"
+METADATA = "metadata.json"  # of a stored set: its settings, counts, frames and versions
+MANIFEST = "shards.json"  # of a stored set: the SHA-256 of each shard, and the checksum of its metadata
 PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
 NOT_STORED = (
     "tap_folder",

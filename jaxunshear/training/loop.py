@@ -249,4 +249,4 @@ def _ranked(loss: float | None) -> float:
 
 def _write_log(folder: Path, history: list[Json]) -> None:
     """log.jsonl anew from the checkpoint's history, so that it never holds a line twice or one of a lost step."""
-    storage.write_text(folder / "log.jsonl", "".join(json.dumps(line) + "\n" for line in history))
+    storage.write_text(folder / "log.jsonl", "".join(json.dumps(storage.sealed(line)) + "\n" for line in history))

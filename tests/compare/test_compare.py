@@ -40,7 +40,7 @@ def rewritten(folder, settings=(), scores=None):
         for group in groups:
             place = place[group]
         place[last] = value
-    path.write_text(json.dumps(results))
+    write_json(path, results)
     if scores is not None:
         np.savez(folder / "scores.npz", **scores)
     return folder
@@ -191,7 +191,7 @@ def test_runs_about_different_networks_are_compared_by_their_own(pair, finished)
     rewritten(second, {"networks": ["entangled", "posenet"]}, scores)
     results = json.loads((second / "results.json").read_text())
     del results["ms_ssim"]["disentangled"]
-    (second / "results.json").write_text(json.dumps(results))
+    write_json(second / "results.json", results)
     less = named((first, second))[f"pose/{OWN}/edge_mm"].less[1]
     gap = finished[1]["pose/entangled/edge_mm"] - finished[1][GAIN]
     assert less.mean == pytest.approx(gap.mean(), rel=1e-5)

@@ -1,5 +1,6 @@
 import dataclasses
 import itertools
+import json
 import re
 
 import numpy as np
@@ -177,11 +178,18 @@ def test_a_damaged_shard_is_named_with_the_remedy(damage, made):
 @pytest.mark.parametrize("name", ["metadata.json", "shards.json", "features.json", "dataset_info.json"])
 @pytest.mark.parametrize("text", ['{"set": ', "[]", None])
 def test_broken_json_is_reported_with_the_remedy(name, text, made, paired, sensor, tmp_path):
-    if (name, text) == ("shards.json", "[]"):
-        pytest.skip("no sums, nothing to hold shards against")
     (made.folder / name).write_text(text) if text else (made.folder / name).unlink()
     with pytest.raises(UserError, match=r"is damaged .*: delete .*`jaxunshear data` again"):
         next(open_set("tactip_paired", paired, tmp_path, sensor).split("test", 4))
+
+
+def test_a_digit_of_the_metadata_that_changed_is_reported(made, paired, sensor, tmp_path):
+    file = made.folder / "metadata.json"
+    held = json.loads(file.read_text())
+    held["counts"]["dropped"] = held["counts"].get("dropped", 0) + 1
+    file.write_text(json.dumps(held))
+    with pytest.raises(UserError, match=r"is damaged \(metadata\.json\): delete .*`jaxunshear data` again"):
+        open_set("tactip_paired", paired, tmp_path, sensor)
 
 
 def test_a_missing_set_and_a_missing_split_are_reported(made, paired, pose, sensor, tmp_path):

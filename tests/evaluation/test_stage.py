@@ -16,7 +16,7 @@ from jaxunshear.results.stored import SCHEMA, read
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.storage import plain
+from jaxunshear.storage import plain, read_json, write_json
 from jaxunshear.training import examples
 from jaxunshear.training.origin import origin_of
 
@@ -82,14 +82,14 @@ def run_dir(trained, experiment, tmp_path, monkeypatch):
     folder = shutil.copytree(trained, tmp_path / "run")
     for network in ALL_NETWORKS:
         path = folder / network / "model.json"
-        path.write_text(json.dumps(json.loads(path.read_text()) | {"origin": origin_of(experiment, network)}))
+        write_json(path, read_json(path) | {"origin": origin_of(experiment, network)})
     return folder
 
 
 def test_evaluate_writes_what_it_returns_and_the_same_again(run_dir, experiment, tmp_path):
     (run_dir / "times.json").write_text(json.dumps({"data": 12.5}))
     results = evaluate(experiment, run_dir, tmp_path / "data", "jaxunshear evaluate x.py")
-    assert json.loads((run_dir / "results.json").read_text()) == {"schema": SCHEMA} | plain(results)
+    assert read_json(run_dir / "results.json") == {"schema": SCHEMA} | plain(results)
     assert read(run_dir / "results.json", Results, "again") == results
     assert results.metric["ms_ssim"] == "ms_ssim@2"
     assert results.time_s["data"] == 12.5

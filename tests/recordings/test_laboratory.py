@@ -15,6 +15,7 @@ from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.load import load_experiment
+from jaxunshear.storage import write_json
 
 sys.path.insert(0, str(Path(__file__).parent))
 from conftest import ROOT, SHORT
@@ -90,7 +91,7 @@ def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(command, pins_r
     model = json.loads((run / "disentangled" / "model.json").read_text())
     started = {name: model["origin"][name] for name in ("set", "version", "settings")}
     started["settings"] = started["settings"] | {"digest": f"{digest_of((str(other),))}+0123456789abcdef"}
-    (run / "disentangled" / "model.json").write_text(json.dumps(model | {"taken_over": [started]}))
+    write_json(run / "disentangled" / "model.json", model | {"taken_over": [started]})
     answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
     assert answer.code == 2 and "disentangled learnt from recordings that are tested" in answer.err
 
@@ -129,6 +130,8 @@ def test_images_are_unsheared_and_frames_streamed(command, pins_run, recording, 
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
     assert len(lines) == 160 and {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
     assert "mean error against the labels: y_mm" in answer.err
+    full = command("stream", slides, "--model", pins_run, "--lines", "/dev/full", "--no-images")
+    assert full.code == 2 and "cannot write /dev/full: the disk is full" in full.err.splitlines()[-1]
 
 
 def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):

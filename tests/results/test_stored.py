@@ -12,6 +12,7 @@ from jaxunshear.results.rows import Machine
 from jaxunshear.results.run import Results, Tables
 from jaxunshear.results.stored import SCHEMA, read, write
 from jaxunshear.results.sweep import Figure, SweepResult
+from jaxunshear.storage import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS = Results(
@@ -39,9 +40,9 @@ def test_what_is_not_finite_is_null(tmp_path):
 
 def test_a_file_without_a_form_is_of_the_first(tmp_path):
     write(tmp_path / "a.json", RESULTS)
-    held = json.loads((tmp_path / "a.json").read_text())
+    held = read_json(tmp_path / "a.json")
     del held["schema"]
-    (tmp_path / "a.json").write_text(json.dumps(held))
+    write_json(tmp_path / "a.json", held)
     assert read(tmp_path / "a.json", Results, "again") == RESULTS
 
 
@@ -70,7 +71,7 @@ def test_tables_are_those_that_readers_name():
 
 def test_a_figure_without_an_interval_says_so(tmp_path):
     write(tmp_path / "figure.json", Figure(1.0, None))
-    assert json.loads((tmp_path / "figure.json").read_text()) == {"schema": SCHEMA, "mean": 1.0, "interval": None}
+    assert read_json(tmp_path / "figure.json") == {"schema": SCHEMA, "mean": 1.0, "interval": None}
 
 
 @pytest.mark.parametrize("name", ["standard", "demo", "frontier", "recorded_pins", "parted"])

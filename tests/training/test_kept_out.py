@@ -1,5 +1,6 @@
 """Weights that may know what is tested are refused by name, before anything is made."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -149,7 +150,7 @@ def test_released_weights_give_their_origin(tmp_path):
     older = tmp_path / "older"
     shutil.copytree(standard, older)
     for model in older.glob("*/model.json"):
-        model.write_text(model.read_text().replace(VERSION, "2.4.0"))
+        write_json(model, json.loads(model.read_text().replace(VERSION, "2.4.0")))
     started = replace(SIMULATED, train=replace(SIMULATED.train, start=str(older)))
     with pytest.raises(UserError, match=r"older/disentangled learnt from tactip_paired 2\.4\.0 of seed 0"):
         run_stages(

@@ -17,6 +17,7 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.model import unshearnet
+from jaxunshear.report.history import read_lines
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.training import Training
 from jaxunshear.training import checkpoint, loop, losses
@@ -47,7 +48,7 @@ def bits(folder):
 
 
 def lines(folder):
-    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    return read_lines(folder / "log.jsonl")
 
 
 def losses_of(folder):

@@ -1,7 +1,8 @@
 """What all builders share: TFDS without TensorFlow, over the examples of `jaxunshear.dataset`.
 
-A set appears in one step (TFDS moves the finished folder into place) and with it `shards.json`, the SHA-256 of each shard,
-by which a reader detects a truncated or damaged file. Contacts made so far lie under `<data_dir>/.partial/` until then.
+A set appears in one step (TFDS moves the finished folder into place) and with it `shards.json`, the SHA-256 of each shard
+and a checksum of the metadata, by which a reader detects a truncated or damaged file. Contacts made so far lie under `<data_dir>/.partial/`
+until then.
 """
 
 import contextlib
@@ -25,9 +26,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings import configs
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import write_json
+from jaxunshear.storage import checksum, write_json
 
-MANIFEST = "shards.json"
 HOMEPAGE = "https://arxiv.org/abs/2109.03615"  # the paper whose data these sets imitate
 
 
@@ -84,7 +84,8 @@ class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # typ
         super()._download_and_prepare(*args, **kwargs)
         folder = Path(self.data_dir)  # still the unfinished one
         shards = sorted(path for path in folder.iterdir() if ".array_record" in path.name)
-        write_json(folder / MANIFEST, {path.name: sha256(path) for path in shards})
+        sums = {path.name: sha256(path) for path in shards} | {configs.METADATA: checksum(dict(self.info.metadata))}
+        write_json(folder / configs.MANIFEST, sums)
 
     def _keep_metadata(self, counts: dict, **more: object) -> None:
         versions = {name: importlib.metadata.version(name) for name in ("jax", "numpy", "tensorflow-datasets")}

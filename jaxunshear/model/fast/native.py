@@ -184,19 +184,28 @@ def _library(compiler: list[str]) -> ctypes.CDLL:
     reported = "\n".join([*compiler, *FLAGS, jaxlib.__version__, str(getattr(os, "getuid", str)())]).encode()
     key = hashlib.sha256(b"".join(source.read_bytes() for source in SOURCES) + reported + macros).hexdigest()[:16]
     path = cache_folder().absolute() / f"compiled-{key}.so"
-    with contextlib.suppress(OSError):  # not there, or empty
-        return ctypes.CDLL(str(path))
+    with contextlib.suppress(OSError):  # not there
+        if _is_intact(path):
+            return ctypes.CDLL(str(path))
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{uuid.uuid4().hex}.so")
     try:
         sources = [str(source) for source in SOURCES if source.suffix == ".cc"]
         _run([*compiler, *FLAGS, f"-I{jax.ffi.include_dir()}", *sources, "-o", str(part)])
-        with part.open("rb+") as file:
+        with part.open("ab") as file:
+            file.write(hashlib.sha256(part.read_bytes()).digest())
+            file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
     return ctypes.CDLL(str(path))
+
+
+def _is_intact(path: Path) -> bool:
+    """Whether it ends with the SHA-256 of what precedes, which loaders do not read: a damaged one would compute something else."""
+    data = path.read_bytes()
+    return hashlib.sha256(data[:-32]).digest() == data[-32:]
 
 
 def _run(command: list[str]) -> bytes:

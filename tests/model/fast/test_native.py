@@ -114,9 +114,11 @@ def test_it_is_compiled_once_and_kept_until_it_is_damaged(tmp_path):
     size, before = kept.stat().st_size, kept.stat().st_mtime_ns
     assert reported(cache) == ("True", "")
     assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_mtime_ns == before
-    kept.write_bytes(b"")
-    assert reported(cache) == ("True", "")
-    assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_size == size
+    for damaged in (b"", kept.read_bytes()[:-1] + b"?"):
+        kept.write_bytes(damaged)
+        assert reported(cache) == ("True", "")
+        assert [kept] == list(tmp_path.iterdir()) and kept.stat().st_size == size
+        assert kept.read_bytes() != damaged
 
 
 @pytest.mark.long

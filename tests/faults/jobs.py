@@ -1,0 +1,127 @@
+"""Commands that write, and what must come out of each whatever befalls it."""
+
+import json
+import shutil
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxunshear.dataset.reading import open_set
+from jaxunshear.evaluation.measurements import reproducible
+from jaxunshear.results.run import Results
+from jaxunshear.results.stored import read
+from jaxunshear.settings.configs import set_name
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.settings.splits import SPLITS
+from jaxunshear.training.checkpoint import digest_of
+from tests.faults.corruption import bits
+from tests.faults.outcome import digest
+from tests.faults.places import PINS, RECORDED, ROOT, TINY, Places
+
+TAPE = ("--networks", "posenet", "--network", "posenet")
+
+
+@dataclass(frozen=True)
+class Job:
+    """`words(work)`: the command that writes below the folder `work`; `found(work)`: what must be the same of it."""
+
+    name: str
+    words: Callable[[Path], tuple[object, ...]]
+    found: Callable[[Path], object]
+    prepare: Callable[[Path], object] = lambda work: None
+    program: tuple[str, ...] = (sys.executable, "-m", "jaxunshear")
+
+
+def jobs(places: Places) -> dict[str, Job]:
+    """By name. What they read lies elsewhere, and is whole."""
+    run, data, frames = places.run, places.data, places.frames
+
+    def of_run(work: Path) -> None:
+        shutil.copytree(run, work / "tiny")
+
+    def other(work: Path) -> None:
+        shutil.copytree(run, work / "other")
+
+    def trained(work: Path) -> object:
+        return digest_of(work / "tiny" / "posenet")
+
+    def scored(name: str) -> Callable[[Path], object]:
+        return lambda work: reproducible(read(work / name / "results.json", Results, "again"))
+
+    def answered(work: Path) -> object:
+        lines = [json.loads(line) for line in (work / "lines.jsonl").read_text().splitlines()]
+        return [{name: value for name, value in line.items() if name != "ms"} for line in lines]
+
+    pins = ("--recordings", places.recording, "--name", "pins", *PINS)
+    made = [
+        Job("data", lambda work: ("data", TINY, "--data", work / "d", "--out", work), _rows),
+        Job("train", lambda work: ("train", TINY, *TAPE, "--data", data, "--out", work), trained),
+        Job("evaluate", lambda work: ("evaluate", TINY, "--data", data, "--out", work), scored("tiny"), of_run),
+        Job("report", lambda work: ("report", work / "tiny"), _page, of_run),
+        Job("release", lambda work: ("release", run, "--out", work / "w"), _files("w")),
+        Job("unshear", lambda work: ("unshear", frames, "--force", "--model", run, "--out", work / "u"), _files("u")),
+        Job("compare", lambda work: ("compare", run, work / "other", "--out", work / "c"), _count("c"), other),
+        Job("stream", lambda work: _stream(places, work), answered),
+        Job(
+            "run, recorded", lambda work: ("run", RECORDED, *pins, "--data", work / "d", "--out", work), scored("pins")
+        ),
+        Job("servo", lambda work: _servo(work), _walks),
+        Job(
+            "sweep",
+            lambda work: ("sweep", work),
+            _table,
+            program=(sys.executable, str(ROOT / "tests/sweep/stand_in.py")),
+        ),
+    ]
+    return {job.name: job for job in made}
+
+
+def fresh(job: Job, work: Path) -> None:
+    """Nothing in `work` but what the command starts from."""
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir()
+    job.prepare(work)
+
+
+def _stream(places: Places, work: Path) -> tuple[object, ...]:
+    more = ("--no-images", "--lines", work / "lines.jsonl")
+    return ("stream", places.frames, "--model", places.pins, *more)
+
+
+def _servo(work: Path) -> tuple[object, ...]:
+    return ("servo", "--stimulus", "disk", "--starts", 1, "--ways", "true", "--out", work / "servo")
+
+
+def _rows(work: Path) -> object:
+    experiment = load_experiment(TINY)
+    sets = (open_set(set_name(one), one, work / "d", experiment.sensor) for one in (experiment.paired, experiment.pose))
+    return [bits(reader.rows(split)) for reader in sets for split in SPLITS]
+
+
+def _page(work: Path) -> object:
+    return digest([work / "tiny" / "report.html", work / "tiny" / "montage.png"])
+
+
+def _files(name: str) -> Callable[[Path], object]:
+    """All of them, by name and content."""
+    return lambda work: {file.name: digest([file]) for file in sorted((work / name).rglob("*")) if file.is_file()}
+
+
+def _count(name: str) -> Callable[[Path], object]:
+    """A page holds the time that it was made in."""
+    return lambda work: sorted(file.name for file in (work / name).rglob("*"))
+
+
+def _walks(work: Path) -> object:
+    from jaxunshear.applications.servo import stored_walks
+
+    walks = [vars(stored_walks(file)[1]) for file in sorted((work / "servo").rglob("*.npz"))]
+    return [bits({name: each[name] for name in each if name not in ("perceive_s", "simulate_s")}) for each in walks]
+
+
+def _table(work: Path) -> object:
+    from jaxunshear.results.sweep import SweepResult
+    from jaxunshear.sweep.summary import reproducible as same
+
+    return same(read(work / "small" / "sweep.json", SweepResult, "again"))
