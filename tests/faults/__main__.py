@@ -60,7 +60,9 @@ def _write(path: Path | None, rows: list[Row]) -> None:
     if path is not None:
         before = read_json(path)["rows"] if path.exists() else []
         found = {(row["fault"], row["command"]): row for row in [*before, *map(asdict, rows)]}
-        write_json(path, {"rows": list(found.values()), "machine": machine(), "versions": versions()})
+        command = " ".join(("python -m tests.faults", *sys.argv[1:]))
+        made_on = {"machine": machine(), "versions": versions()}
+        write_json(path, {"command": command, "rows": list(found.values()), **made_on})
 
 
 def _again_with_the_shim() -> int:
