@@ -4,9 +4,12 @@ All other types are mypy's to check, and what a function refuses by an error of 
 """
 
 from collections.abc import Callable
-from typing import Any, get_args
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
 
+import numpy as np
 from beartype import beartype
+from jax import Array
 from jaxtyping import AbstractArray, install_import_hook
 
 CHECKED = ("metrics", "scene", "contact", "model")
@@ -22,9 +25,23 @@ def check_all() -> None:
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:
     hints = function.__annotations__.items()
-    function.__annotations__ = {name: hint for name, hint in hints if _of_arrays(hint)}
+    function.__annotations__ = {name: _of_either(hint) for name, hint in hints if _of_arrays(hint)}
     return beartype(function)
 
 
 def _of_arrays(hint: Any) -> bool:
-    return (isinstance(hint, type) and issubclass(hint, AbstractArray)) or any(map(_of_arrays, get_args(hint)))
+    return _is_array(hint) or any(map(_of_arrays, get_args(hint)))
+
+
+def _is_array(hint: Any) -> bool:
+    return isinstance(hint, type) and issubclass(hint, AbstractArray)
+
+
+def _of_either(hint: Any) -> Any:
+    """Where an array of JAX is asked for, one of numpy will do: JAX takes both."""
+    if _is_array(hint):
+        return hint.dtype[Array | np.ndarray, hint.dim_str] if hint.array_type is Array else hint
+    if not _of_arrays(hint):
+        return hint
+    inside = tuple(map(_of_either, get_args(hint)))
+    return Union[inside] if get_origin(hint) in (Union, UnionType) else get_origin(hint)[inside]  # noqa: UP007

@@ -93,8 +93,8 @@ def output_weights(targets: Targets) -> tuple[float, ...]:
     return tuple(target.weight for target in targets for _ in range(target.outputs))
 
 
-def pose_targets(batch: Mapping[str, Float[ArrayLike, "B _"]], targets: Targets) -> Float[Array, "B K"]:
-    """Labels of a batch, mm and deg by field -> what the outputs should be, in [0, 1]."""
+def pose_targets(batch: Mapping[str, ArrayLike], targets: Targets) -> Float[Array, "B K"]:
+    """Labels (B, _) of a batch, mm and deg by field -> what the outputs should be, in [0, 1]."""
     signed: list[Array] = []
     for target in targets:
         value = jnp.asarray(batch[target.field])[:, target.column]

@@ -59,7 +59,7 @@ def draw_tilts(generator: np.random.Generator, count: int, tilt_deg: float) -> F
     return size[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1)
 
 
-def turned(move: Num[np.ndarray, "*B 2"], degrees: Num[np.ndarray, "*B"]) -> Float[np.ndarray, "*B 2"]:
+def turned(move: Num[np.ndarray, "*B 2"], degrees: Num[np.ndarray, "*#B"]) -> Float[np.ndarray, "*B 2"]:
     """Offsets turned by angles. By minus the yaw: from the target frame to the sensor's, as the sensor feels them."""
     cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     x, y = np.moveaxis(move, -1, 0)
