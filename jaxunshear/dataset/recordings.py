@@ -12,6 +12,7 @@ not needed is noted, not fatal.
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import re
@@ -121,22 +122,25 @@ class Recordings:
         return common if len(sizes) == 1 else View(None, common.whites)
 
 
-def read_image(file: Path) -> np.ndarray:
-    """An image file as an array of its own depth and channels, turned as its orientation tag says. Raises UserError for what Pillow
+def read_image(file: Path | bytes) -> np.ndarray:
+    """An image file, or its bytes, as an array of its own depth and channels, turned as its orientation tag says. Raises UserError for what Pillow
     cannot read, and for several frames in one file."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of tags that are broken: the image is read without them
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            _check_png(file)
-            with Image.open(file) as opened:
+            data = file if isinstance(file, bytes) else file.read_bytes()
+            if data.startswith(
+                PNG
+            ):  # Pillow passes over the checksums of its pixels: a damaged one may come out as another image
+                Image.open(io.BytesIO(data)).verify()
+            with Image.open(io.BytesIO(data)) as opened:
                 frames = getattr(opened, "n_frames", 1)
                 if frames > 1 and opened.format != "MPO":  # a JPEG with a small copy of itself behind it
                     raise UserError(
                         f"it holds {frames} frames, of which one would be read: save each as a file of its own"
                     )
                 tags = getattr(opened, "tag_v2", {})
-                opened.filename = ""  # Pillow maps plain TIFFs into memory by name, and those that are turned wrongly
                 ImageOps.exif_transpose(opened, in_place=True)
                 plain = opened.mode in ("1", "L", "LA", "RGB", "RGBA", "I", "F") or opened.mode.startswith("I;16")
                 raw = np.array(opened if plain else opened.convert("RGB"))
@@ -145,14 +149,6 @@ def read_image(file: Path) -> np.ndarray:
     except Exception as error:  # decoders meet broken files with errors of every kind
         raise UserError(f"no readable image ({_one_line(error)})") from None
     return _unsigned(raw, tags)
-
-
-def _check_png(file: Path) -> None:
-    """Compares the checksums of a PNG, which Pillow passes over in its pixels: a damaged one may come out as another image."""
-    with file.open("rb") as data:
-        if data.read(len(PNG)) == PNG:
-            data.seek(0)
-            Image.open(data).verify()
 
 
 def _unsigned(raw: np.ndarray, tags: Mapping[int, object]) -> np.ndarray:

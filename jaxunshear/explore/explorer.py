@@ -6,12 +6,11 @@
 >>> picture.poses["unsheared"]["edge_mm"], picture.poses["true"]["edge_mm"]
 """
 
-import io
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -96,7 +95,7 @@ class Explorer:
         """Of an image file's bytes. Raises UserError, as `unshear` does, for what is no image or not one of the model's sensor."""
         network = self.recordings()
         try:
-            raw = read_image(cast(Path, io.BytesIO(data)))
+            raw = read_image(data)
             image = prepare_frame(network.preprocess, raw, network.view or View())
         except UserError as error:
             raise UserError(f"{name}: {error}") from None
