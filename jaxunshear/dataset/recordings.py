@@ -123,8 +123,8 @@ class Recordings:
 
 
 def read_image(file: Path | bytes) -> np.ndarray:
-    """An image file, or its bytes, as an array of its own depth and channels, turned as its orientation tag says. Raises UserError for what Pillow
-    cannot read, and for several frames in one file."""
+    """An image file, or its bytes, as an array of its own depth and channels, turned as its orientation tag says. Raises UserError for
+    what Pillow cannot read, and for several frames in one file."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of tags that are broken: the image is read without them
