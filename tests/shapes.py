@@ -38,9 +38,11 @@ def _is_array(hint: Any) -> bool:
 
 
 def _of_either(hint: Any) -> Any:
-    """Where an array of JAX is asked for, one of numpy will do: JAX takes both."""
+    """Where an array of JAX is asked for, one of numpy will do, or a number for one without axes: JAX takes all of them."""
     if _is_array(hint):
-        return hint.dtype[Array | np.ndarray, hint.dim_str] if hint.array_type is Array else hint
+        kinds = Array | np.ndarray if hint.array_type is Array else hint.array_type
+        arrays = hint.dtype[kinds, hint.dim_str]
+        return arrays if hint.dim_str else arrays | float | int
     if not _of_arrays(hint):
         return hint
     inside = tuple(map(_of_either, get_args(hint)))
