@@ -6,6 +6,7 @@ from pathlib import Path
 from jaxunshear.cli.options import Commands, Model, add_model, add_stimulus, new_parser, stimuli_of
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import ObjectScore, ObjectScores
+from jaxunshear.settings.experiment import simulated_of
 from jaxunshear.settings.stimuli import stimulus_names
 
 
@@ -25,6 +26,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
     from jaxunshear.table import plain_table
 
     folder, experiment = model
+    simulated_of(experiment, "reconstruct")  # before walks are missed that such a model cannot have made
     asked = list(stimulus_names(stimuli_of(arguments.stimulus)))
     if arguments.stimulus == "all":  # of outlines of one's own, too
         asked += sorted({file.stem for file in out.glob("*.npz")} - set(asked))
