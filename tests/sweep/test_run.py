@@ -221,6 +221,7 @@ def test_a_full_disk_stops_the_sweep_and_the_same_command_goes_on(
     assert steps().total() == 1 + 10 * (1 + len(sweep.grid[0][1]))  # goes on from its checkpoint
 
 
+@pytest.mark.long
 def test_a_shared_training_that_fails_fails_its_rows_with_its_reason(stand_in, swept, steps):
     base = replace(stand_in.BASE, train=replace(stand_in.BASE.train, learning_rate=0.5))
     sweep = replace(stand_in.SWEEP, base=base, grid=(("posenet.hidden", (8, 16)),), seeds=(0,))
