@@ -34,12 +34,16 @@ def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
         yield _mounted(made[name], size, scratch / "small", "ro", "a read-only file system")
 
 
+def _right(job: Job, place: Path) -> object:
+    """What a command makes in a fresh place, and leaves there."""
+    fresh(job, place)
+    commanded(*job.words(place))
+    return job.found(place)
+
+
 def _two(job: Job, size: Size, work: Path) -> Row:
     row = Row("two processes in one folder", job.name, size.seed)
-    began, draw = time.monotonic(), random.Random(size.seed)
-    fresh(job, work)
-    commanded(*job.words(work))
-    right = job.found(work)
+    began, draw, right = time.monotonic(), random.Random(size.seed), _right(job, work)
     for _ in size.places(size.moments):
         fresh(job, work)
         first, later = started(job, work, {}), draw.uniform(0, 3)
@@ -61,10 +65,7 @@ def _two(job: Job, size: Size, work: Path) -> Row:
 def _moved(job: Job, size: Size, work: Path) -> Row:
     """The clock was set back, or forward, by years, between one command and the same again."""
     row = Row("the clock moved by years", job.name, size.seed)
-    began, draw = time.monotonic(), random.Random(size.seed)
-    fresh(job, work)
-    commanded(*job.words(work))
-    right = job.found(work)
+    began, draw, right = time.monotonic(), random.Random(size.seed), _right(job, work)
     for _ in size.places(size.moments):
         for file in work.rglob("*"):
             os.utime(file, (moved := time.time() + draw.uniform(-DECADE, DECADE), moved))
@@ -83,13 +84,12 @@ def _mounted(job: Job, size: Size, place: Path, option: str, fault: str) -> Row:
         room = draw.randint(*KIB)
         _mount(place, "size=1g")
         try:
+            if not number:
+                right = _right(job, place / "work")
+                continue
             fresh(job, place / "work")
-            if number:
-                _remount(place, option.format(shutil.disk_usage(place).used // 1024 + room))
-                _one(job, place, row, right, f"{fault}, {room} KiB left")
-            else:
-                commanded(*job.words(place / "work"))
-                right = job.found(place / "work")
+            _remount(place, option.format(shutil.disk_usage(place).used // 1024 + room))
+            _one(job, place, row, right, f"{fault}, {room} KiB left")
         finally:
             subprocess.run(["umount", place], check=True)
     row.seconds = time.monotonic() - began

@@ -309,9 +309,8 @@ def workers_of(folder: Path) -> list[int]:
     return found
 
 
-@pytest.mark.long
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
-@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize("kill", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
 def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill):
     def start(folder: Path, pause: float) -> subprocess.Popen:
         words = [*stand_in.WORKER, "sweep", str(folder)]

@@ -125,7 +125,6 @@ def test_stopped_and_resumed_gives_the_same_bits(straight, tmp_path, at):
     assert losses_of(tmp_path) == losses_of(straight[0])
 
 
-@pytest.mark.long
 def test_killed_processes_end_as_an_undisturbed_one(straight, light, tmp_path):
     """kill -9 at several moments, from the first checkpoint's writing on, then to the end."""
     environment = os.environ | light | {"PYTHONPATH": os.pathsep.join(sys.path)}
