@@ -130,10 +130,9 @@ def read_image(file: Path | bytes) -> np.ndarray:
             warnings.simplefilter("ignore")  # of tags that are broken: the image is read without them
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             data = file if isinstance(file, bytes) else file.read_bytes()
+            # Pillow passes over the checksums of a PNG's pixels: a damaged one may come out as another image
             if data.startswith(PNG):
-                Image.open(
-                    io.BytesIO(data)
-                ).verify()  # else Pillow passes over checksums of pixels, and may show another image
+                Image.open(io.BytesIO(data)).verify()
             with Image.open(io.BytesIO(data)) as opened:
                 frames = getattr(opened, "n_frames", 1)
                 if frames > 1 and opened.format != "MPO":  # a JPEG with a small copy of itself behind it
