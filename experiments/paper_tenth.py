@@ -17,7 +17,6 @@ from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
 experiment = replace(
     paper.experiment,
     name="paper_tenth",
-    networks=("disentangled",),
     claim="Appendix B learns to unshear from a tenth of the paper's taps and slides.",
     sensor=sensor_of("paper_tenth"),
     paired=PAIRED["paper_tenth"],

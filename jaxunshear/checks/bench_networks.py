@@ -131,7 +131,7 @@ def _training_sides(size: int, batch: int) -> Sides:
         torch.manual_seed(0)
         twin = torch_twin.channels_last(torch_twin.Twin(net)).train()
         step = torch_twin.training_step(twin, training, compiled)
-        given = [torch.from_numpy(images.transpose(0, 3, 1, 2).copy()) for images in (canonical, sheared)]
+        given = [torch.as_tensor(images.transpose(0, 3, 1, 2).copy()).to(_place()) for images in (canonical, sheared)]
         return lambda: float(step(*given)) and None
 
     yield "jaxunshear", lambda: ours("compiled")
@@ -156,12 +156,12 @@ def _inference_sides(size: int, batch: int) -> Sides:
         torch, torch_twin = _twins()
         twin = torch_twin.channels_last(torch_twin.Twin(net)).eval()
         run = torch.compile(twin.unshear, dynamic=False, options=FROZEN) if compiled else twin.unshear
-        given = torch.from_numpy(sheared.transpose(0, 3, 1, 2).astype(np.float32) / 255)
-        given = given.contiguous(memory_format=torch.channels_last)
+        image = torch.from_numpy(sheared.transpose(0, 3, 1, 2).astype(np.float32) / 255)
+        image = image.contiguous(memory_format=torch.channels_last)
 
         def work() -> None:
             with torch.inference_mode():
-                run(given).numpy()
+                run(image.to(_place())).cpu().numpy()
 
         return work
 
@@ -187,7 +187,8 @@ def _stream_sides(size: int, batch: int) -> Sides:
     def exported() -> Work:
         from jaxunshear.applications.exported.onnx_file import onnx_of, runner
 
-        _check_cpu("onnxruntime")
+        if jax.default_backend() != "cpu":
+            raise RuntimeError(f"onnxruntime is timed on the CPU alone, and JAX is on {jax.default_backend()}")
         known = jax.device_get(fresh_variables())
         reads = Part(pose_net, known[POSENET])
         parts = Parts(Part(net, known[DISENTANGLED]), reads, TARGETS, UNSHEARED, None, size)
@@ -208,8 +209,8 @@ def _stream_sides(size: int, batch: int) -> Sides:
 
         def work() -> None:
             with torch.inference_mode():
-                after, answer = run(given)
-                after.numpy(), answer.numpy()
+                after, answer = run(given.to(_place()))
+                after.cpu().numpy(), answer.cpu().numpy()
 
         return work
 
@@ -220,19 +221,19 @@ def _stream_sides(size: int, batch: int) -> Sides:
 
 
 def _twins() -> tuple[Any, Any]:
-    """PyTorch, and our networks in it, which stay on the CPU. Each size is compiled for itself (`dynamic=False`): one for all
-    sizes is what PyTorch makes of the second, and slower."""
+    """PyTorch, and our networks in it, which are made where JAX computes. Each size is compiled for itself (`dynamic=False`): one
+    for all sizes is what PyTorch makes of the second, and slower."""
     import torch
 
     from jaxunshear.checks import torch_twin
 
-    _check_cpu("PyTorch")
+    torch.set_default_device(_place())
     return torch, torch_twin
 
 
-def _check_cpu(other: str) -> None:
-    if jax.default_backend() != "cpu":
-        raise RuntimeError(f"{other} is timed on the CPU alone, and JAX is on {jax.default_backend()}")
+def _place() -> str:
+    """PyTorch's name of JAX' device."""
+    return {"gpu": "cuda"}.get(jax.default_backend(), "cpu")
 
 
 def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int) -> list[Json]:

@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from jaxunshear.contact import dome as domes
 from jaxunshear.contact.elasticity import Compliance, sixfold
+from jaxunshear.contact.frame import product
 from jaxunshear.contact.friction import RHO, Quality, Skin, System, contact_state, follow_path, rest
 from jaxunshear.contact.level import Level
 from jaxunshear.contact.obstacle import Obstacles, sample
@@ -289,7 +290,7 @@ def _run(
 ) -> tuple[Skin, Quality, tuple[jax.Array, jax.Array, jax.Array]]:
     count = len(which)
     skin = rest(system, path[0])
-    displacement = (force.reshape(count, -1) @ system.spread).reshape(count, -1, 3)
+    displacement = product(force.reshape(count, -1), system.spread).reshape(count, -1, 3)
     skin = skin._replace(force=force, displacement=displacement)
     skin, quality = follow_path(system, obstacles, which, friction, path[1:], skin, tolerance, limit, tilted, steps)
     return skin, quality, contact_state(skin, friction, tilted)

@@ -17,12 +17,23 @@ def level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
     rows = [jnp.stack(row, -1) for row in ((zero, zero, y), (zero, zero, -x), (-y, x, zero))]
     cross = jnp.stack(rows, 1)
     return (
-        jnp.eye(3, dtype=pose.dtype) + jnp.sin(angle) / angle * cross + (1 - jnp.cos(angle)) / angle**2 * cross @ cross
+        jnp.eye(3, dtype=pose.dtype)
+        + jnp.sin(angle) / angle * cross
+        + product((1 - jnp.cos(angle)) / angle**2 * cross, cross)
     )
 
 
+def product(a: Float[jax.Array, "*A m k"], b: Float[jax.Array, "*B k n"]) -> Float[jax.Array, "*C m n"]:
+    """Of matrices, in their own precision also on a GPU, which would round float32 to ten bits; as all of the physics."""
+    return jnp.matmul(a, b, precision="highest")
+
+
 def rotate(frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]) -> Float[jax.Array, "B N 3"]:
-    return jnp.einsum("bij,bnj->bni", frame, vectors)
+    return jnp.einsum("bij,bnj->bni", frame, vectors, precision="highest")
+
+
+def rotate_back(frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N 3"]) -> Float[jax.Array, "B N 3"]:
+    return jnp.einsum("bji,bnj->bni", frame, vectors, precision="highest")
 
 
 def turn(angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[jax.Array, "B N 2"]:

@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.contact.frame import level_frame, rotate, turn
+from jaxunshear.contact.frame import level_frame, product, rotate, rotate_back, turn
 from jaxunshear.contact.obstacle import Obstacles, drop
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW
 
@@ -88,9 +88,9 @@ def project(force: Float[Array, "B N d"], friction: Float[Array, "B"]) -> Float[
 
 def _times(matrix: Array, force: Array, frame: Array | None) -> Array:
     """matrix . force with both in the level frame (the matrix, symmetric, in the sensor frame)."""
-    inside = force if frame is None else jnp.einsum("bji,bnj->bni", frame, force)
-    product = (inside.reshape(force.shape[0], -1) @ matrix).reshape(force.shape)
-    return product if frame is None else rotate(frame, product)
+    inside = force if frame is None else rotate_back(frame, force)
+    moved = product(inside.reshape(force.shape[0], -1), matrix).reshape(force.shape)
+    return moved if frame is None else rotate(frame, moved)
 
 
 def solve_increment(
@@ -233,8 +233,8 @@ def advance(
         start = (force, jnp.where(force[..., -1:] > 0, dual, -(moved + offset) / RHO), moved)
         goals = allowed * wanted
         force, dual, error, spent = solve_increment(system, frame, offset, friction, start, goals, limit)
-        inside = force if frame is None else jnp.einsum("bji,bnj->bni", frame, force)
-        displacement = (inside.reshape(force.shape[0], -1) @ system.spread).reshape(skin.displacement.shape)
+        inside = force if frame is None else rotate_back(frame, force)
+        displacement = product(inside.reshape(force.shape[0], -1), system.spread).reshape(skin.displacement.shape)
         count = count + spent
     if frame is not None:
         back = jnp.swapaxes(frame, 1, 2)

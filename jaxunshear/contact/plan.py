@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.contact.frame import level_frame
+from jaxunshear.contact.frame import level_frame, product, rotate
 from jaxunshear.contact.level import Level
 from jaxunshear.contact.obstacle import Obstacles, distance_at, drop
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
@@ -83,8 +83,8 @@ def _in_target_frame(
     place, height = nodes + displacement, jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
     if tilted:
         frame, lift = level_frame(pose), jnp.array([0, 0, 1.0], nodes.dtype) * centre
-        place = jnp.einsum("bij,bnj->bni", frame, place - lift) + lift
-        height = jnp.einsum("bj,nj->bn", frame[:, 2], nodes - lift) + centre
+        place = rotate(frame, place - lift) + lift
+        height = product(frame[:, 2], (nodes - lift).T) + centre
     cos, sin = jnp.cos(pose[:, YAW])[:, None], jnp.sin(pose[:, YAW])[:, None]
     x, y = place[..., 0], place[..., 1]
     return jnp.stack([cos * x - sin * y, sin * x + cos * y], -1) + pose[:, None, :2], height, place[..., 2]
