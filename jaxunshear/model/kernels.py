@@ -1,7 +1,7 @@
 """Which layers networks are built of: those of `layers.py`, as a reader of the paper expects them, or those of `fast/`, which a CPU
-computes faster. Parameters are the same, values and gradients equal to rounding.
+computes faster, and a GPU, too. Parameters are the same, values and gradients equal to rounding.
 
-JAXUNSHEAR_KERNELS=plain or fast chooses for a process and for those that it starts; auto, the default, takes fast ones on a CPU.
+JAXUNSHEAR_KERNELS=plain or fast, the default, chooses for a process and for those that it starts.
 """
 
 import contextlib
@@ -9,9 +9,8 @@ import contextvars
 from collections.abc import Iterator
 from typing import TypeVar
 
-import jax
-
-from jaxunshear.environment import AUTO, FAST, PLAIN, kernels_asked
+from jaxunshear.environment import FAST, kernels_asked
+from jaxunshear.environment import PLAIN as PLAIN
 from jaxunshear.model.fast import native
 
 T = TypeVar("T")
@@ -20,10 +19,7 @@ _asked: contextvars.ContextVar[str | None] = contextvars.ContextVar("kernels", d
 
 def chosen() -> str:
     """PLAIN or FAST. Raises UserError for another value of the variable."""
-    way = _asked.get() or kernels_asked()
-    if way != AUTO:
-        return way
-    return FAST if jax.default_backend() == "cpu" else PLAIN
+    return _asked.get() or kernels_asked()
 
 
 @contextlib.contextmanager
@@ -38,7 +34,7 @@ def using(way: str) -> Iterator[None]:
 
 def described() -> str:
     """For results: which layers, and whether those of a training were compiled for this processor."""
-    return f"{FAST}, compiled" if chosen() == FAST and native.available() else chosen()
+    return f"{FAST}, compiled" if chosen() == FAST and native.form() == "compiled" and native.available() else chosen()
 
 
 def pick(plain: T, fast: T) -> T:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from jaxunshear.environment import DEVICE_COUNT, FAST, devices_asked, kernels_asked
+from jaxunshear.environment import DEVICE_COUNT, devices_asked
 from jaxunshear.errors import UserError
 
 State = TypeVar("State")
@@ -52,6 +52,4 @@ def devices_for(batch: int) -> Devices:
         raise UserError(f"batch: {batch} images cannot be split over {count} devices: use a multiple of {count}")
     if count == 1:
         return Devices(1, None)
-    if kernels_asked() == FAST:
-        raise UserError(f"{DEVICE_COUNT}={count}: fast layers are made for one device: unset JAXUNSHEAR_KERNELS")
     return Devices(count, Mesh(np.array(there[:count]), (AXIS,)))

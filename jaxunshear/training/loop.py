@@ -23,11 +23,11 @@ import optax
 from jax import Array
 
 from jaxunshear import storage
-from jaxunshear.environment import PLAIN
 from jaxunshear.errors import UserError
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.metrics.machine import machine
 from jaxunshear.model import kernels
+from jaxunshear.model.fast import native
 from jaxunshear.progress import Progress
 from jaxunshear.results import stored
 from jaxunshear.results.rows import Summary
@@ -104,7 +104,7 @@ def train(
     state, reached = _restored(folder, _first_state(task, optimiser, key_init, start), task.rank)
     _write_log(folder, reached.history)
     step = make_step(task, training, optimiser, key_steps)
-    with kernels.using(PLAIN) if devices.mesh else contextlib.nullcontext():  # compiled ones cannot be split
+    with native.taking("xla") if devices.mesh else contextlib.nullcontext():  # what is compiled cannot be split
         state = _run(step, state, reached, length, task, training, batches, validation, folder, devices)
         parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
         return _ended(task, parameters, reached, length, folder, devices)

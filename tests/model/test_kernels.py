@@ -84,11 +84,11 @@ def test_they_are_the_same_function_in_double_precision(name):
 
 def test_the_switch_is_one_variable(monkeypatch):
     monkeypatch.delenv(KERNELS, raising=False)
-    assert kernels.chosen() == (kernels.FAST if jax.default_backend() == "cpu" else kernels.PLAIN)
+    assert kernels.chosen() == kernels.FAST
     monkeypatch.setenv(KERNELS, "plain")
     assert kernels.chosen() == kernels.PLAIN and kernels.pick(1, 2) == 1
     monkeypatch.setenv(KERNELS, "quick")
-    with pytest.raises(UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of auto, plain, fast"):
+    with pytest.raises(UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of plain, fast"):
         kernels.chosen()
     with pytest.raises(UserError, match=KERNELS):
         check_environment()

@@ -21,7 +21,7 @@ import small
 from jaxunshear.training import loop
 small.TRAINING = dataclasses.replace(small.TRAINING, epochs=50.0, validate_every=20)
 for count in ("1", "2"):
-    os.environ["JAXUNSHEAR_DEVICES"], os.environ["JAXUNSHEAR_KERNELS"] = count, "plain"
+    os.environ["JAXUNSHEAR_DEVICES"] = count
     small.train(Path(sys.argv[2]) / count)
 from jaxunshear.training.devices import devices_for
 batch = devices_for(4).with_batch(small.pair(0, 4) | {"odd": small.dots(0, 3)})
@@ -46,7 +46,7 @@ def test_two_devices_train_as_one(light, tmp_path):
                 assert abs(second[part][name] - first[part][name]) < 1e-5, (first["step"], name)
     trained_on = [json.loads((tmp_path / count / "summary.json").read_text())["trained_on"] for count in "12"]
     assert [each.get("devices") for each in trained_on] == [None, 2]
-    assert trained_on[1]["kernels"] == "plain"
+    assert trained_on[1]["kernels"] == "fast"
 
 
 @pytest.mark.parametrize(
@@ -58,15 +58,11 @@ def test_what_cannot_be_is_one_line(monkeypatch, asked, line):
         devices_for(4)
 
 
-@pytest.mark.parametrize(
-    ("way", "batch", "line"), [("auto", 3, "3 images cannot be split over 2"), ("fast", 4, "fast layers")]
-)
-def test_an_uneven_batch_and_fast_layers_are_refused(monkeypatch, way, batch, line):
+def test_an_uneven_batch_is_refused(monkeypatch):
     monkeypatch.setenv(environment.DEVICE_COUNT, "all")
-    monkeypatch.setenv(environment.KERNELS, way)
     monkeypatch.setattr(jax, "devices", lambda: [None, None])
-    with pytest.raises(UserError, match=line):
-        devices_for(batch)
+    with pytest.raises(UserError, match="3 images cannot be split over 2"):
+        devices_for(3)
 
 
 def test_all_of_one_is_one(monkeypatch):
