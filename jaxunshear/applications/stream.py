@@ -29,6 +29,7 @@ from jaxunshear.image.understood import Expected, plausibility
 from jaxunshear.metrics import pose_errors
 from jaxunshear.model.parts import Variables
 from jaxunshear.model.ready import ready
+from jaxunshear.results.applications import Streamed
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.image import Preprocess
@@ -136,8 +137,8 @@ def stream(
     images: Path | None,
     inline: bool,
     truth: Truth | None = None,
-) -> Json:
-    """Writes a line for each frame to `out`, and returns a summary: frames used, skipped and dropped, latencies.
+) -> Streamed:
+    """Writes a line for each frame to `out`.
 
     `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. With `truth`
     the errors, too. A live source also ends by Ctrl-C, or when its camera is lost.
@@ -194,21 +195,21 @@ def _answer(
     return after, pose, sure, answered - asked
 
 
-def _summary(found: _Found, live: bool, began: float) -> Json:
+def _summary(found: _Found, live: bool, began: float) -> Streamed:
     used = len(found.total_ms)
-    return {
-        "frames": used + found.skipped + found.missed,
-        "used": used,
-        "skipped": found.skipped,
-        "dropped": found.missed,
-        "problems": found.problems,
-        "live": live,
-        "frames_per_s": used / max(time.perf_counter() - began, 1e-9),
-        "confidence": float(np.mean(found.confident)) if used else None,
-        "pose_mae": {name: float(np.mean(values)) for name, values in found.errors.items()},
-        "latency_ms": _spread(found.total_ms),
-        "networks_ms": _spread(found.networks_ms),
-    }
+    return Streamed(
+        frames=used + found.skipped + found.missed,
+        used=used,
+        skipped=found.skipped,
+        dropped=found.missed,
+        problems=found.problems,
+        live=live,
+        frames_per_s=used / max(time.perf_counter() - began, 1e-9),
+        confidence=float(np.mean(found.confident)) if used else None,
+        pose_mae={name: float(np.mean(values)) for name, values in found.errors.items()},
+        latency_ms=_spread(found.total_ms),
+        networks_ms=_spread(found.networks_ms),
+    )
 
 
 def _errors(pose: dict[str, float], true: Mapping[str, float]) -> dict[str, float]:

@@ -44,8 +44,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.metrics.machine import machine, versions
     from jaxunshear.results.stored import write
 
-    fields = found if isinstance(found, dict) else vars(found)
-    results = {"command": command} | fields | {"machine": machine(), "versions": versions()}
+    results = {"command": command} | vars(found) | {"machine": machine(), "versions": versions()}
     if arguments.json:
         write(arguments.json, results)
     if arguments.command != "stream" or finished:

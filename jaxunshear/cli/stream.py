@@ -10,8 +10,9 @@ from typing import TextIO
 from jaxunshear.cli.options import SKIN, Commands, Model, add_like, add_model
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
+from jaxunshear.results.applications import Streamed
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import Json, check_beside, check_new_file, check_new_folder, os_error
+from jaxunshear.storage import check_beside, check_new_file, check_new_folder, os_error
 
 
 def add_parser(commands: Commands) -> None:
@@ -37,8 +38,7 @@ def add_parser(commands: Commands) -> None:
     )
 
 
-def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
-
+def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
     from jaxunshear.applications.perceiver import frame_for
     from jaxunshear.applications.sources import frames_of, truth_of
     from jaxunshear.applications.stream import robot_of, stream
@@ -61,19 +61,19 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Json:
     truth = truth_of(arguments.source, experiment)
     with _lines(arguments.lines) as lines:
         summary = stream(frames, live, robot, lines, arguments.images, not arguments.no_images, truth)
-    latency = summary["latency_ms"]
+    latency = summary.latency_ms
     times = f"; p50 {latency['p50']:.1f} ms, p99 {latency['p99']:.1f} ms a frame" if latency else ""
     print(
-        f"{summary['used']} frames used, {summary['skipped']} skipped, {summary['dropped']} dropped{times}",
+        f"{summary.used} frames used, {summary.skipped} skipped, {summary.dropped} dropped{times}",
         file=sys.stderr,
     )
-    if summary["pose_mae"]:
-        errors = ", ".join(f"{name} {value:.3f}" for name, value in summary["pose_mae"].items())
+    if summary.pose_mae:
+        errors = ", ".join(f"{name} {value:.3f}" for name, value in summary.pose_mae.items())
         print(f"mean error against the labels: {errors}", file=sys.stderr)
     print(f"note: {learnt_note(experiment)}", file=sys.stderr)
-    for problem, count in list(summary["problems"].items())[:5]:
+    for problem, count in list(summary.problems.items())[:5]:
         print(f"skipped {count}: {problem}", file=sys.stderr)
-    if not summary["used"]:
+    if not summary.used:
         raise UserError(f"no frame of {arguments.source} could be used")
     return summary
 

@@ -118,3 +118,23 @@ class GeometryScores:
     rows: Sequence[GeometryScore]
     mm_per_height: Mapping[str, float]  # by way, as fitted to taps that are not scored
     dropped: int  # contacts that did not converge
+
+
+@dataclass(frozen=True, kw_only=True)
+class Streamed:
+    """stream.json: what became of the frames of a stream.
+
+    Milliseconds and their percentiles are of the frames that were used, from their coming to their line, and of the networks alone.
+    """
+
+    frames: int  # used, skipped and dropped
+    used: int
+    skipped: int  # could not be used
+    dropped: int  # came while another was at work
+    problems: Mapping[str, int]  # of how many frames
+    live: bool  # of a camera, or played as one
+    frames_per_s: float
+    confidence: float | None  # mean
+    pose_mae: Mapping[str, float]  # by quantity, where there are labels
+    latency_ms: Mapping[str, float] | None  # p50, p95, p99
+    networks_ms: Mapping[str, float] | None

@@ -41,11 +41,11 @@ def run(frames, live=False, seconds=0.0, images=None, inline=True):
 
 def test_a_line_a_frame_with_image_pose_and_confidence():
     summary, lines = run([Frame(0, "a", dots(), ""), Frame(1, "b", dots(1), "")])
-    assert (summary["used"], summary["skipped"], summary["dropped"]) == (2, 0, 0)
+    assert (summary.used, summary.skipped, summary.dropped) == (2, 0, 0)
     assert lines[0]["edge_mm"] == 0.25 and lines[0]["confidence"] == 0.9 and lines[0]["ms"] > 0
     image = np.asarray(Image.open(io.BytesIO(base64.b64decode(lines[1]["image_png"]))))
     assert image.shape == (128, 128) and image.max() == 255
-    assert summary["latency_ms"]["p50"] <= summary["latency_ms"]["p99"]
+    assert summary.latency_ms["p50"] <= summary.latency_ms["p99"]
 
 
 def test_bad_frames_are_reported_and_skipped():
@@ -59,9 +59,9 @@ def test_bad_frames_are_reported_and_skipped():
         Frame(6, "b", dots(3), ""),
     ]
     summary, lines = run(frames)
-    assert (summary["used"], summary["skipped"]) == (2, 5)
+    assert (summary.used, summary.skipped) == (2, 5)
     assert [("error" in line) for line in lines] == [False, True, True, True, True, True, False]
-    assert sum(summary["problems"].values()) == 5
+    assert sum(summary.problems.values()) == 5
 
 
 @pytest.mark.parametrize("kind", ["sixteen bits", "colour", "rectangle"])
@@ -72,7 +72,7 @@ def test_other_kinds_of_frames_are_used(kind):
         "colour": np.repeat(grey[..., None], 3, -1),
         "rectangle": np.pad(grey, ((0, 0), (40, 40))),
     }[kind]
-    assert run([Frame(0, kind, pixels, "")])[0]["used"] == 1
+    assert run([Frame(0, kind, pixels, "")])[0].used == 1
 
 
 def test_images_go_to_a_folder(tmp_path):
@@ -85,7 +85,7 @@ def test_a_slow_robot_sees_the_newest_frame_and_the_rest_are_dropped():
     frames = (Frame(number, str(number), dots(), "") for number in range(40))
     live = sources._latest(sources._at_pace(frames, fps=200))
     summary, lines = run(live, live=True, seconds=0.03)
-    assert summary["dropped"] > 10 and summary["used"] + summary["dropped"] == 40
+    assert summary.dropped > 10 and summary.used + summary.dropped == 40
     assert lines[-1]["frame"] == 39
     assert [line["frame"] for line in lines] == sorted(line["frame"] for line in lines)
 
@@ -128,8 +128,8 @@ def test_a_camera_ends_by_a_key_or_a_pulled_plug_with_its_summary(end):
         raise end
 
     summary, lines = run(camera(), live=True)
-    assert summary["used"] == len(lines) == 1 and summary["latency_ms"]
-    assert list(summary["problems"]) == [str(end)] * isinstance(end, UserError)
+    assert summary.used == len(lines) == 1 and summary.latency_ms
+    assert list(summary.problems) == [str(end)] * isinstance(end, UserError)
     with pytest.raises(type(end)):
         run(camera(), live=False)
 
