@@ -123,7 +123,8 @@ def stablehlo_of(parts: "Parts", batch: int | None) -> bytes:
 
     many = export.symbolic_shape("batch")[0] if batch is None else batch
     given = jax.ShapeDtypeStruct((many, *parts.shape), parts.dtype)
-    with kernels.using(kernels.PLAIN):  # fast ones are for a CPU alone
+    # layers that are compiled for this processor stay here; a GPU is not to round
+    with kernels.using(kernels.PLAIN), jax.default_matmul_precision("highest"):
         return bytes(export.export(jax.jit(function_of(parts)), platforms=PLATFORMS)(given).serialize())
 
 

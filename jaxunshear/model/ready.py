@@ -18,6 +18,12 @@ Answer = TypeVar("Answer")
 
 
 def ready(run: Callable[..., Answer], variables: Variables) -> Callable[..., Answer]:
-    """`run(variables, ...)` as a jitted function of the rest."""
+    """`run(variables, ...)` as a jitted function of the rest. Its products are in the precision of what it is given, also on a GPU, which
+    would round float32 to ten bits: a network answers there as on a CPU."""
     constants = jax.device_get(variables)
-    return jax.jit(lambda *inputs: run(constants, *inputs))
+
+    def answer(*inputs: object) -> Answer:
+        with jax.default_matmul_precision("highest"):
+            return run(constants, *inputs)
+
+    return jax.jit(answer)

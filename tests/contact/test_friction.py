@@ -128,3 +128,16 @@ def test_projection_and_jit():
     np.testing.assert_allclose(project(once, friction), once, rtol=1e-6)
     np.testing.assert_allclose(jax.jit(project)(force, friction), once, rtol=1e-6)
     assert np.all(np.linalg.norm(once[..., :2], axis=-1) <= friction[:, None] * once[..., 2] * (1 + 1e-6))
+
+
+@pytest.mark.parametrize("tilted", [False, True])
+def test_no_product_is_left_to_the_rounding_of_a_gpu(system, tilted):
+    path = jnp.zeros((2, 1, 6), jnp.float32)
+
+    def run(path, system):
+        mu = jnp.ones(1, jnp.float32)
+        return follow_path(system, FLAT, jnp.zeros(1, jnp.int32), mu, path, rest(system, path[0]), 0.1, 9, tilted)
+
+    text = jax.jit(run).lower(path, system).as_text()
+    products = [line for line in text.splitlines() if "dot_general" in line]
+    assert products and all("HIGHEST" in line for line in products)
