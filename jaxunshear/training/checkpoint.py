@@ -2,7 +2,7 @@
 
 FOLDER/model.json                  what is trained, with which settings
 FOLDER/checkpoints/<step>/state    arrays by name (Orbax)
-FOLDER/checkpoints/<step>/record.json   history of the training up to here, the best step, a digest of the arrays
+FOLDER/checkpoints/<step>/record.json   history of the training up to here, the best step, digests of the arrays and of their files
 
 FOLDER/summary.json                once the training has come to its end
 
@@ -35,7 +35,7 @@ from jaxunshear.storage import Json
 
 State = TypeVar("State")
 MODEL, SUMMARY = "model.json", "summary.json"
-WEIGHTS, DIGEST = "weights.npz", "digest"
+WEIGHTS, DIGEST, FILES = "weights.npz", "digest", "files"
 NETS = {
     "unshear": UnshearNet,
     "unet": UNet,
@@ -60,7 +60,8 @@ def save(folder: Path, step: int, state: object, record: Json) -> None:
         part.mkdir(parents=True)
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as writer:
             writer.save((part / "state").absolute(), arrays)
-        storage.write_json(part / "record.json", record | {"step": step, "digest": _digest(arrays)})
+        digests = {DIGEST: _digest(arrays), FILES: _digest_of_files(part / "state")}
+        storage.write_json(part / "record.json", record | {"step": step} | digests)
         target = root / f"{step:08d}"
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)
@@ -216,9 +217,11 @@ def read_targets(folder: Path) -> Targets:
 def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], Json]:
     path, record = _path(folder, step), _record(folder, step)
     try:
+        if FILES in record and record[FILES] != _digest_of_files(path / "state"):
+            raise ValueError("its files are not those that were written")  # Orbax' threads would say so at length
         with ocp.Checkpointer(ocp.PyTreeCheckpointHandler()) as reader:
             arrays = reader.restore((path / "state").absolute())
-        intact = _digest(arrays) == record["digest"]
+        intact = _digest(arrays) == record[DIGEST]
     except Exception as error:  # whatever a damaged file makes of itself
         storage.blame_the_machine(path, error)
         raise UserError(f"checkpoint {path} is damaged ({first_line(error)}): {_remedy(folder, path)}") from error
@@ -231,7 +234,7 @@ def _record(folder: Path, step: int) -> Json:
     path = _path(folder, step)
     try:
         record = storage.read_json(path / "record.json")
-        if not {"best_step", "digest", "history"} <= record.keys():
+        if not {"best_step", DIGEST, "history"} <= record.keys():
             raise UserError("its record is incomplete")
         return record
     except (UserError, AttributeError) as error:
@@ -261,6 +264,14 @@ def _digest(arrays: Json) -> str:
     for name in sorted(arrays):
         array = np.asarray(arrays[name])
         digest.update(f"{name} {array.dtype} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()
+
+
+def _digest_of_files(folder: Path) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        content = path.read_bytes()
+        digest.update(f"{path.relative_to(folder)} {len(content)}".encode() + content)
     return digest.hexdigest()
 
 
