@@ -19,7 +19,7 @@ DEVICES = ("JAX_PLATFORMS", "JAX_PLATFORM_NAME", "XLA_FLAGS")
 ROUNDING = ("fast_math", "fast_min_max", "precision")  # in names of XLA's flags
 PROBE = "import jax; jax.devices()"
 KERNELS = "JAXUNSHEAR_KERNELS"  # which layers networks are built of, see `model/kernels.py`
-KERNEL_WAYS = PLAIN, FAST = ("plain", "fast")
+KERNEL_WAYS = AUTO, PLAIN, FAST = ("auto", "plain", "fast")
 DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # how many a training is spread over, see `training/devices.py`
 SECONDS = 120  # a GPU on a busy machine needs some
 
@@ -71,7 +71,7 @@ def check_environment() -> None:
 
 def kernels_asked() -> str:
     """Of KERNEL_WAYS. Raises UserError."""
-    way = os.environ.get(KERNELS) or FAST
+    way = os.environ.get(KERNELS) or AUTO
     if way not in KERNEL_WAYS:
         raise UserError(f"{KERNELS}={way} is unknown: use one of {', '.join(KERNEL_WAYS)}")
     return way

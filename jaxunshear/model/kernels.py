@@ -1,7 +1,8 @@
 """Which layers networks are built of: those of `layers.py`, as a reader of the paper expects them, or those of `fast/`, which a CPU
 computes faster, and a GPU, too. Parameters are the same, values and gradients equal to rounding.
 
-JAXUNSHEAR_KERNELS=plain or fast, the default, chooses for a process and for those that it starts.
+JAXUNSHEAR_KERNELS=plain or fast chooses for a process and for those that it starts; auto, the default, takes fast ones on CPUs and GPUs,
+where both have been timed.
 """
 
 import contextlib
@@ -9,8 +10,9 @@ import contextvars
 from collections.abc import Iterator
 from typing import TypeVar
 
-from jaxunshear.environment import FAST, kernels_asked
-from jaxunshear.environment import PLAIN as PLAIN
+import jax
+
+from jaxunshear.environment import AUTO, FAST, PLAIN, kernels_asked
 from jaxunshear.model.fast import native
 
 T = TypeVar("T")
@@ -19,7 +21,10 @@ _asked: contextvars.ContextVar[str | None] = contextvars.ContextVar("kernels", d
 
 def chosen() -> str:
     """PLAIN or FAST. Raises UserError for another value of the variable."""
-    return _asked.get() or kernels_asked()
+    way = _asked.get() or kernels_asked()
+    if way != AUTO:
+        return way
+    return FAST if jax.default_backend() in ("cpu", "gpu") else PLAIN
 
 
 @contextlib.contextmanager

@@ -88,7 +88,7 @@ def test_the_switch_is_one_variable(monkeypatch):
     monkeypatch.setenv(KERNELS, "plain")
     assert kernels.chosen() == kernels.PLAIN and kernels.pick(1, 2) == 1
     monkeypatch.setenv(KERNELS, "quick")
-    with pytest.raises(UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of plain, fast"):
+    with pytest.raises(UserError, match="JAXUNSHEAR_KERNELS=quick is unknown: use one of auto, plain, fast"):
         kernels.chosen()
     with pytest.raises(UserError, match=KERNELS):
         check_environment()
