@@ -3,8 +3,8 @@
 At every increment the nodal forces f = (t, p) answer: no penetration, no pull, |t| <= mu p, and t opposes the slip of this
 increment. With u = W f and a gap g that is linear in u this is a fixed point f = P(f - (W f + b)), where P cuts p at zero
 and then t to the disk of radius mu p (Alart & Curnier 1991). It is found by ADMM with one precomputed inverse,
-(W + rho I)^-1, over-relaxed: each iteration is one matrix product for the entire batch. W is scaled to a unit mean diagonal.
-Without friction the unknowns are p alone.
+(W + rho I)^-1, over-relaxed (under-relaxed at strong friction): each iteration is one matrix product for the entire batch.
+W is scaled to a unit mean diagonal. Without friction the unknowns are p alone.
 
 We stop on a length: ADMM's two residuals, W (x - z), by which the elastic forces x and the admissible ones z move the skin
 differently, and rho (z - z_before), both in mm, against the length of the increment. A residual relative to the forces would
@@ -22,9 +22,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.contact.frame import level_frame, rotate, turn
+from jaxunshear.contact.frame import increment_length, level_frame, rotate, turn
 from jaxunshear.contact.obstacle import Obstacles, drop
-from jaxunshear.scene.paths import DEPTH, TILT_X, YAW
+from jaxunshear.scene.paths import DEPTH, YAW
 
 OVER_RELAXATION = 1.8
 RHO = 12.0
@@ -35,6 +35,8 @@ FAR_MM = 5.0  # gaps count no further: a hundred millimetres on a free node woul
 TURNED = 1e-6  # of a force, what turning it to and fro in float32 may add to its pull
 LEAST_PULL = 1e-33  # smaller ones lose digits, or components, to the end of float32's range
 LEAST_MM, MOST_MM = 0.05, 0.5  # an increment's length for its tolerance: pauses and long presses are judged sensibly
+STRONG = 1.0  # a friction beyond which over-relaxed ADMM runs in circles: P is steep where nodes part, and steps must be short
+SHORT, SHORTEST, MANY = 0.7, 0.15, 1000  # relaxation there, and where so many iterations are allowed
 
 
 class System(NamedTuple):
@@ -108,10 +110,16 @@ def solve_increment(
     iterations. Scenes with an infinite tolerance are not waited for.
     """
 
+    strong, short = friction > STRONG, SHORTEST if limit >= MANY else SHORT
+    share, kept = (
+        jnp.where(strong, one, usual).astype(offset.dtype)[:, None, None]
+        for one, usual in ((short, OVER_RELAXATION), (1 - short, 1 - OVER_RELAXATION))
+    )
+
     def iterate(_: Array, state: _Iterates) -> _Iterates:
         z, y, _, _ = state
         x = _times(system.inverse, RHO * (z - y) - offset, frame)
-        relaxed = OVER_RELAXATION * x + (1 - OVER_RELAXATION) * z
+        relaxed = share * x + kept * z
         after = project(relaxed + y, friction)
         return after, y + relaxed - after, x, z
 
@@ -128,8 +136,11 @@ def solve_increment(
 
     def step(state: _Solving) -> _Solving:
         inner, before, spent, count = state
-        inner = jax.lax.fori_loop(0, BETWEEN_CHECKS, iterate, inner)
-        return inner, error(inner), spent + BETWEEN_CHECKS * (before > tolerance), count + BETWEEN_CHECKS
+        done = strong & (before <= tolerance)  # and would leave the solution again, while others are waited for
+        after = jax.lax.fori_loop(0, BETWEEN_CHECKS, iterate, inner)
+        z, y = (jnp.where(done[:, None, None], old, new) for old, new in zip(inner[:2], after[:2], strict=True))
+        now = jnp.where(done, before, error(after))
+        return (z, y, *after[2:]), now, spent + BETWEEN_CHECKS * (before > tolerance), count + BETWEEN_CHECKS
 
     # what holds already, as where nothing touches, needs no iteration
     force, dual, moved = start
@@ -189,15 +200,6 @@ def rest(system: System, pose: Float[Array, "B 6"]) -> Skin:
     count, nodes = pose.shape[0], system.nodes.shape[0]
     force = jnp.zeros((count, nodes, len(system.w) // nodes), pose.dtype)
     return Skin(force, force, jnp.zeros((count, nodes, 3), pose.dtype), pose)
-
-
-def increment_length(
-    before: Float[Array, "B 6"], after: Float[Array, "B 6"], radius_mm: Float[Array, ""]
-) -> Float[Array, "B"]:
-    """In mm, by which the dome's tip region moves from pose to pose; turns count at `radius_mm`."""
-    change = after - before
-    turns = radius_mm * jnp.linalg.norm(change[:, jnp.array([YAW, TILT_X, TILT_X + 1])], axis=-1)
-    return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns
 
 
 def advance(
