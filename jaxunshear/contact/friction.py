@@ -36,7 +36,11 @@ TURNED = 1e-6  # of a force, what turning it to and fro in float32 may add to it
 LEAST_PULL = 1e-33  # smaller ones lose digits, or components, to the end of float32's range
 LEAST_MM, MOST_MM = 0.05, 0.5  # an increment's length for its tolerance: pauses and long presses are judged sensibly
 STRONG = 1.0  # a friction beyond which over-relaxed ADMM runs in circles: P is steep where nodes part, and steps must be short
-SHORT, SHORTEST, MANY = 0.7, 0.15, 1000  # relaxation there, and where so many iterations are allowed
+SHORT, SHORTEST, MANY = (
+    0.7,
+    0.15,
+    1000,
+)  # relaxation there, and where just so many iterations are allowed; beyond them, as usual
 
 
 class System(NamedTuple):
@@ -110,7 +114,8 @@ def solve_increment(
     iterations. Scenes with an infinite tolerance are not waited for.
     """
 
-    strong, short = friction > STRONG, SHORTEST if limit >= MANY else SHORT
+    # short steps stop earlier: where more iterations are allowed, accuracy counts for more than a solution at any rate
+    strong, short = (friction > STRONG) & (limit <= MANY), SHORTEST if limit == MANY else SHORT
     share, kept = (
         jnp.where(strong, one, usual).astype(offset.dtype)[:, None, None]
         for one, usual in ((short, OVER_RELAXATION), (1 - short, 1 - OVER_RELAXATION))

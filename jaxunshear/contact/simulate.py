@@ -79,7 +79,7 @@ def follow(
     stronger = STRONGER.get(level, "reference") if isinstance(level, str) else "reference"
     again: list[str | Level] = [stronger] if retry and level != stronger else []
     if again and (paths.friction > STRONG).any():
-        again.insert(0, replace(chosen, limit=max(chosen.limit, MANY)))
+        again.insert(0, replace(chosen, limit=MANY))
     for how in again:
         lost = ~contacts.converged & (isinstance(how, str) | (paths.friction > STRONG))
         if lost.any():
