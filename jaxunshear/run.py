@@ -20,7 +20,7 @@ from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json
-from jaxunshear.storage import read_json, write_json
+from jaxunshear.storage import Json, read_json, write_json
 from jaxunshear.training.kept_out import exams_of
 from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, taken_over
 
@@ -106,8 +106,18 @@ def _make_data(experiment: Experiment, data: Path, spread: Spread) -> bool:
     there = all(_exist(experiment, data, configs.set_folder))
     for name, metadata in make_sets(experiment, data, simulator(spread)).items():
         counts = metadata["counts"]
-        print(f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped")
+        print(f"{name}: {counts['written']} examples, {counts['dropped']} contacts dropped{_slowest(counts)}")
     return not there
+
+
+def _slowest(counts: Json) -> str:
+    """Nothing of sets made before this was counted, or from recordings."""
+    if "iterations" not in counts:
+        return ""
+    spent = counts["iterations"]
+    return (
+        f"; slowest contact {spent['slowest_number']}: {spent['most']} iterations, the median one {spent['median']:.0f}"
+    )
 
 
 def _exist(experiment: Experiment, data: Path, folder_of: Callable[..., Path]) -> list[bool]:

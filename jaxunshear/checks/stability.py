@@ -196,6 +196,10 @@ def _table(rows: Sequence[Row]) -> str:
     counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)
     widest = max((row.float_px for row in rows if not np.isnan(row.float_px)), default=0.0)
     lines.append(f"\n{len(rows)} cases: {counted}; {len(broken)} break the promise")
+    solved = [row for row in rows if row.iterations]
+    if solved:
+        slowest, median = max(solved, key=lambda row: row.iterations), np.median([row.iterations for row in solved])
+        lines.append(f"slowest: {slowest.case}: {slowest.iterations} iterations, the median case {median:.0f}")
     lines.append(f"float32 against float64: at most {widest:.2g} px")
     return "\n".join(lines)
 

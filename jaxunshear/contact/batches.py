@@ -14,11 +14,12 @@ from threadpoolctl import threadpool_limits
 from jaxunshear.contact import dome as domes
 from jaxunshear.contact.elasticity import Compliance, sixfold
 from jaxunshear.contact.frame import product
-from jaxunshear.contact.friction import RHO, Quality, Skin, System, contact_state, follow_path, rest
-from jaxunshear.contact.level import Level
+from jaxunshear.contact.friction import RHO, Quality, Skin, System, follow_path, rest
+from jaxunshear.contact.level import STRONG, Level
 from jaxunshear.contact.obstacle import Obstacles, sample
 from jaxunshear.contact.plan import BATCHES, NODE_COUNTS, PATH_LENGTHS, Batch, gaps, increments, make_plan, padded
 from jaxunshear.contact.skins import Contacts, Skins
+from jaxunshear.contact.state import contact_state
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
 from jaxunshear.scene.stimuli import Stimulus, stimulus_of
@@ -154,6 +155,7 @@ def _solve(
                 level.tolerance,
                 level.limit,
                 part.tilted,
+                level.strong if (paths.friction > STRONG).any() else None,
             )
         )
     solved = Skin(*(field[:count] for field in skin))
@@ -275,7 +277,7 @@ def _both_halves(upper: jax.Array) -> jax.Array:
     return jnp.triu(upper) + jnp.triu(upper, 1).T
 
 
-@partial(jax.jit, static_argnames=("tolerance", "limit", "tilted"))
+@partial(jax.jit, static_argnames=("tolerance", "limit", "tilted", "strong"))
 def _run(
     system: System,
     obstacles: Obstacles,
@@ -287,10 +289,13 @@ def _run(
     tolerance: float,
     limit: int,
     tilted: bool,
+    strong: float | None,
 ) -> tuple[Skin, Quality, tuple[jax.Array, jax.Array, jax.Array]]:
     count = len(which)
     skin = rest(system, path[0])
     displacement = product(force.reshape(count, -1), system.spread).reshape(count, -1, 3)
     skin = skin._replace(force=force, displacement=displacement)
-    skin, quality = follow_path(system, obstacles, which, friction, path[1:], skin, tolerance, limit, tilted, steps)
+    skin, quality = follow_path(
+        system, obstacles, which, friction, path[1:], skin, tolerance, limit, tilted, steps, strong
+    )
     return skin, quality, contact_state(skin, friction, tilted)

@@ -1,10 +1,10 @@
-"""Turns between the sensor frame, the level frame (the same with its tilt undone) and the target frame."""
+"""Turns between the sensor frame, the level frame (the same with its tilt undone) and the target frame; how far a pose is from another."""
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxunshear.scene.paths import TILT_X
+from jaxunshear.scene.paths import DEPTH, TILT_X, YAW
 
 
 def level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
@@ -40,3 +40,12 @@ def turn(angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[j
     """By angles in rad."""
     cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
     return jnp.stack([cos * xy[..., 0] - sin * xy[..., 1], sin * xy[..., 0] + cos * xy[..., 1]], axis=-1)
+
+
+def increment_length(
+    before: Float[jax.Array, "B 6"], after: Float[jax.Array, "B 6"], radius_mm: Float[jax.Array, ""]
+) -> Float[jax.Array, "B"]:
+    """In mm, by which the dome's tip region moves from pose to pose; turns count at `radius_mm`."""
+    change = after - before
+    turns = radius_mm * jnp.linalg.norm(change[:, jnp.array([YAW, TILT_X, TILT_X + 1])], axis=-1)
+    return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns

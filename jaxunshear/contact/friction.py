@@ -3,8 +3,8 @@
 At every increment the nodal forces f = (t, p) answer: no penetration, no pull, |t| <= mu p, and t opposes the slip of this
 increment. With u = W f and a gap g that is linear in u this is a fixed point f = P(f - (W f + b)), where P cuts p at zero
 and then t to the disk of radius mu p (Alart & Curnier 1991). It is found by ADMM with one precomputed inverse,
-(W + rho I)^-1, over-relaxed: each iteration is one matrix product for the entire batch. W is scaled to a unit mean diagonal.
-Without friction the unknowns are p alone.
+(W + rho I)^-1, over-relaxed (under-relaxed at strong friction): each iteration is one matrix product for the entire batch.
+W is scaled to a unit mean diagonal. Without friction the unknowns are p alone.
 
 We stop on a length: ADMM's two residuals, W (x - z), by which the elastic forces x and the admissible ones z move the skin
 differently, and rho (z - z_before), both in mm, against the length of the increment. A residual relative to the forces would
@@ -22,9 +22,10 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.contact.frame import level_frame, product, rotate, rotate_back, turn
+from jaxunshear.contact.frame import increment_length, level_frame, product, rotate, rotate_back, turn
+from jaxunshear.contact.level import STRONG
 from jaxunshear.contact.obstacle import Obstacles, drop
-from jaxunshear.scene.paths import DEPTH, TILT_X, YAW
+from jaxunshear.scene.paths import DEPTH, YAW
 
 OVER_RELAXATION = 1.8
 RHO = 12.0
@@ -32,8 +33,6 @@ BETWEEN_CHECKS = 5
 PASSES = 2
 FIRST_PASS = 2.0  # of the tolerance is enough for all but the last pass: a quarter fewer iterations
 FAR_MM = 5.0  # gaps count no further: a hundred millimetres on a free node would drown the others in rounding
-TURNED = 1e-6  # of a force, what turning it to and fro in float32 may add to its pull
-LEAST_PULL = 1e-33  # smaller ones lose digits, or components, to the end of float32's range
 LEAST_MM, MOST_MM = 0.05, 0.5  # an increment's length for its tolerance: pauses and long presses are judged sensibly
 
 
@@ -101,17 +100,21 @@ def solve_increment(
     start: tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B N d"]],
     tolerance: Float[Array, "B"],
     limit: int,
+    strong: float | None = None,
 ) -> tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B"], Int[Array, "B"]]:
     """Forces of f = P(f - (W f + b)) with offset b, from a warm start (force f, dual, W f).
 
     Iterates until every scene is below its tolerance in mm, or `limit` iterations. Returns force, dual, residual in mm and
-    iterations. Scenes with an infinite tolerance are not waited for.
+    iterations. Scenes with an infinite tolerance are not waited for. `strong`: the relaxation of scenes whose friction is above STRONG;
+    None: that of all.
     """
+    hard = friction > STRONG
+    share = OVER_RELAXATION if strong is None else jnp.where(hard, strong, OVER_RELAXATION)[:, None, None]
 
     def iterate(_: Array, state: _Iterates) -> _Iterates:
         z, y, _, _ = state
         x = _times(system.inverse, RHO * (z - y) - offset, frame)
-        relaxed = OVER_RELAXATION * x + (1 - OVER_RELAXATION) * z
+        relaxed = share * x + (1 - share) * z
         after = project(relaxed + y, friction)
         return after, y + relaxed - after, x, z
 
@@ -128,8 +131,13 @@ def solve_increment(
 
     def step(state: _Solving) -> _Solving:
         inner, before, spent, count = state
-        inner = jax.lax.fori_loop(0, BETWEEN_CHECKS, iterate, inner)
-        return inner, error(inner), spent + BETWEEN_CHECKS * (before > tolerance), count + BETWEEN_CHECKS
+        after = jax.lax.fori_loop(0, BETWEEN_CHECKS, iterate, inner)
+        now = error(after)
+        if strong is not None:
+            done = hard & (before <= tolerance)  # and would leave the solution again, while others are waited for
+            after = jax.tree.map(lambda old, new: jnp.where(done[:, None, None], old, new), inner, after)
+            now = jnp.where(done, before, now)
+        return after, now, spent + BETWEEN_CHECKS * (before > tolerance), count + BETWEEN_CHECKS
 
     # what holds already, as where nothing touches, needs no iteration
     force, dual, moved = start
@@ -191,15 +199,6 @@ def rest(system: System, pose: Float[Array, "B 6"]) -> Skin:
     return Skin(force, force, jnp.zeros((count, nodes, 3), pose.dtype), pose)
 
 
-def increment_length(
-    before: Float[Array, "B 6"], after: Float[Array, "B 6"], radius_mm: Float[Array, ""]
-) -> Float[Array, "B"]:
-    """In mm, by which the dome's tip region moves from pose to pose; turns count at `radius_mm`."""
-    change = after - before
-    turns = radius_mm * jnp.linalg.norm(change[:, jnp.array([YAW, TILT_X, TILT_X + 1])], axis=-1)
-    return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns
-
-
 def advance(
     system: System,
     obstacles: Obstacles,
@@ -211,6 +210,7 @@ def advance(
     limit: int,
     tilted: bool,
     lost: Bool[Array, "B"] | bool = False,
+    strong: float | None = None,
 ) -> tuple[Skin, Quality]:
     """Move B skins by one increment, to `pose`; a skin that does not move is left as it is.
 
@@ -232,7 +232,7 @@ def advance(
         moved = (displacement if frame is None else rotate(frame, displacement))[..., -force.shape[-1] :]
         start = (force, jnp.where(force[..., -1:] > 0, dual, -(moved + offset) / RHO), moved)
         goals = allowed * wanted
-        force, dual, error, spent = solve_increment(system, frame, offset, friction, start, goals, limit)
+        force, dual, error, spent = solve_increment(system, frame, offset, friction, start, goals, limit, strong)
         inside = force if frame is None else rotate_back(frame, force)
         displacement = product(inside.reshape(force.shape[0], -1), system.spread).reshape(skin.displacement.shape)
         count = count + spent
@@ -260,18 +260,21 @@ def follow_path(
     limit: int,
     tilted: bool = False,
     steps: Int[Array, ""] | None = None,
+    strong: float | None = None,
 ) -> tuple[Skin, Quality]:
     """Move B skins along a path of poses x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad) in the target frame.
 
     `which` indexes the obstacles; an increment stops below `tolerance` times its own length; `tilted` False leaves the
-    rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew.
+    rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew. `strong`: see `solve_increment`.
     """
 
     def step(state: tuple[Array, Skin, Quality]) -> tuple[Array, Skin, Quality]:
         number, skin, worst = state
         # both are written so that a NaN counts as the worst
         lost = ~(worst.residual_mm <= worst.tolerance_mm)
-        skin, now = advance(system, obstacles, which, friction, path[number], skin, tolerance, limit, tilted, lost)
+        skin, now = advance(
+            system, obstacles, which, friction, path[number], skin, tolerance, limit, tilted, lost, strong
+        )
         worse = ~(now.residual_mm * worst.tolerance_mm <= worst.residual_mm * now.tolerance_mm)
         pick = lambda new, old: jnp.where(worse, new, old)  # noqa: E731
         residual, goal = pick(now.residual_mm, worst.residual_mm), pick(now.tolerance_mm, worst.tolerance_mm)
@@ -282,20 +285,3 @@ def follow_path(
     start = Quality(none, none + tolerance * LEAST_MM, jnp.zeros(path.shape[1], jnp.int32))
     _, skin, worst = jax.lax.while_loop(lambda state: state[0] < last, step, (jnp.zeros((), jnp.int32), skin, start))
     return skin, worst
-
-
-def contact_state(
-    skin: Skin, friction: Float[Array, "B"], tilted: bool = False
-) -> tuple[Int[Array, "B"], Int[Array, "B"], Int[Array, "B"]]:
-    """Numbers of stuck, slipping and free nodes."""
-    force = rotate(level_frame(skin.pose), skin.force) if tilted else skin.force
-    touching = force[..., -1] > 0
-    if force.shape[-1] == 1:
-        slipping = touching
-    else:
-        pull = jnp.hypot(force[..., 0], force[..., 1])  # squares of a tiny one would be zero
-        limit = jnp.where(jnp.isinf(friction), 0, friction)[:, None] * force[..., 2]
-        rounding = 1e-4 * limit + (TURNED * force[..., 2] if tilted else 0)
-        slips = (pull >= limit - rounding) | (limit < LEAST_PULL)
-        slipping = touching & ~jnp.isinf(friction)[:, None] & slips
-    return jnp.sum(touching & ~slipping, -1), jnp.sum(slipping, -1), jnp.sum(~touching, -1)

@@ -25,7 +25,7 @@ from jax.ad_checkpoint import checkpoint_name
 from jax.custom_batching import custom_vmap
 from jaxtyping import Float, Int
 
-from jaxunshear.contact.frame import level_frame, rotate
+from jaxunshear.contact.frame import increment_length, level_frame, rotate
 from jaxunshear.contact.friction import (
     LEAST_MM,
     MOST_MM,
@@ -34,7 +34,6 @@ from jaxunshear.contact.friction import (
     Skin,
     System,
     _times,
-    increment_length,
     increment_offset,
     project,
     rest,

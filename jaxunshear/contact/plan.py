@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxunshear.contact.frame import level_frame, product, rotate
-from jaxunshear.contact.level import Level
+from jaxunshear.contact.level import STRONG, Level
 from jaxunshear.contact.obstacle import Obstacles, distance_at, drop
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
 from jaxunshear.settings.reach import REACHED
@@ -33,6 +33,9 @@ LEAST_SPLIT = 24  # scenes in a batch that is worth splitting
 WORTH = 0.9  # of the unsplit cost: more parts must save more than this
 PRODUCTS = 16  # of a matrix with the forces, an increment
 ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
+STRONG_PRESS_MM = (
+    1.0  # an increment of a press at strong friction: a node that touches sticks where the increment began
+)
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
 
 
@@ -59,7 +62,9 @@ def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[Float[np.n
     along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
     along += radius_mm * np.linalg.norm(change[..., TILT_X:], axis=-1)
     pressed, along = (np.where(length < LEAST_LEG_MM, 0, length) for length in (pressed, along))
-    press, slide = np.ceil(pressed / level.press_mm - 1e-9), np.ceil(along / level.slide_mm - 1e-9)
+    strong = (paths.friction > STRONG)[:, None]
+    press_mm = np.where(strong, np.minimum(STRONG_PRESS_MM, level.press_mm), level.press_mm)
+    press, slide = np.ceil(pressed / press_mm - 1e-9), np.ceil(along / level.slide_mm - 1e-9)
     if "steps" not in level.omit:
         press, slide = np.maximum(press, level.press * (pressed > 0)), np.maximum(slide, level.slide * (along > 0))
     count = np.maximum(press, slide).astype(int)  # (B, K - 1)

@@ -23,10 +23,12 @@ PNG_LEVEL = 4
 def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) -> dict:
     """Counts of a set, and the scene of every contact that was dropped (plain JSON types)."""
     usable = np.zeros(len(shots.scenes), bool)
+    iterations = np.zeros(len(shots.scenes), int)
     retried = 0
     for path in paths:
         chunk = load_chunk(path)
         usable[chunk["number"]] = chunk["usable"]
+        iterations[chunk["number"]] = chunk["iterations"]
         retried += int(chunk["retried"].sum())
     written = usable & shots.slid if isinstance(settings, PairedData) else usable
     unpaired = 0
@@ -39,6 +41,11 @@ def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) ->
         "contacts": len(shots.scenes),
         "retried": retried,
         "dropped": int((~usable).sum()),
+        "iterations": {
+            "median": float(np.median(iterations)),
+            "most": int(iterations.max()),
+            "slowest_number": int(iterations.argmax()),
+        },
         "slides_without_tap": unpaired,
         "written": {name: int((written & (shots.split == index)).sum()) for index, name in enumerate(SPLITS)},
         "dropped_scenes": [

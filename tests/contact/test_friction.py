@@ -14,12 +14,12 @@ from jaxunshear.contact.friction import (
     RHO,
     Skin,
     System,
-    contact_state,
     follow_path,
     project,
     rest,
 )
 from jaxunshear.contact.obstacle import Obstacles
+from jaxunshear.contact.state import contact_state
 
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
 RADIUS_MM = 0.45

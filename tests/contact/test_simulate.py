@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxunshear.checks.paper import NAMES, paper_scenes
 from jaxunshear.contact.level import LEVELS, unabridged
+from jaxunshear.contact.plan import increments
 from jaxunshear.contact.simulate import follow, simulate
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths, path_of
@@ -13,7 +15,7 @@ from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, make_scenes
 from jaxunshear.scene.stimuli import TRAINING
 from jaxunshear.settings.reach import deepest_mm
-from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED
 
 REST = pin_tips(TACTIP_331)
 
@@ -123,6 +125,19 @@ def test_friction_from_none_to_infinite():
     assert pulls[4] == pytest.approx(pulls[5], rel=1e-3)
     stuck = simulate(TACTIP_331, ("disk",), one(2.0, friction=np.inf, **slide))
     assert stuck.slipping[0] == 0 and stuck.stuck[0] > 0
+
+
+def test_strong_friction_needs_no_stronger_level():
+    """Deep presses, where the rings that come to touch are held where they were."""
+    drawn = paper_scenes("slide", 12, 1).take(np.array([0, 3]))
+    stuck = simulate(TACTIP_331_FITTED, NAMES, replace(drawn, friction=np.full(2, np.inf)), retry=False)
+    assert stuck.converged.all() and not stuck.slipping.any() and stuck.iterations.max() < 600
+
+
+def test_strong_friction_is_pressed_by_short_increments_and_usual_friction_as_before():
+    points = np.repeat(np.array([[[0, 0, 0, 0, 0, 0], [0, 0, 0, 6.0, 0, 0]]]), 3, axis=0)
+    _, count = increments(Paths(np.zeros(3, int), np.array([0.5, 1.0, np.inf]), points), LEVELS["auto"], 20.0)
+    np.testing.assert_array_equal(count, [2, 2, 6])
 
 
 def test_a_motion_in_two_parts_is_the_motion():

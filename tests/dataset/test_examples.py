@@ -117,6 +117,10 @@ def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, en
     shots, paths = make(paired, sensor, tmp_path, engine)
     counts = summary(paired, shots, paths)
     assert (counts["retried"], counts["dropped"]) == (10, 0)
+    spent = np.concatenate([load_chunk(path)["iterations"] for path in paths])
+    slowest = np.concatenate([load_chunk(path)["number"] for path in paths])[spent == spent.max()]
+    assert counts["iterations"]["most"] == spent.max() and counts["iterations"]["median"] == np.median(spent)
+    assert counts["iterations"]["slowest_number"] in slowest
     assert sum(counts["written"].values()) == shots.slid.sum()
 
 
