@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterable, Mapping
+from functools import cache
 
 from jaxunshear.errors import Note, UserError
 from jaxunshear.storage import cache_folder
@@ -64,8 +65,8 @@ def check_environment() -> None:
         if any(word in flag for word in ROUNDING):
             raise UserError(f"XLA_FLAGS: {flag} would give other results under the same name: leave it out")
     asked = {name: os.environ[name] for name in DEVICES if os.environ.get(name, "") not in ("", "cpu")}
-    if asked and not _starts():
-        reported = ", ".join(f"{name}={value}" for name, value in asked.items())
+    reported = ", ".join(f"{name}={value}" for name, value in asked.items())
+    if asked and not _starts(reported):
         raise UserError(f"{reported}: JAX cannot start with that on this machine; unset it, or name what is there")
 
 
@@ -85,8 +86,10 @@ def devices_asked() -> int | None:
     return None if word == "all" else int(word)
 
 
-def _starts() -> bool:
-    """In a process of its own: XLA ends the one that meets a bad flag, and a sweep is to leave the devices to its rows."""
+@cache
+def _starts(asked: str) -> bool:
+    """Whether JAX starts with what is `asked`, once a process. In one of its own: XLA ends the one that meets a bad flag, and a sweep is to
+    leave the devices to its rows."""
     try:
         return subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=SECONDS).returncode == 0
     except subprocess.TimeoutExpired:

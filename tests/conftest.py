@@ -9,38 +9,20 @@ from typing import NamedTuple
 
 import pytest
 
-from tests import shapes
-
-shapes.check_all()
-os.environ.setdefault("MPLBACKEND", "Agg")
-# Many tests, their workers and the commands they start compile the same programs: once is enough.
+# Many tests, their workers and the processes they start compile the same programs: once is enough. One is found again where
+# XLA's flags are the same. They compute little, so that it need not be optimised. JAX reads all of these when it is imported.
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 OWN = COMPILED not in os.environ
 if OWN:
     os.environ[COMPILED] = tempfile.mkdtemp(prefix="compiled-")
-    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.1"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=1")
+os.environ.setdefault("MPLBACKEND", "Agg")
 
-LIGHT = "--xla_backend_optimization_level=1"
+from tests import shapes  # noqa: E402
 
-
-def compile_lightly() -> None:
-    """Tests compile much and compute little. Processes that they start compile as everywhere."""
-    import jax
-
-    if "XLA_FLAGS" not in os.environ:
-        os.environ["XLA_FLAGS"] = LIGHT
-        jax.devices()
-        del os.environ["XLA_FLAGS"]
-
-
-compile_lightly()
+shapes.check_all()
 REAL = Path(__file__).resolve().parents[1].parent / "shared" / "real"
-
-
-@pytest.fixture(scope="session")
-def light() -> dict[str, str]:
-    """For the environment of a process that is to compute the bits of this one."""
-    return {"XLA_FLAGS": LIGHT}
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,5 @@
 """The notebooks run from top to bottom, and are stored as they ran."""
 
-import os
 from pathlib import Path
 
 import nbformat
@@ -17,9 +16,7 @@ def results(notebook: nbformat.NotebookNode) -> list[bool]:
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs(path, light, monkeypatch, tmp_path):
-    for name, value in light.items():
-        monkeypatch.setitem(os.environ, name, value)
+def test_a_notebook_runs(path, monkeypatch, tmp_path):
     monkeypatch.delenv("MPLBACKEND")  # figures are shown, here
     notebook = nbformat.read(path, as_version=4)
     stored = results(notebook)

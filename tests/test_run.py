@@ -40,11 +40,11 @@ def run_command(folder: Path, *more: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory, light: dict[str, str]) -> Path:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the runs/ and datasets/ of a finished tiny experiment."""
     folder = tmp_path_factory.mktemp("whole")
     words = run_command(folder, "--json", str(folder / "rows.json"))
-    done = subprocess.run(words, capture_output=True, text=True, env=os.environ | light)
+    done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     (folder / "printed.txt").write_text(done.stdout)
     return folder
@@ -103,11 +103,11 @@ def test_leakage_of_networks_over_images(finished, command):
     assert (run / "leakage.png").stat().st_size > 10_000 and "slide from z_p" in answer.out
 
 
-def test_a_second_run_keeps_all_work_and_all_numbers(finished, light):
+def test_a_second_run_keeps_all_work_and_all_numbers(finished):
     before = reproducible(results(finished))
     trained = {path: path.stat().st_mtime_ns for path in (finished / "runs" / "tiny").glob("*/summary.json")}
     assert len(trained) == 3
-    assert subprocess.run(run_command(finished), capture_output=True, env=os.environ | light).returncode == 0
+    assert subprocess.run(run_command(finished), capture_output=True).returncode == 0
     assert reproducible(results(finished)) == before
     assert trained == {path: path.stat().st_mtime_ns for path in trained}
 
@@ -296,7 +296,7 @@ def test_two_runs_in_one_folder_are_refused(stage, tmp_path):
 
 
 @pytest.mark.long
-def test_killed_ten_times_ends_with_the_same_numbers(finished, light, tmp_path):
+def test_killed_ten_times_ends_with_the_same_numbers(finished, tmp_path):
     moments = random.Random(0)
     kills = 0
     while kills < 10:
@@ -305,7 +305,6 @@ def test_killed_ten_times_ends_with_the_same_numbers(finished, light, tmp_path):
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
-            env=os.environ | light,
         )
         try:
             process.wait(timeout=moments.uniform(3, 15))
@@ -315,7 +314,7 @@ def test_killed_ten_times_ends_with_the_same_numbers(finished, light, tmp_path):
             process.wait()
             kills += 1
             time.sleep(0.1)
-    last = subprocess.run(run_command(tmp_path), capture_output=True, text=True, env=os.environ | light)
+    last = subprocess.run(run_command(tmp_path), capture_output=True, text=True)
     assert last.returncode == 0, last.stderr
     assert kills >= 2
     assert reproducible(results(tmp_path)) == reproducible(results(finished))

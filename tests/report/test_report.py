@@ -5,6 +5,7 @@ import contextlib
 import io
 import json
 import re
+import shutil
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -18,11 +19,17 @@ from jaxunshear.report.pictures import MISSING, SURPLUS, difference, png_address
 from jaxunshear.report.report import write_report
 
 
-def test_the_page_is_full_and_needs_nothing_else(made_up_run, read):
-    folder, _ = made_up_run
+@pytest.fixture(scope="module")
+def page(template, tmp_path_factory):
+    """The report of the run as it was made, in a folder of its own."""
+    folder = shutil.copytree(template, tmp_path_factory.mktemp("page") / "run")
     path = write_report(folder)
     assert path == folder / "report.html"
-    html = path.read_text()
+    return path
+
+
+def test_the_page_is_full_and_needs_nothing_else(page, read):
+    html = page.read_text()
     reader = read(html)
     assert len(reader.addresses) >= 15 + 4
     assert all(address.startswith("data:image/") for address in reader.addresses)
@@ -36,9 +43,9 @@ def test_the_page_is_full_and_needs_nothing_else(made_up_run, read):
             ElementTree.fromstring(base64.b64decode(data))
 
 
-def test_the_figures_of_the_results_are_on_it(made_up_run, read):
-    folder, results = made_up_run
-    text = " ".join(read(write_report(folder).read_text()).text)
+def test_the_figures_of_the_results_are_on_it(page, read):
+    results = json.loads((page.parent / "results.json").read_text())
+    text = " ".join(read(page.read_text()).text)
     for value in (results["ms_ssim"]["disentangled"]["overall"], results["ms_ssim"]["sheared"]["disk"]):
         assert f"{value:.3f}" in text
     assert f"{results['pose_mae']['disentangled']['edge_mm']:.2f} mm" in text
@@ -59,9 +66,9 @@ def test_the_figures_of_the_results_are_on_it(made_up_run, read):
     assert "sum of its stages" in text and "killed outright is lost" in text
 
 
-def test_what_readers_of_another_make_err_by_is_reported(made_up_run, read_page):
+def test_what_readers_of_another_make_err_by_is_reported(page, made_up_run, read_page):
     folder, results = made_up_run
-    reported = read_page(write_report(folder)).split("Read by readers of another make")[1]
+    reported = read_page(page).split("Read by readers of another make")[1]
     for reader, kinds in results["readers"].items():
         for errors in kinds.values():
             assert all(f"{value:.2f}" in reported for value in errors.values()), reader
@@ -72,10 +79,10 @@ def test_what_readers_of_another_make_err_by_is_reported(made_up_run, read_page)
     assert "another make" not in read_page(write_report(folder))
 
 
-def test_intervals_say_that_they_are_of_one_training(made_up_run, read_page):
+def test_intervals_say_that_they_are_of_one_training(page, made_up_run, read_page):
     folder, results = made_up_run
     said = "Intervals are over test poses of one training and say nothing of other trainings."
-    text = read_page(write_report(folder))
+    text = read_page(page)
     for title in ("How alike the images are", "What a pose network reads", "Read by readers of another make"):
         assert said in text.split(title)[1][:700], title
     del results["spread"]["over"]  # of an earlier version
@@ -83,18 +90,13 @@ def test_intervals_say_that_they_are_of_one_training(made_up_run, read_page):
     assert said not in read_page(write_report(folder))
 
 
-def test_the_montage_is_a_picture_of_every_shape_too(made_up_run):
-    folder, _ = made_up_run
-    write_report(folder)
-    first = (folder / "montage.png").read_bytes()
-    with Image.open(io.BytesIO(first)) as picture:
+def test_the_montage_is_a_picture_of_every_shape_too(page):
+    with Image.open(page.with_name("montage.png")) as picture:
         grey = np.asarray(picture.convert("L"))
-    with np.load(folder / "montage.npz") as file:
+    with np.load(page.with_name("montage.npz")) as file:
         shapes = len(set(file["stimulus"].tolist()))
     assert abs(len(grey) - 185 * shapes) <= 2  # a row of each
     assert (grey < 100).mean() > 0.2  # images, not blank paper
-    write_report(folder)
-    assert (folder / "montage.png").read_bytes() == first
 
 
 def test_a_missed_bar_is_shown(made_up_run):
@@ -105,8 +107,8 @@ def test_a_missed_bar_is_shown(made_up_run):
     assert html.count("<span class=bad>missed</span>") == 1
 
 
-def test_text_is_escaped(made_up_run):
-    html = write_report(made_up_run[0]).read_text()
+def test_text_is_escaped(page):
+    html = page.read_text()
     assert "&lt;b&gt;numbers &amp; images&lt;/b&gt;" in html
     assert "<b>numbers" not in html
 
@@ -129,10 +131,11 @@ def test_names_from_files_are_escaped_wherever_they_stand(made_up_run, read_page
     assert read_page(write_report(folder)).count(name) >= 12  # which also refuses a script
 
 
-def test_the_same_run_gives_the_same_bytes(made_up_run):
-    folder, _ = made_up_run
-    first = write_report(folder).read_bytes()
-    assert write_report(folder).read_bytes() == first
+def test_the_same_run_gives_the_same_bytes(page, tmp_path):
+    """Also where a report is there already."""
+    folder = shutil.copytree(page.parent, tmp_path / "run")
+    assert write_report(folder).read_bytes() == page.read_bytes()
+    assert (folder / "montage.png").read_bytes() == page.with_name("montage.png").read_bytes()
 
 
 def test_without_logs_and_times_the_rest_is_still_shown(made_up_run, read):

@@ -31,9 +31,9 @@ assert [shard.data.shape[0] for shard in batch["odd"].addressable_shards] == [3,
 
 
 @pytest.mark.long
-def test_two_devices_train_as_one(light, tmp_path):
+def test_two_devices_train_as_one(tmp_path):
     """200 steps: every loss that is kept, of batches and of the validation."""
-    flags = {"XLA_FLAGS": f"{light['XLA_FLAGS']} --xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
+    flags = {"XLA_FLAGS": f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2", "JAX_PLATFORMS": "cpu"}
     words = [sys.executable, "-c", SCRIPT, str(Path(__file__).parent), str(tmp_path)]
     subprocess.run(words, env=os.environ | flags, check=True, capture_output=True)
     one, two = (

@@ -55,19 +55,6 @@ def losses_of(folder):
     return [(line["step"], line["train"], line["validation"]) for line in lines(folder)]
 
 
-@pytest.fixture(scope="module", autouse=True)
-def compiled_once(tmp_path_factory):
-    """Most tests here run the same program; XLA need not compile it each time."""
-    cache = str(tmp_path_factory.mktemp("compiled"))
-    before = jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs
-    settings = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    for name, value in zip(settings, (cache, 0.0), strict=True):
-        jax.config.update(name, value)
-    yield
-    for name, value in zip(settings, before, strict=True):
-        jax.config.update(name, value)
-
-
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory):
     """An undisturbed training."""
@@ -125,9 +112,9 @@ def test_stopped_and_resumed_gives_the_same_bits(straight, tmp_path, at):
     assert losses_of(tmp_path) == losses_of(straight[0])
 
 
-def test_killed_processes_end_as_an_undisturbed_one(straight, light, tmp_path):
+def test_killed_processes_end_as_an_undisturbed_one(straight, tmp_path):
     """kill -9 at several moments, from the first checkpoint's writing on, then to the end."""
-    environment = os.environ | light | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
     command = [sys.executable, str(Path(__file__).with_name("small.py")), str(tmp_path), "0.05"]
     for sight, wait in (("checkpoints/*", 0.0), ("checkpoints/00000008*", 0.02)):
         process = subprocess.Popen(command, env=environment, stderr=subprocess.DEVNULL)
