@@ -19,7 +19,7 @@ from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.stimuli import SHAPES as PLANAR
 from jaxunshear.scene.stimuli import Stimulus
-from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, TACTIP_331_FITTED, Sensor
 
 HALF_SIZE = replace(
     TACTIP_331,
@@ -120,6 +120,11 @@ def _frictions() -> Iterator[Case]:
         yield one_path(f"friction {friction:g}, slide", dragged, friction=friction)
     for friction in (0.0, 1e4, np.inf):
         yield one_path(f"friction {friction:g}, press on an edge", motion(4.0), friction=friction)
+    for friction in (5.0, np.inf):
+        deep = motion(5.5, at=(-8.0, 0.0), slide=(2.5, 2.5))
+        yield one_path(
+            f"fitted sensor, friction {friction:g}, slide", deep, friction=friction, sensor=TACTIP_331_FITTED
+        )
 
 
 def _depths() -> Iterator[Case]:
