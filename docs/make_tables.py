@@ -204,20 +204,19 @@ def tenth() -> str:
 
 
 def tenth_poses() -> str:
-    """Errors of poses on a tenth of the paper's data, beside taps of the slide's own depth, and the paper's of real skin."""
+    """Errors of poses on a tenth of the paper's data, at the slide's own depth, by two readers, and the paper's of real skin."""
     metrics = _cells("paper_tenth")[0].metrics
-    ways = ("tap", "sheared", "entangled", "disentangled")
-    lines = ["| PoseNet reads | x, mm | yaw, deg | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
+    ways, three = ("tap", "sheared", "entangled", "disentangled"), QUANTITIES[:3]
+    lines = [
+        "| | PoseNet reads: x, mm | yaw, deg | edge distance, mm | a ridge reads: x, mm | yaw, deg | edge distance, mm |",
+        "|---|---|---|---|---|---|---|",
+    ]
     for way in ways:
-        lines.append(
-            _line(way, [_cell(metrics[f"depth_0mm: pose/{way}/{name}"], digits) for name, digits in QUANTITIES])
-        )
-    for way in ways[2:]:
-        shares = [_cell(metrics[f"depth_0mm: pose_recovery/{way}/{name}"], 2) for name, _ in QUANTITIES]
-        lines.append(_line(f"recovery, {way}", shares))
+        keys = [(f"depth_0mm: {reader}/{way}/{q}", d) for reader in ("pose", "read/pixels") for q, d in three]
+        lines.append(_line(way, [_cell(metrics[key], digits) for key, digits in keys]))
     for way in ways:
-        real = PAPER["pose_mae"][way]
-        lines.append(_line(f"{way}, real (paper, Table 2)", [str(real["x_mm"]), str(real["yaw_deg"]), "", ""]))
+        x, yaw = PAPER["pose_mae"][way].values()
+        lines.append(_line(f"{way}, real (paper, Table 2)", [f"{x:.2f}", f"{yaw:.1f}", "", "", "", ""]))
     return "\n".join(lines)
 
 
