@@ -4,8 +4,9 @@
 
 Expected: the paper's MS-SSIM on real data is 0.93 disentangled, 0.90 entangled, 0.32 sheared (Table 1). Data and training
 want a GPU: 120,000 images of contacts in pairs, 30,000 of poses, 100 and 250 epochs; some forty minutes on an H200 by the rates of
-experiments/paper_tenth.py, a tenth of the taps and slides; days on two cores, and not yet run in full. The same way in minutes: `--paired.poses 10 --paired.taps 1
---paired.slides 2 --pose.poses 20 --train.epochs 1 --train_posenet.epochs 1 --train_posenet.batch 32`.
+experiments/paper_tenth.py, a tenth of the taps and slides; days on two cores, and not yet run in full. The same way in minutes:
+`--paired.poses 10 --paired.taps 1 --paired.slides 2 --pose.poses 20 --train.epochs 1 --train_posenet.epochs 1
+--train_posenet.batch 32`.
 
 How the text is read: "10e-4" is 1e-3, of the mean of each kernel's |w| and w^2. Their sum, as Keras takes it, is 52 times the
 first image loss of UnshearNet and 640 times that of PoseNet, and shrinks the kernels before they learn
