@@ -1,5 +1,5 @@
 """Other solvers of an increment, to be measured beside the simulator's own ADMM. All have the signature of
-`friction.solve_increment`, for contacts without tilt, and stop on the same kind of length:
+`friction.solve_increment`, but for its relaxation, for contacts without tilt, and stop on the same kind of length:
 
 - `projected_gradient`, and `accelerated` (Nesterov 1983, restarted as by O'Donoghue & Candes 2015)
 - `anderson`: the simulator's ADMM, as a fixed point of one variable, extrapolated from its last steps (Walker & Ni 2011)
@@ -34,8 +34,12 @@ def exchanged(solver: Solver | None) -> Iterator[None]:
         yield
         return
     jax.clear_caches()
+
+    def solve(*given: object, strong: float | None = None) -> Solved:
+        return solver(*given)
+
     try:
-        with patch.object(physics, "solve_increment", solver):
+        with patch.object(physics, "solve_increment", solve):
             yield
     finally:
         jax.clear_caches()

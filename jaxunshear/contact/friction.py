@@ -232,7 +232,7 @@ def advance(
         moved = (displacement if frame is None else rotate(frame, displacement))[..., -force.shape[-1] :]
         start = (force, jnp.where(force[..., -1:] > 0, dual, -(moved + offset) / RHO), moved)
         goals = allowed * wanted
-        force, dual, error, spent = solve_increment(system, frame, offset, friction, start, goals, limit, strong)
+        force, dual, error, spent = solve_increment(system, frame, offset, friction, start, goals, limit, strong=strong)
         inside = force if frame is None else rotate_back(frame, force)
         displacement = product(inside.reshape(force.shape[0], -1), system.spread).reshape(skin.displacement.shape)
         count = count + spent
