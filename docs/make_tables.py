@@ -220,6 +220,17 @@ def tenth_poses() -> str:
     return "\n".join(lines)
 
 
+def exported_speed() -> str:
+    """A frame's time as our own stream takes it and as an exported file does."""
+    rows = json.loads((RESULTS / "bench_stream_onnx.json").read_text())["rows"]
+    names = {"jaxunshear": "`stream`", "onnxruntime": "the exported file"}
+    lines = ["| a frame, ms: median (95 %) | 128 px | 256 px |", "|---|---|---|"]
+    for name, shown in names.items():
+        found = {row["size"]: f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})" for row in rows if row["name"] == name}
+        lines.append(_line(shown, [found[128], found[256]]))
+    return "\n".join(lines)
+
+
 def transfer() -> str:
     """Errors on recordings of the weights that learnt in simulation alone, by their own PoseNet and by a ridge that learnt recorded taps:
     means of the trainings, each with its least and most."""
@@ -655,6 +666,7 @@ TABLES = {
         frontier,
     ),
     "docs/cluster.md": (sizing,),
+    "docs/robot.md": (exported_speed,),
     "docs/faults.md": (faults,),
     "docs/limits.md": (few_pairs, twisted, tilted),
 }
