@@ -33,9 +33,7 @@ LEAST_SPLIT = 24  # scenes in a batch that is worth splitting
 WORTH = 0.9  # of the unsplit cost: more parts must save more than this
 PRODUCTS = 16  # of a matrix with the forces, an increment
 ROWS_AT_LEAST = 12  # a matrix product with fewer rows than this takes as long as one with this many
-STRONG_PRESS_MM = (
-    1.0  # an increment of a press at strong friction: a node that touches sticks where the increment began
-)
+STRONG_PRESS_MM = 1.0  # an increment at strong friction: a node that touches sticks where the increment began
 PATH_LENGTHS = (16, 64, 256, 1024, 4096)
 
 
