@@ -121,7 +121,7 @@ def solve_increment(
     def error(state: _Iterates) -> Array:
         z, _, x, before = state
         apart = _times(system.w, x - z, frame)
-        change = RHO * (z - before)
+        change = RHO * (OVER_RELAXATION / share) * (z - before)  # of a short step as of a long one
         touching = jnp.sum(z[..., -1] > 0, axis=-1)
         return jnp.sqrt(jnp.sum(apart**2 + change**2, axis=(1, 2)) / jnp.maximum(touching, 1))
 

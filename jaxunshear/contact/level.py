@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 # What `auto` leaves out, in the words of the command that shows a plan.
 OMISSIONS = ("untouched", "friction", "nodes", "steps", "grouping")
 STRONG = 1.0  # a friction above which over-relaxed ADMM runs in circles: P is steep where nodes part, and its steps must be short
-SHORTEST = 0.15  # relaxation of a last try there
 
 
 @dataclass(frozen=True)
@@ -14,8 +13,8 @@ class Level:
 
     A leg between two way points is cut into increments of at most `press_mm` in depth and `slide_mm` along the surface; a leg
     has at least `press` or `slide` of them unless "steps" is among the omissions. An increment is solved to `tolerance` times
-    its own length, within `limit` iterations. `strong` is the relaxation of ADMM where friction is STRONG; short steps stop earlier, so
-    `reference` takes them as everywhere. It leaves out only what provably changes nothing.
+    its own length, within `limit` iterations. `strong` is the relaxation of ADMM where friction is STRONG, None the usual one.
+    `reference` leaves out only what provably changes nothing.
     """
 
     press: int

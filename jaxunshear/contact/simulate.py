@@ -6,12 +6,10 @@
 `follow` takes any path (press, slide, twist, tilt) and goes on from where an earlier one ended.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from jaxunshear.contact.batches import Stimuli, dome, nothing_solved, obstacles_of, plan_paths, solve_batches
-from jaxunshear.contact.level import SHORTEST, STRONG, STRONGER, Level
+from jaxunshear.contact.level import STRONGER, Level
 from jaxunshear.contact.scope import check_batch, check_paths, check_scenes, check_start, check_started, level_named
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.progress import Progress
@@ -48,8 +46,7 @@ def follow(
 ) -> tuple[Contacts, Skins]:
     """Contacts at the ends of B paths, and the skins there; with `start`, each path goes on from its first point with that skin.
 
-    What does not converge is solved again, at strong friction by shorter steps first, then at the next stronger level, unless
-    `retry` is False. What then still has not is
+    What does not converge is solved again at the next stronger level, unless `retry` is False. What then still has not is
     returned as not converged: it is for the caller to drop and to count.
     """
     chosen = level_named(level)
@@ -64,7 +61,7 @@ def follow(
     obstacles = obstacles_of(names)
     contacts, skins, incomplete = solve_batches(sensor, obstacles, paths, chosen, start, batch, progress, wide=False)
 
-    def put(rows: np.ndarray, new: Contacts, new_skins: Skins) -> None:
+    def replace(rows: np.ndarray, new: Contacts, new_skins: Skins) -> None:
         for field, value in zip((*contacts, *skins), (*new, *new_skins), strict=True):
             field[rows] = value
 
@@ -74,18 +71,13 @@ def follow(
         new, new_skins, still = solve_batches(
             sensor, obstacles, paths.take(rows), chosen, before, batch, None, wide=True
         )
-        put(rows, new._replace(converged=new.converged & ~still), new_skins)
+        replace(rows, new._replace(converged=new.converged & ~still), new_skins)
     stronger = STRONGER.get(level, "reference") if isinstance(level, str) else "reference"
-    again: list[str | Level] = [stronger] if retry and level != stronger else []
-    if again and (paths.friction > STRONG).any():
-        again.insert(0, replace(chosen, limit=1000, strong=SHORTEST))
-    for how in again:
-        lost = ~contacts.converged & (isinstance(how, str) | (paths.friction > STRONG))
-        if lost.any():
-            rows = np.flatnonzero(lost)
-            before = None if start is None else start.take(rows)
-            new, new_skins = follow(sensor, names, paths.take(rows), how, before, batch, isinstance(how, str))
-            put(rows, new._replace(retried=np.ones(len(rows), bool)), new_skins)
+    if retry and not contacts.converged.all() and level != stronger:
+        rows = np.flatnonzero(~contacts.converged)
+        before = None if start is None else start.take(rows)
+        new, new_skins = follow(sensor, names, paths.take(rows), stronger, before, batch)
+        replace(rows, new._replace(retried=np.ones(len(rows), bool)), new_skins)
     return contacts, skins
 
 
