@@ -129,7 +129,7 @@ def _training_sides(size: int, batch: int) -> Sides:
     def theirs(compiled: bool) -> Work:
         torch, torch_twin = _twins()
         torch.manual_seed(0)
-        twin = torch_twin.channels_last(torch_twin.Twin(net)).train()
+        twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).train()
         step = torch_twin.training_step(twin, training, compiled)
         given = [torch.as_tensor(images.transpose(0, 3, 1, 2).copy()).to(_place()) for images in (canonical, sheared)]
         return lambda: float(step(*given)) and None
@@ -154,7 +154,7 @@ def _inference_sides(size: int, batch: int) -> Sides:
 
     def theirs(compiled: bool) -> Work:
         torch, torch_twin = _twins()
-        twin = torch_twin.channels_last(torch_twin.Twin(net)).eval()
+        twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).eval()
         run = torch.compile(twin.unshear, dynamic=False, options=FROZEN) if compiled else twin.unshear
         image = torch.from_numpy(sheared.transpose(0, 3, 1, 2).astype(np.float32) / 255)
         image = image.contiguous(memory_format=torch.channels_last)
@@ -197,8 +197,8 @@ def _stream_sides(size: int, batch: int) -> Sides:
 
     def theirs(compiled: bool) -> Work:
         torch, torch_twin = _twins()
-        twin = torch_twin.channels_last(torch_twin.Twin(net)).eval()
-        pose = torch_twin.channels_last(torch_twin.PoseTwin(pose_net, posenet.outputs_of(TARGETS))).eval()
+        twin = torch_twin.channels_last(torch_twin.Twin(net)).to(_place()).eval()
+        pose = torch_twin.channels_last(torch_twin.PoseTwin(pose_net, posenet.outputs_of(TARGETS))).to(_place()).eval()
 
         def perceive(image: Any) -> tuple[Any, Any]:
             after = twin.unshear(image[None, None].float() / 255)
@@ -221,19 +221,18 @@ def _stream_sides(size: int, batch: int) -> Sides:
 
 
 def _twins() -> tuple[Any, Any]:
-    """PyTorch, and our networks in it, which are made where JAX computes. Each size is compiled for itself (`dynamic=False`): one
-    for all sizes is what PyTorch makes of the second, and slower."""
+    """PyTorch, and our networks in it. Each size is compiled for itself (`dynamic=False`): one for all sizes is what PyTorch makes of
+    the second, and slower."""
     import torch
 
     from jaxunshear.checks import torch_twin
 
-    torch.set_default_device(_place())
     return torch, torch_twin
 
 
 def _place() -> str:
     """PyTorch's name of JAX' device."""
-    return {"gpu": "cuda"}.get(jax.default_backend(), "cpu")
+    return "cuda" if jax.default_backend() == "gpu" else "cpu"
 
 
 def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int) -> list[Json]:

@@ -168,7 +168,7 @@ def losses(twin: Twin, training: Training, canonical: Tensor, sheared: Tensor) -
     image = torch.sigmoid(logits)
     total = torch.mean((image - canonical) ** 2)
     if training.patch_weight:
-        counts = _coverage(len(image), twin.net.size, training)
+        counts = _coverage(len(image), twin.net.size, training, image.device)
         far = torch.abs(image - canonical)[:, 0]
         total = total + training.patch_weight * torch.mean((counts * far).sum((1, 2)) / counts.sum((1, 2)))
     if again is not None:
@@ -181,10 +181,10 @@ def losses(twin: Twin, training: Training, canonical: Tensor, sheared: Tensor) -
     return total
 
 
-def _coverage(images: int, size: int, training: Training) -> Tensor:
+def _coverage(images: int, size: int, training: Training, device: torch.device) -> Tensor:
     """As `training.losses.coverage`, of random crops."""
-    start = torch.randint(0, size - training.crop_px + 1, (images, training.crops, 2))[..., None]
-    pixel = torch.arange(size)
+    start = torch.randint(0, size - training.crop_px + 1, (images, training.crops, 2), device=device)[..., None]
+    pixel = torch.arange(size, device=device)
     covered = ((pixel >= start) & (pixel < start + training.crop_px)).float()
     return torch.einsum("bkr,bkc->brc", covered[:, :, 0], covered[:, :, 1])
 

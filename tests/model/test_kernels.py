@@ -12,6 +12,7 @@ from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
 
 WIDTHS = (16, 16, 32)
 NETS = {
+    "entangled": UnshearNet(32, WIDTHS, disentangled=False),
     "disentangled": UnshearNet(32, WIDTHS, pose_channels=8, shear_channels=4),
     "unet": UNet(32, WIDTHS),
     "posenet": PoseNet(32, (16, 16, 16, 16, 16), hidden=8),
