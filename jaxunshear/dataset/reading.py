@@ -128,8 +128,7 @@ class SetReader(Reader):
     def _load(self, split: str) -> Batch:
         count = self.length(split)
         try:
-            _check_shards(self.folder, split)
-            return _read_rows(self.folder, split, count)
+            return _read_rows(self.folder, split, count, _check_shards(self.folder, split))
         except UserError:
             raise
         except Exception as error:  # whatever a damaged file makes of itself
@@ -184,8 +183,8 @@ def _remedy(folder: Path) -> str:
     return f"delete {folder} and run `jaxunshear data` again"
 
 
-def _check_shards(folder: Path, split: str) -> None:
-    """Compares every shard of a split with its checksum from when it was written."""
+def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
+    """Compares every shard of a split with its checksum from when it was written; returns the checksums."""
     from jaxunshear.dataset.builders.stored import sha256
 
     remedy = _remedy(folder)
@@ -194,16 +193,20 @@ def _check_shards(folder: Path, split: str) -> None:
     except UserError as error:
         blame_the_machine(folder / MANIFEST, error)
         raise UserError(f"the data set in {folder} is damaged ({MANIFEST}): {remedy}") from error
-    for name in sorted(name for name in sums if f"-{split}." in name):
+    shards = sorted(name for name in sums if f"-{split}." in name)
+    for name in shards:
         path = folder / name
         if not path.exists():
             raise UserError(f"shard {path} is missing: {remedy}")
         if sha256(path) != sums[name]:
             raise UserError(f"shard {path} is truncated or damaged: {remedy}")
+    return tuple(sums[name] for name in shards)
 
 
-def _read_rows(folder: Path, split: str, count: int) -> Batch:
-    """All fields of a split, (count, ...) each; images at one bit a pixel."""
+# The stages of a run, one process, open the same sets one after the other.
+@functools.lru_cache(maxsize=2 * len(SPLITS))
+def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> Batch:
+    """All fields of a split, (count, ...) each, read-only; images at one bit a pixel. `sums` are those of its shards: a set made anew is read anew."""
     import tensorflow_datasets as tfds
 
     builder = tfds.builder_from_directory(folder)
@@ -225,6 +228,8 @@ def _read_rows(folder: Path, split: str, count: int) -> Batch:
     for index in range(count):
         for name, value in source[index].items():
             rows[name][index] = pack(np.asarray(Image.open(io.BytesIO(value)))[None])[0] if name in images else value
+    for value in rows.values():
+        value.flags.writeable = False
     return rows
 
 
