@@ -206,7 +206,8 @@ def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
 # The stages of a run, one process, open the same sets one after the other.
 @functools.lru_cache(maxsize=2 * len(SPLITS))
 def _read_rows(folder: Path, split: str, count: int, sums: tuple[str, ...]) -> Batch:
-    """All fields of a split, (count, ...) each, read-only; images at one bit a pixel. `sums` are those of its shards: a set made anew is read anew."""
+    """All fields of a split, (count, ...) each, read-only; images at one bit a pixel. `sums` are those of its shards: a set made anew
+    is read anew."""
     import tensorflow_datasets as tfds
 
     builder = tfds.builder_from_directory(folder)
