@@ -63,9 +63,10 @@ def test_order_and_company_do_not_matter(contacts):
 
 
 def test_auto_agrees_with_reference(contacts):
-    reference = simulate(TACTIP_331, TRAINING, scenes(), level="reference")
+    some = np.arange(4)
+    reference = simulate(TACTIP_331, TRAINING, scenes().take(some), level="reference")
     assert reference.converged.all() and reference.pins.dtype == np.float64
-    assert np.percentile(rms_mm(contacts.pins, reference.pins), 95) < 0.04  # mm: 0.3 px at 256
+    assert np.percentile(rms_mm(contacts.pins[some], reference.pins), 95) < 0.04  # mm: 0.3 px at 256
 
 
 @pytest.mark.long

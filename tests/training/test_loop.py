@@ -100,7 +100,7 @@ def test_a_finished_training_returns_at_once(straight):
     assert unshear(folder, none) == summary
 
 
-@pytest.mark.parametrize("at", [2, 7])
+@pytest.mark.parametrize("at", [pytest.param(2, marks=pytest.mark.long), 7])
 def test_stopped_and_resumed_gives_the_same_bits(straight, tmp_path, at):
     """Stopped before the first checkpoint, and between two."""
     with pytest.raises(Stop):
