@@ -60,8 +60,8 @@ def strict(request: pytest.FixtureRequest) -> Iterator[None]:
         yield
 
 
-# They take a worker a minute and more; started last, they would keep one waiting for the other.
-FIRST = ("test_run.py", "test_laboratory.py", "test_gradient.py", "test_loop.py", "test_calibrate.py")
+# They take a worker longest; started last, they would keep one waiting for the other.
+FIRST = ("test_run.py", "test_laboratory.py", "test_gradient.py", "test_loop.py", "test_notebooks.py")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
