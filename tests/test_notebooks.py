@@ -17,7 +17,7 @@ def results(notebook: nbformat.NotebookNode) -> list[bool]:
 
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(path, marks=[pytest.mark.long] if path.stem == "sweep" else []) for path in NOTEBOOKS],
+    [pytest.param(path, marks=[] if path.stem == "contact" else [pytest.mark.long]) for path in NOTEBOOKS],
     ids=lambda path: path.stem,
 )
 def test_a_notebook_runs(path, monkeypatch, tmp_path):

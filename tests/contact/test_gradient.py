@@ -105,7 +105,8 @@ def test_way_points_together(paths, model, found):
     agree(derivative, difference(model, paths.points, FRICTION, d_points=direction))
 
 
-@pytest.mark.parametrize("point", [*(pytest.param(point, marks=pytest.mark.long) for point in (1, 2)), 3])
+@pytest.mark.long
+@pytest.mark.parametrize("point", [1, 2, 3])
 @pytest.mark.parametrize("column", range(6), ids=("x", "y", "yaw", "depth", "tilt_x", "tilt_y"))
 def test_way_points(paths, model, found, point, column):
     direction = np.zeros((4, 6))
