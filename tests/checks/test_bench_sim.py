@@ -114,6 +114,7 @@ def test_rivals_find_the_same_contact(solver):
     assert row["converged"] == 1 and row["rms_px"] < 0.1 and not row["failed"]
 
 
+@pytest.mark.long
 def test_newton_is_right_where_its_start_is():
     """One press of a millimetre: near enough to zero force."""
     how = replace(LEVELS["auto"], tolerance=0.01, press_mm=0.25)

@@ -97,7 +97,7 @@ def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(stand_in
     assert sum(name.startswith("posenet") for name in again) == 10
 
 
-@pytest.mark.parametrize("damaged", ["{", pytest.param("[]", marks=pytest.mark.long), None])
+@pytest.mark.parametrize("damaged", ["{", *(pytest.param(damage, marks=pytest.mark.long) for damage in ("[]", None))])
 def test_a_training_whose_model_is_damaged_is_not_used_again(stand_in, swept, steps, tmp_path, damaged):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
     swept(sweep)

@@ -104,7 +104,7 @@ def test_a_weight_without_a_teacher_is_refused():
         unshear_task(small.NET, WATCHED)
 
 
-@pytest.mark.parametrize("net", [small.NET, UNET], ids=["unshear", "unet"])
+@pytest.mark.parametrize("net", [small.NET, pytest.param(UNET, marks=pytest.mark.long)], ids=["unshear", "unet"])
 def test_against_labels_the_tap_does_not_enter(teacher, net):
     task, batch = unshear_task(net, AGAINST_LABELS, teacher, small.TARGETS), with_poses(small.pair(3, 4))
     variables = task.init(jax.random.key(0))
@@ -146,7 +146,11 @@ def test_labels_are_read_only_where_a_loss_asks_for_them(training, reported):
     assert labelled(training) == reported
 
 
-@pytest.mark.parametrize("net", [small.NET, replace(small.NET, disentangled=False)], ids=["disentangled", "entangled"])
+@pytest.mark.parametrize(
+    "net",
+    [small.NET, pytest.param(replace(small.NET, disentangled=False), marks=pytest.mark.long)],
+    ids=["disentangled", "entangled"],
+)
 def test_labels_teach_what_makes_the_pose_code_and_nothing_else(net):
     task, batch = unshear_task(net, LABELLED, targets=small.TARGETS), with_poses(small.pair(3, 4))
     gradient = gradient_of(task, task.init(jax.random.key(0)), batch, "label")
