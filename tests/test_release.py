@@ -61,9 +61,9 @@ def card_of(held):
     return card(record_of(held, Results, "results.json", "again"), "mine")
 
 
-@pytest.fixture
-def run(tmp_path):
-    folder = tmp_path / "runs" / "small"
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("finished") / "small"
     for name, kind, init, net in (
         ("disentangled", "unshear", partial(unshearnet.init, NET), NET),
         ("posenet", "posenet", partial(posenet.init, POSENET, posenet.outputs_of(TARGETS)), POSENET),
@@ -84,6 +84,12 @@ def run(tmp_path):
     write_json(folder / "experiment.json", to_json(EXPERIMENT))
     write_json(folder / "results.json", RESULTS)
     return folder
+
+
+@pytest.fixture
+def run(finished, tmp_path):
+    """A copy for each test to spoil."""
+    return shutil.copytree(finished, tmp_path / "runs" / "small")
 
 
 def image_in(folder):

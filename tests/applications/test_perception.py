@@ -58,8 +58,8 @@ def viewed(model, way, images):
 def test_the_code_is_read_by_its_head_and_both_is_the_mean(model, images):
     (seen, code), (drawn, image), (_, both) = (viewed(model, way, images) for way in ("code", "disentangled", "both"))
     variables = checkpoint.load_best(model / "disentangled")
-    z_p, _ = unshearnet.encode(NET, variables, images[..., None] / np.float32(255))
-    outputs = pose_head.predict(variables["params"]["head"], z_p)
+    z_p, _ = jax.jit(unshearnet.encode, static_argnums=0)(NET, variables, images[..., None] / np.float32(255))
+    outputs = jax.jit(pose_head.predict)(variables["params"]["head"], z_p)
     expected = posenet.pose_from_outputs(outputs, OF_PAIRS)
     for name, answer in code.items():
         np.testing.assert_allclose(answer, expected[name], rtol=1e-4, atol=1e-4)

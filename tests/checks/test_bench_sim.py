@@ -104,7 +104,9 @@ def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
     assert "crashed" in bench_sim.table([row]) and bench_figure.work_precision([row])
 
 
-@pytest.mark.parametrize("solver", ["admm with anderson", "accelerated projected gradient"])
+@pytest.mark.parametrize(
+    "solver", ["admm with anderson", pytest.param("accelerated projected gradient", marks=pytest.mark.long)]
+)
 def test_rivals_find_the_same_contact(solver):
     (row,) = run(
         Setting("rival", "auto", replace(LEVELS["auto"], tolerance=0.02, limit=2000), 2, solver, kinds=("slide",))
@@ -112,6 +114,7 @@ def test_rivals_find_the_same_contact(solver):
     assert row["converged"] == 1 and row["rms_px"] < 0.1 and not row["failed"]
 
 
+@pytest.mark.long
 def test_newton_is_right_where_its_start_is():
     """One press of a millimetre: near enough to zero force."""
     how = replace(LEVELS["auto"], tolerance=0.01, press_mm=0.25)

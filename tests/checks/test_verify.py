@@ -27,7 +27,7 @@ def test_elements(check):
 
 
 CHEAP = (
-    *(normal.hertz, shear.cattaneo_mindlin, shear.cycle),
+    *(normal.hertz, shear.cattaneo_mindlin, pytest.param(shear.cycle, marks=pytest.mark.long)),
     *(laws.of_the_compliance, laws.of_random_paths, laws.no_contact, laws.turned, laws.closed_loop, laws.of_increments),
 )
 

@@ -96,6 +96,16 @@ def test_scenes_hold_every_state_and_no_switch(paths, model, found):
     assert np.sqrt(np.mean(np.sum((contacts.pins - found.pins) ** 2, -1))) < 0.02  # finer increments
 
 
+def test_way_points_together(paths, model, found):
+    """Along a direction that moves every coordinate of every way point but the first."""
+    direction = np.concatenate(
+        [np.zeros((1, 6)), np.random.default_rng(7).normal(size=(3, 6)) * [0.1, 0.1, 1, 0.1, 1, 1]]
+    )
+    derivative = np.einsum("bpckx,kx->bpc", found.d_points, direction)
+    agree(derivative, difference(model, paths.points, FRICTION, d_points=direction))
+
+
+@pytest.mark.long
 @pytest.mark.parametrize("point", [1, 2, 3])
 @pytest.mark.parametrize("column", range(6), ids=("x", "y", "yaw", "depth", "tilt_x", "tilt_y"))
 def test_way_points(paths, model, found, point, column):

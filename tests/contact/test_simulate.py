@@ -63,9 +63,10 @@ def test_order_and_company_do_not_matter(contacts):
 
 
 def test_auto_agrees_with_reference(contacts):
-    reference = simulate(TACTIP_331, TRAINING, scenes(), level="reference")
+    some = np.arange(4)
+    reference = simulate(TACTIP_331, TRAINING, scenes().take(some), level="reference")
     assert reference.converged.all() and reference.pins.dtype == np.float64
-    assert np.percentile(rms_mm(contacts.pins, reference.pins), 95) < 0.04  # mm: 0.3 px at 256
+    assert np.percentile(rms_mm(contacts.pins[some], reference.pins), 95) < 0.04  # mm: 0.3 px at 256
 
 
 @pytest.mark.long
@@ -248,9 +249,16 @@ def test_the_deepest_pose_of_the_paper_is_covered():
     assert deepest_mm(TACTIP_331) > 6.0
 
 
-@pytest.mark.parametrize(("x", "depth"), [(10.3, 3.0), (13.8, 6.0)])
-@pytest.mark.parametrize("level", ["auto", "fast"])
-def test_a_grazing_touch_is_felt(x, depth, level):
+@pytest.mark.parametrize(
+    ("level", "x", "depth"),
+    [
+        ("auto", 10.3, 3.0),
+        ("fast", 13.8, 6.0),
+        pytest.param("auto", 13.8, 6.0, marks=pytest.mark.long),
+        pytest.param("fast", 10.3, 3.0, marks=pytest.mark.long),
+    ],
+)
+def test_a_grazing_touch_is_felt(level, x, depth):
     """No node that usually suffices is near the disk, and some that do not lie half a millimetre inside."""
     grazed, entire = (simulate(TACTIP_331, TRAINING, one(depth, x, friction=0.7), each) for each in (level, "default"))
     assert grazed.converged.all() and entire.force_n[0, 2] > 0.1

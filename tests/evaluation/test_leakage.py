@@ -10,7 +10,7 @@ import pytest
 from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.making import make_set
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import exchange, leakage
+from jaxunshear.evaluation import exchange, leakage, probes
 from jaxunshear.report.leakage_figure import leakage_figure
 from jaxunshear.run import run_stages
 from jaxunshear.scene.scene import turned
@@ -62,6 +62,13 @@ def render(settings, sensor, tips, number, age):
 
 
 ENGINE = Engine(lambda sensor, names, scenes: [np.arange(len(scenes))], simulate, render)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def short_probes():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(probes, "STEPS", 100)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -76,7 +76,7 @@ def test_batched_frames_equal_single_ones_and_keys_matter():
     keys = jax.random.split(KEY, 3)
     camera = Camera(frame_px=64)
     draw = jax.jit(frame, static_argnums=(0, 1, 2))
-    batch = jax.vmap(lambda key: frame(camera, TACTIP_331, Nuisance(), tips, key))(keys)
+    batch = jax.jit(jax.vmap(lambda key: frame(camera, TACTIP_331, Nuisance(), tips, key)))(keys)
     for i in range(3):
         np.testing.assert_allclose(batch[i], draw(camera, TACTIP_331, Nuisance(), tips, keys[i]), atol=1e-5)
     assert np.abs(batch[0] - batch[1]).max() > 0.01

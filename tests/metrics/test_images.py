@@ -85,10 +85,10 @@ def test_the_golden_pairs_span_the_range():
 
 
 def test_jit_and_eager_agree():
-    _, a, b = stacked(64)
+    _, a, b = stacked(48)
     with jax.disable_jit():
-        plain = images.ms_ssim(a, b, scales=3)
-    np.testing.assert_allclose(jax.jit(images.ms_ssim, static_argnums=2)(a, b, 3), plain, atol=2e-5)
+        plain = images.ms_ssim(a, b, scales=2)
+    np.testing.assert_allclose(jax.jit(images.ms_ssim, static_argnums=2)(a, b, 2), plain, atol=2e-5)
 
 
 @pytest.mark.parametrize(("size", "scales"), [(10, 0), (11, 1), (128, 4), (160, 4), (161, 5), (256, 5), (1000, 5)])
@@ -127,7 +127,7 @@ def test_values_and_gradients_are_finite_everywhere():
     a = np.concatenate([a, np.stack([pair[0] for pair in extra])])
     b = np.concatenate([b, np.stack([pair[1] for pair in extra])])
     for metric in (lambda x, y: images.ms_ssim(x, y, 3), images.ssim, images.mse):
-        values, gradients = jax.value_and_grad(lambda x: jnp.sum(metric(x, b)), has_aux=False)(jnp.asarray(a))  # noqa: B023
+        values, gradients = jax.jit(jax.value_and_grad(lambda x: jnp.sum(metric(x, b))))(jnp.asarray(a))  # noqa: B023
         assert np.isfinite(values)
         assert np.isfinite(np.asarray(gradients)).all(), names
 

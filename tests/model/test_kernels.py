@@ -68,14 +68,14 @@ def close(one, other, tolerance):
         np.testing.assert_allclose(a / scale, b / scale, rtol=0, atol=tolerance, err_msg=str(path))
 
 
-@pytest.mark.parametrize("name", NETS)
+@pytest.mark.parametrize("name", [pytest.param("entangled", marks=pytest.mark.long), "disentangled", "unet", "posenet"])
 def test_plain_and_fast_layers_are_one_network(name):
     plain, fast = (everything(NETS[name], way, jnp.float32) for way in (kernels.PLAIN, kernels.FAST))
     jax.tree.map(np.testing.assert_array_equal, plain[0], fast[0])  # one seed, the same weights
     close(plain[1:], fast[1:], 2e-5)
 
 
-@pytest.mark.parametrize("name", ["disentangled", "posenet"])
+@pytest.mark.parametrize("name", [pytest.param("disentangled", marks=pytest.mark.long), "posenet"])
 def test_they_are_the_same_function_in_double_precision(name):
     with jax.enable_x64(True), jax.numpy_dtype_promotion("standard"):  # Flax' statistics begin in single precision
         plain, fast = (everything(NETS[name], way, jnp.float64) for way in (kernels.PLAIN, kernels.FAST))

@@ -1,6 +1,7 @@
 """The U-Net: shapes, what it shares with UnshearNet, and that its skips carry what a code cannot."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,14 +20,15 @@ def images(count=3, size=32):
     return jnp.asarray(np.random.default_rng(0).random((count, size, size, 1)) < 0.2, jnp.float32)
 
 
-@pytest.mark.parametrize("widths", [(4, 6), (4, 6, 8, 6)])
+@pytest.mark.parametrize("widths", [(4, 6), pytest.param((4, 6, 8, 6), marks=pytest.mark.long)])
 def test_images_come_out_as_large_as_they_went_in(widths):
     net = replace(NET, widths=widths)
     variables = init(net, jax.random.key(0))
     found = jax.jit(unet.unshear, static_argnums=0)(net, variables, images())
     assert found.shape == (3, 32, 32, 1)
     assert 0 < float(found.min()) < float(found.max()) < 1
-    logits, nothing, no_code, statistics = jax.jit(unet.reconstruct, static_argnums=0)(net, variables, images())
+    reconstruct = partial(unet.reconstruct, net)
+    logits, nothing, no_code, statistics = jax.eval_shape(reconstruct, variables, images())
     assert logits.shape == found.shape
     assert nothing is None and no_code is None
     assert jax.tree.structure(statistics) == jax.tree.structure(variables["batch_stats"])
@@ -46,8 +48,9 @@ def test_skips_keep_every_pixel_in_its_place():
         name: jax.tree.map(jnp.zeros_like, part) if name.startswith("Up") else part for name, part in variables.items()
     }
     dot = jnp.zeros((1, 32, 32, 1)).at[0, 10, 20].set(1.0)
+    unshear = jax.jit(unet.unshear, static_argnums=0)
     without, with_dot = (
-        unet.unshear(NET, {"params": cut, "batch_stats": statistics}, x) for x in (jnp.zeros_like(dot), dot)
+        unshear(NET, {"params": cut, "batch_stats": statistics}, x) for x in (jnp.zeros_like(dot), dot)
     )
     changed = np.argwhere(np.abs(np.asarray(with_dot - without))[0, ..., 0] > 1e-7)
     assert len(changed)
@@ -59,7 +62,9 @@ def test_a_size_that_cannot_be_halved_is_refused():
         unet.init(replace(NET, size=36), jax.random.key(0))
 
 
-@pytest.mark.parametrize("widths", [(16, 32, 64, 128, 256), (32, 64, 64, 128, 256)])
+@pytest.mark.parametrize(
+    "widths", [(16, 32, 64, 128, 256), pytest.param((32, 64, 64, 128, 256), marks=pytest.mark.long)]
+)
 def test_the_large_entangled_network_has_as_many_parameters(widths):
     net = UnshearNet(widths=widths)
     large = unshearnet.as_large_entangled(net)

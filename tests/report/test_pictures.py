@@ -49,7 +49,7 @@ def check(figure):
         assert 0 <= box.x0 <= box.x1 <= figure.bbox.width and 0 <= box.y0 <= box.y1 <= figure.bbox.height, text
 
 
-@pytest.mark.parametrize("count", [1, 3, 7])
+@pytest.mark.parametrize("count", [1, pytest.param(3, marks=pytest.mark.long), 7])
 def test_objects_fit(drawn, count):
     x = np.linspace(-20, 20, 30)
     shape = np.hypot(*np.meshgrid(x, x)) < 15

@@ -28,6 +28,14 @@ def page(template, tmp_path_factory):
     return path
 
 
+@pytest.fixture
+def bare_run(made_up_run):
+    """Without logs, whose curves take most of the time."""
+    for log in made_up_run[0].glob("*/log.jsonl"):
+        log.unlink()
+    return made_up_run
+
+
 def test_the_page_is_full_and_needs_nothing_else(page, read):
     html = page.read_text()
     reader = read(html)
@@ -66,8 +74,8 @@ def test_the_figures_of_the_results_are_on_it(page, read):
     assert "sum of its stages" in text and "killed outright is lost" in text
 
 
-def test_what_readers_of_another_make_err_by_is_reported(page, made_up_run, read_page):
-    folder, results = made_up_run
+def test_what_readers_of_another_make_err_by_is_reported(page, bare_run, read_page):
+    folder, results = bare_run
     reported = read_page(page).split("Read by readers of another make")[1]
     for reader, kinds in results["readers"].items():
         for errors in kinds.values():
@@ -79,8 +87,8 @@ def test_what_readers_of_another_make_err_by_is_reported(page, made_up_run, read
     assert "another make" not in read_page(write_report(folder))
 
 
-def test_intervals_say_that_they_are_of_one_training(page, made_up_run, read_page):
-    folder, results = made_up_run
+def test_intervals_say_that_they_are_of_one_training(page, bare_run, read_page):
+    folder, results = bare_run
     said = "Intervals are over test poses of one training and say nothing of other trainings."
     text = read_page(page)
     for title in ("How alike the images are", "What a pose network reads", "Read by readers of another make"):
@@ -99,8 +107,8 @@ def test_the_montage_is_a_picture_of_every_shape_too(page):
     assert (grey < 100).mean() > 0.2  # images, not blank paper
 
 
-def test_a_missed_bar_is_shown(made_up_run):
-    folder, results = made_up_run
+def test_a_missed_bar_is_shown(bare_run):
+    folder, results = bare_run
     results["ms_ssim"]["disentangled"]["overall"] = 0.89
     (folder / "results.json").write_text(json.dumps(results))
     html = write_report(folder).read_text()
@@ -148,8 +156,8 @@ def test_without_logs_and_times_the_rest_is_still_shown(made_up_run, read):
     assert "5 min 14 s" in text
 
 
-def test_nulls_are_shown_as_dashes(made_up_run):
-    folder, results = made_up_run
+def test_nulls_are_shown_as_dashes(bare_run):
+    folder, results = bare_run
     results["ms_ssim"]["sheared"]["disk"] = None
     results["spread"]["ms_ssim"]["sheared"]["disk"] = None
     for kind in ("entangled", "disentangled"):
@@ -162,8 +170,8 @@ def test_nulls_are_shown_as_dashes(made_up_run):
 
 
 @pytest.mark.parametrize(("table", "by"), [("pose_by_stimulus", "shape"), ("pose_by_depth", "depth")])
-def test_recovery_is_reported_by_shape_and_by_depth(made_up_run, table, by):
-    folder, results = made_up_run
+def test_recovery_is_reported_by_shape_and_by_depth(bare_run, table, by):
+    folder, results = bare_run
     part, found = next((part, found) for part, found in results[table].items() if found)
     recovery = found["pose_recovery"]["disentangled"]["x_mm"]
     reported = write_report(folder).read_text().split(f"<summary>By {by}</summary>")[1].split("</details>")[0]
@@ -222,8 +230,8 @@ def test_a_montage_with_a_spoilt_byte_or_a_missing_array_is_named(made_up_run):
         write_report(folder)
 
 
-def test_a_run_that_unshears_nothing_is_held_against_no_bar(made_up_run):
-    folder, results = made_up_run
+def test_a_run_that_unshears_nothing_is_held_against_no_bar(bare_run):
+    folder, results = bare_run
     for table in ("ms_ssim", "pose_mae", "pose_recovery", "pose_ratio", "difference", "pin_error"):
         for kind in ("entangled", "disentangled"):
             results[table].pop(kind, None)
@@ -266,8 +274,8 @@ def test_other_targets_are_shown_by_their_own_names(made_up_run, read):
     assert "y_mm" not in table and "Error in distance to the edge" not in html and "Error in edge angle" in html
 
 
-def test_a_figure_without_an_interval_is_still_reported(made_up_run):
-    folder, results = made_up_run
+def test_a_figure_without_an_interval_is_still_reported(bare_run):
+    folder, results = bare_run
     clover = results["pose_by_stimulus"]["clover"]
     won = clover["pose_recovery"]["disentangled"]["x_mm"]
     clover["spread"]["pose_recovery"]["disentangled"]["x_mm"] = None

@@ -151,8 +151,8 @@ def test_train_share_of_the_rules_is_that_of_the_split():
     from jaxunshear.settings.data import PoseData
     from jaxunshear.settings.rules_simulated import training_poses
 
-    for poses in (5, 6, 7, 8, 9, 10, 13, 1000):
-        settings = PoseData(poses=poses)
+    every = (PoseData(poses=poses, stimuli=("disk",)) for poses in (5, 6, 7, 8, 9, 10, 1000))
+    for settings in (*every, PoseData(poses=13)):
         assert (draw_pose(settings).split == 0).sum() == training_poses(settings)
 
 

@@ -34,7 +34,7 @@ def test_every_network_is_in_the_table():
 
 
 def test_those_that_unshear_are_built_and_titled():
-    assert len({unshear_net(UnshearNet(), name) for name in UNSHEARING}) == len(UNSHEARING)
+    assert len({unshear_net(UnshearNet(widths=(16, 16)), name) for name in UNSHEARING}) == len(UNSHEARING)
     assert all(REGISTRY[name].title and REGISTRY[name].learns_from == "pairs" for name in UNSHEARING)
 
 

@@ -173,7 +173,7 @@ def test_equal_parts_are_equal_trainings(asked, network):
         sensor=replace(TACTIP_331, rings=8),
         paired=replace(BASE.paired, poses=50),
         pose=replace(BASE.pose, poses=60),
-        unshear=replace(BASE.unshear, pose_channels=7),
+        unshear=replace(BASE.unshear, pose_channels=7, widths=(16, 16)),
         posenet=replace(BASE.posenet, hidden=7),
         train=replace(BASE.train, epochs=7.0),
         train_posenet=replace(BASE.train_posenet, epochs=9.0),

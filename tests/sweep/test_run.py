@@ -97,7 +97,7 @@ def test_trainings_on_an_earlier_version_of_the_data_are_not_used_again(stand_in
     assert sum(name.startswith("posenet") for name in again) == 10
 
 
-@pytest.mark.parametrize("damaged", ["{", pytest.param("[]", marks=pytest.mark.long), None])
+@pytest.mark.parametrize("damaged", ["{", *(pytest.param(damage, marks=pytest.mark.long) for damage in ("[]", None))])
 def test_a_training_whose_model_is_damaged_is_not_used_again(stand_in, swept, steps, tmp_path, damaged):
     sweep = replace(stand_in.SWEEP, grid=(("train.patch_weight", (0.1,)),), seeds=(0,))
     swept(sweep)
@@ -310,8 +310,15 @@ def workers_of(folder: Path) -> list[int]:
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="looks for processes in /proc")
-@pytest.mark.parametrize("kill", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
-def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill):
+@pytest.mark.parametrize(
+    ("kill", "times"),
+    [
+        (signal.SIGKILL, 2),
+        pytest.param(signal.SIGKILL, 5, marks=pytest.mark.long),
+        pytest.param(signal.SIGINT, 5, marks=pytest.mark.long),
+    ],
+)
+def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, kill, times):
     def start(folder: Path, pause: float) -> subprocess.Popen:
         words = [*stand_in.WORKER, "sweep", str(folder)]
         return subprocess.Popen(
@@ -323,7 +330,7 @@ def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill)
     assert undisturbed.returncode == 0
     moments = random.Random(int(kill))
     kills = 0
-    while kills < 5:
+    while kills < times:
         process = start(tmp_path / "killed", 0.1)
         time.sleep(moments.uniform(1.0, 1.8))
         if process.poll() is not None:
@@ -335,7 +342,7 @@ def test_killed_five_times_it_ends_with_the_same_table(stand_in, tmp_path, kill)
         while workers_of(tmp_path / "killed") and time.monotonic() < gone:
             time.sleep(0.02)
         assert workers_of(tmp_path / "killed") == []  # no row runs on by itself
-    assert kills == 5
+    assert kills == times
     last = start(tmp_path / "killed", 0)
     killed, _ = last.communicate()
     assert last.returncode == 0

@@ -100,7 +100,7 @@ def test_a_finished_training_returns_at_once(straight):
     assert unshear(folder, none) == summary
 
 
-@pytest.mark.parametrize("at", [2, 7])
+@pytest.mark.parametrize("at", [pytest.param(2, marks=pytest.mark.long), 7])
 def test_stopped_and_resumed_gives_the_same_bits(straight, tmp_path, at):
     """Stopped before the first checkpoint, and between two."""
     with pytest.raises(Stop):
@@ -209,6 +209,7 @@ def test_a_validation_that_is_never_finite_is_no_result(tmp_path):
         assert not (tmp_path / "summary.json").exists()
 
 
+@pytest.mark.long
 def test_nan_in_the_step_before_a_checkpoint_is_not_kept(tmp_path):
     with pytest.raises(UserError, match="not finite at step 8"):
         unshear(tmp_path, broken_from(7))

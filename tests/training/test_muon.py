@@ -85,11 +85,11 @@ def test_orthogonal_of_low_rank_and_of_nothing():
 def test_updates_of_inner_kernels_are_jordan_s(params):
     """Nesterov's momentum, and the singular values of its matrix by the quintic: of his reference implementation."""
     ours = muon(1.0, 0.5, 0.999)
-    state = ours.init(params)
+    state, update_of = ours.init(params), jax.jit(ours.update)
     momentum = {name: np.zeros(leaf.shape) for name, leaf in named(params).items()}
     for seed in range(3):
         gradient = noise_like(params, seed)
-        got, state = ours.update(gradient, state, params)
+        got, state = update_of(gradient, state, params)
         for name, update in filter(lambda item: is_inner(item[0]), named(got).items()):
             g = np.asarray(named(gradient)[name], np.float64)
             momentum[name] = 0.95 * momentum[name] + 0.05 * g

@@ -43,7 +43,7 @@ def test_every_part_is_taught_by_its_own_losses():
         def loss(params):
             return task.terms(variables | {"params": params}, batch(), KEY)[0][term].sum()
 
-        slopes = jax.grad(loss)(variables["params"])
+        slopes = jax.jit(jax.grad(loss))(variables["params"])
         return {part for part, slope in slopes.items() if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))}
 
     assert reached("supervised") == {"E", "pose", "DC"}
@@ -62,7 +62,7 @@ def test_taps_without_a_slide_come_out_as_they_went_in():
     np.testing.assert_allclose(
         term(variables["params"]), distance(unshear(net, variables, taps), taps, variables), rtol=1e-5
     )
-    slopes = jax.grad(lambda params: term(params).sum())(variables["params"])
+    slopes = jax.jit(jax.grad(lambda params: term(params).sum()))(variables["params"])
     taught = {part for part, slope in slopes.items() if any(np.any(leaf != 0) for leaf in jax.tree.leaves(slope))}
     assert taught == {"E", "pose", "DC"}  # no slide is asked of a tap
     plain = task.terms(variables, batch(), KEY)[0]

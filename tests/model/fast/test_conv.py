@@ -37,7 +37,7 @@ def same_function(ours: Callable, reference: Callable, x, w, dtype) -> None:
             close(gradient, gradient_expected, dtype)
 
 
-@pytest.fixture(params=[jnp.float32, jnp.float64], ids=["f32", "f64"])
+@pytest.fixture(params=[jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.long)], ids=["f32", "f64"])
 def dtype(request):
     with jax.enable_x64(request.param == jnp.float64):
         yield request.param

@@ -9,6 +9,8 @@ from flax import linen as nn
 from jaxunshear.model.fast import conv, layers, native, norm
 
 LAYOUTS = [(a, b) for a in ("plain", "blocks") for b in native.LAYOUTS]
+WIDE = [("plain", "blocks"), ("blocks", "padded"), ("blocks", "blocks")]  # as networks have them
+NARROW = [("plain", "padded"), ("blocks", "plain")]
 compiled = pytest.mark.usefixtures("compiled")
 CHANNELS = (5, 32)  # XLA's passes alone, and the compiled ones
 
@@ -40,10 +42,9 @@ def agree(ours, reference, arguments):
 @pytest.mark.parametrize(
     ("source", "target", "channels"),
     [
-        *((*layouts, 5) for layouts in LAYOUTS),
-        ("plain", "blocks", 32),
-        ("blocks", "padded", 32),
-        ("blocks", "blocks", 32),
+        *((*layouts, 5) for layouts in LAYOUTS if layouts not in WIDE),
+        *(pytest.param(*layouts, 5, marks=pytest.mark.long) for layouts in WIDE),
+        *((*layouts, 32) for layouts in WIDE),
     ],
 )
 def test_equals_flax(source, target, channels):
@@ -61,7 +62,10 @@ def test_equals_flax(source, target, channels):
 
 
 @compiled
-@pytest.mark.parametrize(("source", "target"), LAYOUTS)
+@pytest.mark.parametrize(
+    ("source", "target"),
+    [*WIDE, ("plain", "plain"), *(pytest.param(*layouts, marks=pytest.mark.long) for layouts in NARROW)],
+)
 def test_compiled_passes_are_xla_s(source, target):
     """Bands and tails of every kind."""
     odd = [(32, 7, 5)] if "blocks" not in (source, target) else []

@@ -11,10 +11,10 @@ LAYOUT = ("NHWC", "HWIO", "NHWC")
 compiled = pytest.mark.usefixtures("compiled")
 SHAPES = [
     (3, 8, 16),
-    (1, 16, 32),
-    (2, 32, 48),
+    pytest.param(1, 16, 32, marks=pytest.mark.long),
+    pytest.param(2, 32, 48, marks=pytest.mark.long),
     (2, 72, 16),
-    (5, 4, 16),
+    pytest.param(5, 4, 16, marks=pytest.mark.long),
 ]  # images, side, channels: tiles that fit and reach back
 
 
@@ -54,7 +54,7 @@ def same_function(ours, reference, x, w, tolerance):
             np.testing.assert_allclose(gradient, wanted, atol=tolerance * float(jnp.abs(wanted).max()), rtol=0)
 
 
-@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("dtype", [jnp.float32, pytest.param(jnp.float64, marks=pytest.mark.long)])
 def test_windows_are_the_plain_convolutions(dtype):
     with jax.enable_x64(dtype == jnp.float64):
         tolerance = 1e-5 if dtype == jnp.float32 else 1e-12
