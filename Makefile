@@ -15,8 +15,9 @@ check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+# Compiled as users have it; `make test` saves XLA's time.
 check-long: $(READY)
-	$(BIN)/python -m pytest -m long
+	XLA_FLAGS= $(BIN)/python -m pytest -m long
 
 # Hours at its full size; needs a C compiler, and the right to mount for the rows of full and read-only file systems.
 faults: $(READY)

@@ -11,17 +11,15 @@ from typing import NamedTuple
 import pytest
 
 # Many tests, their workers and the processes they start compile the same programs: once is enough. One is found again where
-# XLA's flags are the same. They compute little, so that it need not be optimised. JAX reads all of these when it is imported.
-# `XLA_FLAGS= make test` tests what users run, in twice the time.
+# XLA's flags are the same. They compute little, so that it need not be optimised: `XLA_FLAGS= make test` tests what users run, in
+# twice the time. JAX reads all of these when it is imported.
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 OWN = COMPILED not in os.environ
 if OWN:
     os.environ[COMPILED] = tempfile.mkdtemp(prefix="compiled-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
-FLAGS = "--xla_backend_optimization_level=0 --xla_backend_extra_options=-fast-isel=false"  # that selector gets doubles wrong
-if version("jaxlib").startswith(
-    "0.10."
-):  # the older emitters compile in half the time; later ones refuse to know the flag
+FLAGS = "--xla_backend_optimization_level=0 --xla_backend_extra_options=-fast-isel=false"  # which gets doubles wrong
+if version("jaxlib").startswith("0.10."):  # later ones do not know the flag; older emitters compile in half the time
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("MPLBACKEND", "Agg")

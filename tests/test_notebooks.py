@@ -15,11 +15,7 @@ def results(notebook: nbformat.NotebookNode) -> list[bool]:
     return [any(each.get("name") != "stderr" for each in some) for some in outputs]
 
 
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, marks=[] if path.stem == "contact" else [pytest.mark.long]) for path in NOTEBOOKS],
-    ids=lambda path: path.stem,
-)
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_a_notebook_runs(path, monkeypatch, tmp_path):
     monkeypatch.delenv("MPLBACKEND")  # figures are shown, here
     notebook = nbformat.read(path, as_version=4)
