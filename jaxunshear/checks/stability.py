@@ -33,7 +33,7 @@ from jaxunshear.storage import Json
 PRECISION_PX = 0.05  # by which float32 and float64, or two ways to the same contact, may differ
 SILENT_PX = 1.0  # an answer that calls itself converged and is further (rms) from the tight one is wrong
 TIGHT = tuple(
-    replace(LEVELS["auto"], tolerance=tolerance, limit=3000) for tolerance in (0.005, 0.015, 0.03)
+    replace(LEVELS["auto"], tolerance=tolerance, limit=3000) for tolerance in (0.005, 0.015, 0.02, 0.03)
 )  # the first at which both precisions converge
 SOLVED, RETRIED, REFUSED = "solved", "solved at a stronger level", "refused"
 UNSOLVED = "given up: not converged"  # and it says so: whoever uses contacts drops and counts it
