@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.batches import dome
 from jaxunshear.contact.indentation import per_force
+from jaxunshear.contact.systems import dome
 from jaxunshear.image.camera import project, to_image_px
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.settings.image import Camera, Preprocess

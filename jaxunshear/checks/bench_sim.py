@@ -7,25 +7,23 @@ but with every system set up anew; `ratio` is to a 2048 x 2048 float32 matrix pr
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, replace
 
 import jax
 import numpy as np
 
 from jaxunshear.checks.clock import laps, matrix_product, seconds
-from jaxunshear.checks.meshes import spaced
 from jaxunshear.checks.paper import KINDS, NAMES, paper_scenes
 from jaxunshear.checks.px import pin_error
-from jaxunshear.checks.rivals import RIVALS, exchanged
+from jaxunshear.checks.rivals import RIVALS
 from jaxunshear.checks.truth import true_pins
-from jaxunshear.contact import batches
 from jaxunshear.contact import simulate as simulator
+from jaxunshear.contact import systems
 from jaxunshear.contact.level import LEVELS, Level, unabridged
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.progress import Progress
-from jaxunshear.settings.reach import RING_MM, ring_spacing
+from jaxunshear.settings.reach import RING_MM, ring_spacing, spaced
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import Json
 
@@ -156,25 +154,22 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
     }
     pins = _truth(sensor, setting, kind, effort)[: len(compared)]
     contacts: list[Contacts] = []
-    with ExitStack() as stack:
-        stack.enter_context(exchanged(RIVALS[setting.solver]))
-        here = sensor if setting.mesh_mm is None else stack.enter_context(spaced(sensor, setting.mesh_mm))
+    here = sensor if setting.mesh_mm is None else spaced(sensor, setting.mesh_mm)
+    how = replace(setting.how, solver=RIVALS[setting.solver])
 
-        def work() -> None:
-            batches.system_of.cache_clear()
-            contacts[:] = [simulator.simulate(here, NAMES, scenes, setting.how, setting.batch, retry=False)]
+    def work() -> None:
+        systems.system_of.cache_clear()
+        contacts[:] = [simulator.simulate(here, NAMES, scenes, how, setting.batch, retry=False)]
 
-        batches.dome(here)
-        jax.clear_caches()
-        product = matrix_product()
-        try:
-            first = seconds(work)
-            spent = laps(work, product, effort.repeats, effort.budget_s)
-        except Exception as crash:
-            return {**row, "failed": f"crashed: {type(crash).__name__}: {first_line(crash)}"}
-        planned = min(
-            seconds(lambda: simulator.plan(here, NAMES, scenes, setting.how, setting.batch)) for _ in range(2)
-        )
+    systems.dome(here)
+    jax.clear_caches()
+    product = matrix_product()
+    try:
+        first = seconds(work)
+        spent = laps(work, product, effort.repeats, effort.budget_s)
+    except Exception as crash:
+        return {**row, "failed": f"crashed: {type(crash).__name__}: {first_line(crash)}"}
+    planned = min(seconds(lambda: simulator.plan(here, NAMES, scenes, how, setting.batch)) for _ in range(2))
     each = 1e3 * spent.work / len(scenes)
     part = contacts[0]
     error = pin_error(sensor, part.pins[: len(compared)], pins)
@@ -199,8 +194,8 @@ def _truth(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> np.nd
     scenes = paper_scenes(kind, effort.compared)
     if setting.against == "reference":
         return true_pins(sensor, NAMES, scenes, LEVELS["reference"])
-    with spaced(sensor, FINEST_MM) as finest:
-        return true_pins(finest, NAMES, scenes, replace(LEVELS["auto"], tolerance=0.02, limit=5000))
+    finest = spaced(sensor, FINEST_MM)
+    return true_pins(finest, NAMES, scenes, replace(LEVELS["auto"], tolerance=0.02, limit=5000))
 
 
 def _failure(contacts: Contacts, rms_px: float, setting: Setting) -> str:

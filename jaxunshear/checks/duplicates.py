@@ -4,13 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.batches import dome
 from jaxunshear.contact.friction import RHO, System, follow_path, rest
 from jaxunshear.contact.level import Level
 from jaxunshear.contact.obstacle import sample
 from jaxunshear.contact.plan import increments
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.contact.state import contact_state
+from jaxunshear.contact.systems import dome
 from jaxunshear.scene.paths import Paths
 from jaxunshear.scene.stimuli import stimulus_named
 from jaxunshear.settings.sensor import Sensor

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.checks.px import px_apart
-from jaxunshear.contact.batches import dome
 from jaxunshear.contact.large_strain import contact_radius, press
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Contacts, Skins
+from jaxunshear.contact.systems import dome
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import path_of
 from jaxunshear.scene.pins import pin_tips

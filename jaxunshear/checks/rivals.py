@@ -6,43 +6,21 @@
 - `newton`: semismooth (Alart & Curnier 1991), each increment from a cold start
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from typing import TypeVar
-from unittest.mock import patch
 
 import jax
 import jax.numpy as jnp
 
-from jaxunshear.contact import friction as physics
-from jaxunshear.contact.friction import BETWEEN_CHECKS, OVER_RELAXATION, RHO, System, project
+from jaxunshear.contact.friction import BETWEEN_CHECKS, OVER_RELAXATION, RHO, Solved, System, project
 
 Start = tuple[jax.Array, jax.Array, jax.Array]
-Solved = tuple[jax.Array, jax.Array, jax.Array, jax.Array]
 Solver = Callable[..., Solved]
 State = TypeVar("State")
 _Walk = tuple[jax.Array, jax.Array, jax.Array, jax.Array, tuple[jax.Array, jax.Array], jax.Array, jax.Array, jax.Array]
 MEMORY = 5  # earlier steps that Anderson's extrapolation uses
 GROWTH = 2.0  # of its residual, beyond which an extrapolated step is taken back
 NEWTON_LIMIT = 40  # iterations, each a matrix factorised for every scene
-
-
-@contextmanager
-def exchanged(solver: Solver | None) -> Iterator[None]:
-    """While it lasts, `simulate` solves its increments by `solver` (None: its own). Compiled programs are dropped."""
-    if solver is None:
-        yield
-        return
-    jax.clear_caches()
-
-    def solve(*given: object, strong: float | None = None) -> Solved:
-        return solver(*given)
-
-    try:
-        with patch.object(physics, "solve_increment", solve):
-            yield
-    finally:
-        jax.clear_caches()
 
 
 def _times(matrix: jax.Array, force: jax.Array) -> jax.Array:

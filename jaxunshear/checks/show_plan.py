@@ -13,7 +13,7 @@ import numpy as np
 from jaxunshear.checks.clock import seconds
 from jaxunshear.checks.paper import KINDS, NAMES, paper_scenes
 from jaxunshear.checks.px import pin_error
-from jaxunshear.contact import batches
+from jaxunshear.contact import batches, systems
 from jaxunshear.contact import simulate as simulator
 from jaxunshear.contact.level import OMISSIONS, Level
 from jaxunshear.contact.obstacle import Obstacles, sample
@@ -57,7 +57,7 @@ class _Work(NamedTuple):
         return batches.plan_paths(self.sensor, self.obstacles, self.paths, level, simulator.BATCH)
 
     def solve(self, level: Level) -> Contacts:
-        batches.system_of.cache_clear()
+        systems.system_of.cache_clear()
         return simulator.follow(self.sensor, self.names, self.paths, level, retry=False)[0]
 
 
@@ -83,11 +83,11 @@ def show_plan(
     how = level_named(level)
     check_paths(whose, 1, paths)
     work = _Work(whose, (touched,), sample((touched,)), paths)
-    batches.dome(whose)
+    systems.dome(whose)
     with Progress("plan", len(OMISSIONS) + 1, unit="omissions") as progress:
         rows = _omissions(work, how, (*OMISSIONS, TOGETHER), progress)
     batch = work.plan(how)[0]
-    count, contacts = len(batches.dome(whose).nodes), work.solve(how)
+    count, contacts = len(systems.dome(whose).nodes), work.solve(how)
     needs = {
         "omission": "",
         "level": level,

@@ -1,25 +1,21 @@
-"""Planned batches of contacts, solved one by one: the nodes a batch needs, their forces, the pins, and what was left out in error.
+"""Planned batches of contacts, solved one by one: the nodes a batch needs, their forces, the pins, and what was left out in error."""
 
-Side effects: the dome's cache.
-"""
-
+from collections.abc import Callable
 from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import get_lapack_funcs
-from threadpoolctl import threadpool_limits
 
-from jaxunshear.contact import dome as domes
-from jaxunshear.contact.elasticity import Compliance, sixfold
+from jaxunshear.contact.elasticity import sixfold
 from jaxunshear.contact.frame import product
-from jaxunshear.contact.friction import RHO, Quality, Skin, System, follow_path, rest
+from jaxunshear.contact.friction import Quality, Skin, Solved, System, follow_path, rest
 from jaxunshear.contact.level import STRONG, Level
 from jaxunshear.contact.obstacle import Obstacles, sample
-from jaxunshear.contact.plan import BATCHES, NODE_COUNTS, PATH_LENGTHS, Batch, gaps, increments, make_plan, padded
+from jaxunshear.contact.plan import BATCHES, PATH_LENGTHS, Batch, gaps, increments, make_plan, padded
 from jaxunshear.contact.skins import Contacts, Skins
 from jaxunshear.contact.state import contact_state
+from jaxunshear.contact.systems import dome, matrices, system_of
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import TILT_X, YAW, Paths
 from jaxunshear.scene.stimuli import Stimulus, stimulus_of
@@ -36,12 +32,6 @@ Stimuli = tuple[str | Outline | Stimulus, ...]
 def obstacles_of(names: Stimuli) -> Obstacles:
     """The shapes as the contact sees them; sampled once."""
     return _obstacles(tuple(stimulus_of(name) for name in names))
-
-
-@lru_cache(maxsize=4)
-def dome(sensor: Sensor) -> Compliance:
-    """The sensor's dome, kept in memory."""
-    return domes.dome(sensor)
 
 
 @lru_cache(maxsize=16)  # 4 MiB a shape: all that have a name, one by one, and some drawn by hand
@@ -156,6 +146,7 @@ def _solve(
                 level.limit,
                 part.tilted,
                 level.strong if (paths.friction > STRONG).any() else None,
+                level.solver,
             )
         )
     solved = Skin(*(field[:count] for field in skin))
@@ -187,7 +178,7 @@ def _pins(sensor: Sensor, force_n: np.ndarray, precision: str) -> np.ndarray:
     """Displaced pin tips (B, P, 3) under forces (B, N, 3) on the contact nodes."""
     full = dome(sensor)
     used = np.flatnonzero(np.any(force_n != 0, axis=(0, 2)))
-    matrix = _matrices(sensor, precision)[1].reshape(len(full.nodes), 3, -1)[used]
+    matrix = matrices(sensor, precision)[1].reshape(len(full.nodes), 3, -1)[used]
     moved = force_n[:, used].reshape(len(force_n), -1).astype(precision) @ matrix.reshape(-1, matrix.shape[-1])
     return (full.pins + moved.reshape(len(force_n), -1, 3)).astype(precision)
 
@@ -213,71 +204,13 @@ def _needs_more(
 
 
 @lru_cache(maxsize=4)
-def _matrices(sensor: Sensor, precision: str) -> tuple[np.ndarray, np.ndarray]:
-    """w of the dome, scaled to a unit mean diagonal, and g transposed, in one precision."""
-    full = dome(sensor)
-    scaled = (full.w / (np.trace(full.w) / len(full.w))).astype(precision)
-    return scaled, np.ascontiguousarray(full.g.T.astype(precision))
-
-
-@lru_cache(maxsize=4)
 def _beside(sensor: Sensor) -> np.ndarray:
     """(N, N) bool: pairs of neighbouring contact nodes."""
     nodes = dome(sensor).nodes
     return np.linalg.norm(nodes[:, None] - nodes[None], axis=-1) < NEIGHBOURS * ring_spacing(sensor)
 
 
-@lru_cache(maxsize=16)
-def system_of(sensor: Sensor, chosen: bytes, friction: bool, precision: str) -> tuple[System, float]:
-    """The contact nodes `chosen` (int64 bytes), padded by nodes far from any stimulus; newtons per scaled force."""
-    full = dome(sensor)
-    index = np.frombuffer(chosen, np.int64)
-    size = padded(len(index), NODE_COUNTS)
-    parts = np.arange(3) if friction else np.array([2])
-    rows, all_rows = (3 * index[:, None] + parts).ravel(), (3 * index[:, None] + np.arange(3)).ravel()
-    found, count = len(rows), len(parts) * size
-    matrix, _ = _matrices(sensor, precision)
-    scale = np.trace(full.w) / len(full.w)
-    w = np.zeros((count, count), precision)
-    w[:found, :found] = matrix.take(rows, 0).take(rows, 1)
-    w[np.arange(found, count), np.arange(found, count)] = 1
-    inverse = w.copy()
-    inverse[np.diag_indices(count)] += RHO
-    spread = np.zeros((count, 0 if friction else 3 * size), precision)
-    if not friction:
-        spread[:found, : len(all_rows)] = matrix[np.ix_(rows, all_rows)]
-    nodes = np.full((size, 3), 1e3)
-    nodes[: len(index)] = full.nodes[index]
-    as_array = partial(jnp.asarray, dtype=precision)
-    shared = as_array(w)
-    system = System(
-        shared,
-        _both_halves(as_array(_inverse(inverse))),
-        shared if friction else as_array(spread),
-        as_array(nodes),
-        as_array(sensor.dome_radius_mm),
-    )
-    return system, 1 / scale
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """The upper triangle of a positive definite matrix' inverse, in its precision: the condition is that of W over RHO.
-
-    Overwrites the matrix. On one thread: two BLAS threads on a busy machine wait for each other a hundred times longer than
-    they work.
-    """
-    factorise, invert = get_lapack_funcs(("potrf", "potri"), dtype=matrix.dtype)
-    with threadpool_limits(1, "blas"):
-        lower, _ = factorise(matrix.T, lower=True, clean=True, overwrite_a=True)
-        return invert(lower, lower=True, overwrite_c=True)[0].T
-
-
-@jax.jit
-def _both_halves(upper: jax.Array) -> jax.Array:
-    return jnp.triu(upper) + jnp.triu(upper, 1).T
-
-
-@partial(jax.jit, static_argnames=("tolerance", "limit", "tilted", "strong"))
+@partial(jax.jit, static_argnames=("tolerance", "limit", "tilted", "strong", "solver"))
 def _run(
     system: System,
     obstacles: Obstacles,
@@ -290,12 +223,13 @@ def _run(
     limit: int,
     tilted: bool,
     strong: float | None,
+    solver: Callable[..., Solved] | None,
 ) -> tuple[Skin, Quality, tuple[jax.Array, jax.Array, jax.Array]]:
     count = len(which)
     skin = rest(system, path[0])
     displacement = product(force.reshape(count, -1), system.spread).reshape(count, -1, 3)
     skin = skin._replace(force=force, displacement=displacement)
     skin, quality = follow_path(
-        system, obstacles, which, friction, path[1:], skin, tolerance, limit, tilted, steps, strong
+        system, obstacles, which, friction, path[1:], skin, tolerance, limit, tilted, steps, strong, solver
     )
     return skin, quality, contact_state(skin, friction, tilted)

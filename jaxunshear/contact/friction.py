@@ -15,6 +15,8 @@ The level frame is the sensor frame with its tilt undone: there the stimulus' to
 Read `follow_path` first; `solve_increment` is the solver.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -69,6 +71,8 @@ class Quality(NamedTuple):
     iterations: Array
 
 
+# what a solver of increments gives: force, dual, residual mm and iterations
+Solved = tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B"], Int[Array, "B"]]
 _Iterates = tuple[Array, Array, Array, Array]  # z, its dual, x, and z before
 _Solving = tuple[_Iterates, Array, Array, Array]  # with residual (B,), iterations (B,), and the count of them
 
@@ -103,7 +107,7 @@ def solve_increment(
     tolerance: Float[Array, "B"],
     limit: int,
     strong: float | None = None,
-) -> tuple[Float[Array, "B N d"], Float[Array, "B N d"], Float[Array, "B"], Int[Array, "B"]]:
+) -> Solved:
     """Forces of f = P(f - (W f + b)) with offset b, from a warm start (force f, dual, W f).
 
     Iterates until every scene is below its tolerance in mm, or `limit` iterations. Returns force, dual, residual in mm and
@@ -216,6 +220,7 @@ def advance(
     tilted: bool,
     lost: Bool[Array, "B"] | bool = False,
     strong: float | None = None,
+    solver: Callable[..., Solved] | None = None,
 ) -> tuple[Skin, Quality]:
     """Move B skins by one increment, to `pose`; a skin that does not move is left as it is.
 
@@ -230,14 +235,14 @@ def advance(
     force, dual, displacement = skin.force, skin.dual, skin.displacement
     if frame is not None:
         force, dual = rotate(frame, force), rotate(frame, dual)
+    solve = partial(solve_increment, strong=strong) if solver is None else solver
     count = jnp.zeros(len(which), jnp.int32)
     for allowed in [FIRST_PASS] * (PASSES - 1) + [1.0]:
         offset, _ = increment_offset(system, obstacles, which, skin, pose, tilted, displacement)
         # a free node's dual follows from the gap; carried over, it is what takes most iterations to forget
         moved = (displacement if frame is None else rotate(frame, displacement))[..., -force.shape[-1] :]
         start = (force, jnp.where(force[..., -1:] > 0, dual, -(moved + offset) / RHO), moved)
-        goals = allowed * wanted
-        force, dual, error, spent = solve_increment(system, frame, offset, friction, start, goals, limit, strong=strong)
+        force, dual, error, spent = solve(system, frame, offset, friction, start, allowed * wanted, limit)
         inside = force if frame is None else rotate_back(frame, force)
         displacement = product(inside.reshape(force.shape[0], -1), system.spread).reshape(skin.displacement.shape)
         count = count + spent
@@ -266,11 +271,12 @@ def follow_path(
     tilted: bool = False,
     steps: Int[Array, ""] | None = None,
     strong: float | None = None,
+    solver: Callable[..., Solved] | None = None,
 ) -> tuple[Skin, Quality]:
     """Move B skins along a path of poses x, y (mm), yaw (rad), depth (mm), tilt_x, tilt_y (rad) in the target frame.
 
     `which` indexes the obstacles; an increment stops below `tolerance` times its own length; `tilted` False leaves the
-    rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew. `strong`: see `solve_increment`.
+    rotations out. `steps`, at most T, may say how many of the poses count, without compiling anew. `strong` and `solver`: see `Level`.
     """
 
     def step(state: tuple[Array, Skin, Quality]) -> tuple[Array, Skin, Quality]:
@@ -278,7 +284,7 @@ def follow_path(
         # both are written so that a NaN counts as the worst
         lost = ~(worst.residual_mm <= worst.tolerance_mm)
         skin, now = advance(
-            system, obstacles, which, friction, path[number], skin, tolerance, limit, tilted, lost, strong
+            system, obstacles, which, friction, path[number], skin, tolerance, limit, tilted, lost, strong, solver
         )
         worse = ~(now.residual_mm * worst.tolerance_mm <= worst.residual_mm * now.tolerance_mm)
         pick = lambda new, old: jnp.where(worse, new, old)  # noqa: E731

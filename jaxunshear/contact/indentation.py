@@ -4,8 +4,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import Delaunay, cKDTree
 
-from jaxunshear.contact.batches import dome
 from jaxunshear.contact.skins import Skins
+from jaxunshear.contact.systems import dome
 from jaxunshear.scene.pins import pin_lattice
 from jaxunshear.settings.sensor import Sensor
 

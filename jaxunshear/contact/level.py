@@ -1,5 +1,6 @@
 """How exactly a contact is solved, and what is left out of it, by the name of a level."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 # What `auto` leaves out, in the words of the command that shows a plan.
@@ -13,7 +14,8 @@ class Level:
 
     A leg between two way points is cut into increments of at most `press_mm` in depth and `slide_mm` along the surface; a leg
     has at least `press` or `slide` of them unless "steps" is among the omissions. An increment is solved to `tolerance` times
-    its own length, within `limit` iterations. `strong` is the relaxation of ADMM where friction is STRONG, None the usual one.
+    its own length, within `limit` iterations. `strong` is the relaxation of ADMM where friction is STRONG, None the usual one;
+    `solver` stands in for ADMM, where one is to be compared with it.
     `reference` leaves out only what provably changes nothing.
     """
 
@@ -27,6 +29,7 @@ class Level:
     omit: tuple[str, ...] = OMISSIONS
     wide: bool = False  # leave out fewer nodes
     strong: float | None = 0.7
+    solver: Callable[..., tuple] | None = None
 
 
 LEVELS = {

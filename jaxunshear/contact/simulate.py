@@ -8,10 +8,11 @@
 
 import numpy as np
 
-from jaxunshear.contact.batches import Stimuli, dome, nothing_solved, obstacles_of, plan_paths, solve_batches
+from jaxunshear.contact.batches import Stimuli, nothing_solved, obstacles_of, plan_paths, solve_batches
 from jaxunshear.contact.level import STRONGER, Level
 from jaxunshear.contact.scope import check_batch, check_paths, check_scenes, check_start, check_started, level_named
 from jaxunshear.contact.skins import Contacts, Skins
+from jaxunshear.contact.systems import dome
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths, path_of
 from jaxunshear.scene.scene import Scenes

@@ -20,14 +20,14 @@ from jaxunshear.evaluation.networks import Run, load
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import Reads
+from jaxunshear.evaluation.recorded_facts import counts_of, pairing_of, recordings_of
 from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
 from jaxunshear.evaluation.spread import redrawn_means
 from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
-from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores, Tables
-from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.results.run import Results, Tables
+from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.registry import POSENET, POSENETS
-from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import Targets, names_of, true_values
 from jaxunshear.training.examples import pairs_of, pins_of
 
@@ -137,10 +137,10 @@ def results_of(
         **vars(found),
         pin_error=_pin_error(slides, test, pins),
         baselines={"pose_chance": chance(true_values(targets, labels), targets)},
-        recordings=_recordings(experiment, stored),
-        pairing=_pairing(experiment, test, targets),
+        recordings=recordings_of(experiment, stored),
+        pairing=pairing_of(experiment, test.slides if test.paired else None, targets),
         targets=targets,
-        counts=_counts(stored, slides, taps),
+        counts=counts_of(stored, slides, taps),
         paper=PAPER,
         seeds={"experiment": experiment.seed, "splits": stored.settings.seed, "bootstrap": SEED},
         settings=dataclasses.asdict(experiment),
@@ -259,48 +259,3 @@ def _pin_error(slides: Gathered | None, test: Test, over: bool) -> dict[str, dic
     return {
         kind: {name: None if name == "rms_mm" else value for name, value in row.items()} for kind, row in found.items()
     }
-
-
-def _recordings(experiment: Experiment, stored: RecordedSet) -> Recordings:
-    settings = stored.settings
-    counts = stored.metadata["counts"]
-    return Recordings(
-        tap_folder=settings.tap_folder,
-        slide_folder=settings.slide_folder,
-        digest=settings.digest,
-        sensor=experiment.sensor.name,
-        pins=experiment.sensor.pins,
-        pins_sure=stored.metadata["pins"]["sure"],
-        **{name: counts[name] for name in ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")},
-        labelled=settings.labelled,
-        notes=stored.metadata["notes"][:20],
-    )
-
-
-def _pairing(experiment: Experiment, test: Test, targets: Targets) -> Pairing:
-    """How slides are paired, and how far the partners' poses are off."""
-    recorded = recorded_of(experiment)
-    if recorded is None or test.slides is None or not test.paired:
-        return Pairing("none", {})
-    shown: dict[str, dict[str, Scores | int]] = {}
-    for split in ("train", "test"):
-        count = test.slides.length(split)
-        if not count:
-            continue
-        gap = test.slides.take(split, np.arange(count), ("gap",))["gap"]
-        shown[split] = {"pairs": count}
-        for target in targets:
-            median, p95 = np.quantile(gap[:, target.column], (0.5, 0.95)).tolist()
-            shown[split][target.name] = {"median": median, "p95": p95}
-    return Pairing(recorded.pairing, shown)
-
-
-def _counts(stored: RecordedSet, slides: Gathered | None, taps: Gathered | None) -> Counts:
-    written = stored.metadata["counts"]["written"]
-    return Counts(
-        **{split: written[split] for split in SPLITS},
-        test_poses=0 if slides is None else len(slides.labels["number"]),
-        test_taps=0 if taps is None else len(taps.labels["number"]),
-        test_unsure=0 if slides is None else int(np.sum(slides.labels["sure"] == 0)),
-        pin_images=0 if slides is None else len(slides.kept),
-    )

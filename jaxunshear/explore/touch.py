@@ -11,10 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from jaxunshear.contact.batches import dome, obstacles_of, plan_paths
+from jaxunshear.contact.batches import obstacles_of, plan_paths
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.contact.plan import NODE_COUNTS, padded
 from jaxunshear.contact.simulate import follow
+from jaxunshear.contact.systems import dome
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import path_of
 from jaxunshear.scene.pins import pin_tips

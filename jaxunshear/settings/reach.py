@@ -4,6 +4,7 @@ Rings are evenly spaced along the dome's surface, from the apex to about 60 degr
 """
 
 import math
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -17,10 +18,25 @@ REACHED = 0.7
 FEWEST, MOST = 8, 21  # rings beside the apex: larger domes get wider rings, small ones narrower
 
 
+@dataclass(frozen=True)
+class Meshed(Sensor):
+    """A sensor whose contact rings stand further apart, or closer, than its size asks for."""
+
+    ring_mm: float = RING_MM
+
+
+def spaced(sensor: Sensor, ring_mm: float) -> Sensor:
+    """The same sensor on rings of that spacing, under a name of its own."""
+    if ring_mm == ring_spacing(sensor):
+        return sensor
+    return Meshed(**asdict(sensor) | {"name": f"{sensor.name}-{ring_mm:g}mm"}, ring_mm=ring_mm)
+
+
 def ring_spacing(sensor: Sensor) -> float:
     """Arc between neighbouring rings in mm."""
     covered = sensor.dome_radius_mm * math.radians(COVERED_DEG)
-    return min(max(RING_MM, covered / MOST), covered / FEWEST)
+    wanted = sensor.ring_mm if isinstance(sensor, Meshed) else max(RING_MM, covered / MOST)
+    return min(wanted, covered / FEWEST)
 
 
 def ring_arcs(sensor: Sensor) -> np.ndarray:

@@ -5,8 +5,8 @@ import pytest
 
 from jaxunshear.applications.geometry_scores import correlation
 from jaxunshear.applications.inverse import FELT_MM, Inverse, indentation_of, learnt, of_compliance, pins_per_force
-from jaxunshear.contact.batches import dome
 from jaxunshear.contact.indentation import per_force
+from jaxunshear.contact.systems import dome
 from jaxunshear.image.camera import project, to_image_px
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.growing import filled

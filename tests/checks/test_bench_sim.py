@@ -10,13 +10,12 @@ from jaxunshear.checks.bench_sim import Effort, Setting
 from jaxunshear.checks.bench_sim import bench_sim as bench
 from jaxunshear.checks.cases import HALF_SIZE
 from jaxunshear.checks.clock import laps
-from jaxunshear.checks.meshes import spaced
 from jaxunshear.checks.paper import NAMES, paper_scenes
 from jaxunshear.checks.px import pin_error
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings.reach import ring_spacing
+from jaxunshear.settings.reach import ring_spacing, spaced
 
 FIELDS = {
     *(
@@ -155,12 +154,12 @@ def test_px_are_those_of_the_image():
 
 
 def test_another_spacing_is_another_sensor():
-    with spaced(HALF_SIZE, 1.5) as coarse:
-        assert coarse.name != HALF_SIZE.name and ring_spacing(coarse) == pytest.approx(
-            10 * np.pi / 3 / 8
-        )  # not beyond 8 rings
-    with spaced(HALF_SIZE, 0.8) as fine:
-        assert ring_spacing(fine) == 0.8
+    coarse = spaced(HALF_SIZE, 1.5)
+    assert coarse.name != HALF_SIZE.name and ring_spacing(coarse) == pytest.approx(
+        10 * np.pi / 3 / 8
+    )  # not beyond 8 rings
+    assert ring_spacing(spaced(HALF_SIZE, 0.8)) == 0.8
+    assert spaced(HALF_SIZE, 1.0) is HALF_SIZE
     assert ring_spacing(HALF_SIZE) == 1.0
 
 

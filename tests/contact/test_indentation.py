@@ -42,8 +42,8 @@ def test_beside_an_edge_only_one_side_is_pressed_in():
 
 
 def test_an_untouched_skin_is_flat():
-    from jaxunshear.contact.batches import dome
     from jaxunshear.contact.skins import Skins
+    from jaxunshear.contact.systems import dome
 
     force = np.zeros((2, len(dome(TACTIP_331).nodes), 3))
     np.testing.assert_array_equal(indentation(TACTIP_331, Skins(force, np.zeros((2, 6)))), 0)

@@ -1,0 +1,56 @@
+"""What the results of a recorded run say of the recordings: which they are, how slides are paired, and how many are scored."""
+
+import numpy as np
+
+from jaxunshear.dataset.reading import Reader
+from jaxunshear.dataset.recorded_reading import RecordedSet
+from jaxunshear.evaluation.gather import Gathered
+from jaxunshear.results.run import Counts, Pairing, Recordings, Scores
+from jaxunshear.settings.experiment import Experiment, recorded_of
+from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.targets import Targets
+
+
+def recordings_of(experiment: Experiment, stored: RecordedSet) -> Recordings:
+    settings = stored.settings
+    counts = stored.metadata["counts"]
+    return Recordings(
+        tap_folder=settings.tap_folder,
+        slide_folder=settings.slide_folder,
+        digest=settings.digest,
+        sensor=experiment.sensor.name,
+        pins=experiment.sensor.pins,
+        pins_sure=stored.metadata["pins"]["sure"],
+        **{name: counts[name] for name in ("contacts", "dropped", "unsure", "taps", "slides", "dropped_frames")},
+        labelled=settings.labelled,
+        notes=stored.metadata["notes"][:20],
+    )
+
+
+def pairing_of(experiment: Experiment, slides: Reader | None, targets: Targets) -> Pairing:
+    """How slides are paired, and how far the partners' poses are off."""
+    recorded = recorded_of(experiment)
+    if recorded is None or slides is None:
+        return Pairing("none", {})
+    shown: dict[str, dict[str, Scores | int]] = {}
+    for split in ("train", "test"):
+        count = slides.length(split)
+        if not count:
+            continue
+        gap = slides.take(split, np.arange(count), ("gap",))["gap"]
+        shown[split] = {"pairs": count}
+        for target in targets:
+            median, p95 = np.quantile(gap[:, target.column], (0.5, 0.95)).tolist()
+            shown[split][target.name] = {"median": median, "p95": p95}
+    return Pairing(recorded.pairing, shown)
+
+
+def counts_of(stored: RecordedSet, slides: Gathered | None, taps: Gathered | None) -> Counts:
+    written = stored.metadata["counts"]["written"]
+    return Counts(
+        **{split: written[split] for split in SPLITS},
+        test_poses=0 if slides is None else len(slides.labels["number"]),
+        test_taps=0 if taps is None else len(taps.labels["number"]),
+        test_unsure=0 if slides is None else int(np.sum(slides.labels["sure"] == 0)),
+        pin_images=0 if slides is None else len(slides.kept),
+    )
