@@ -87,3 +87,13 @@ def test_types_are_named():
 def test_results_are_read_and_written_in_one_place():
     """No other file calls the library that checks them."""
     assert [module for module, path in FILES.items() if "msgspec" in path.read_text()] == ["jaxunshear.results.stored"]
+
+
+def test_files_and_functions_are_short():
+    """And nothing in the package patches another part of it."""
+    for module, path in FILES.items():
+        text = path.read_text()
+        assert text.count("\n") < 300 and "unittest" not in text, module
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef):
+                assert node.end_lineno - node.lineno < 60, (module, node.name)
