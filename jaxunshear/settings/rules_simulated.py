@@ -12,12 +12,10 @@ from jaxunshear.settings.registry import POSENET, TEACHER
 from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import train_poses
-from jaxunshear.settings.stimuli import stimulus_names
-from jaxunshear.settings.targets import SIMULATED, names_of, of_ranges
+from jaxunshear.settings.stimuli import SHOWN, stimulus_names
+from jaxunshear.settings.targets import PAPER, SIMULATED, names_of, of_ranges
 from jaxunshear.settings.types import Rule, own_rules
 
-SURFACE = "surface"  # the same wherever and however it is turned
-OF_SURFACE = {"depth_mm", "tilt_x_deg", "tilt_y_deg"}  # targets that it shows
 FURTHER = {
     "other_jitters_mm": "depth_",
     "other_twists_deg": "twist_",
@@ -112,10 +110,12 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
 
 def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
     yield from target_rules(experiment.targets, SIMULATED)
-    flat = SURFACE in {*paired.stimuli, *pose.stimuli, *experiment.unseen}
-    named = {text.partition(":")[0] for text in experiment.targets}
-    remedy = f"a surface shows depth and tilt alone: name of {', '.join(sorted(OF_SURFACE))}"
-    yield not flat or (bool(named) and named <= OF_SURFACE), "targets", remedy
+    touched = {*paired.stimuli, *pose.stimuli, *experiment.unseen}
+    named = {text.partition(":")[0] for text in experiment.targets or PAPER}
+    for stimulus, shown in SHOWN.items():
+        hidden = sorted(named - {*shown})
+        remedy = f"the stimulus '{stimulus}' does not show {', '.join(hidden)}: name of {', '.join(shown)}"
+        yield stimulus not in touched or not hidden, "targets", remedy
     for ranges in (paired.ranges, pose.ranges):
         try:
             known, wrong = of_ranges(experiment.targets, ranges), ""

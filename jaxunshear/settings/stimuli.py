@@ -16,6 +16,11 @@ import numpy as np
 from jaxunshear.errors import UserError
 
 StimulusName = Literal["disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface"]
+# Of a pose, what shapes show that look the same in many places; all others show all of it.
+SHOWN = {
+    "edge": ("x_mm", "yaw_deg", "depth_mm", "edge_mm", "edge_deg", "tilt_x_deg", "tilt_y_deg"),
+    "surface": ("depth_mm", "tilt_x_deg", "tilt_y_deg"),
+}
 
 # Rubber on hard plastic lies between about 0.5 and 0.9. The evidence is divided (docs/simulator.md): with 0.35 a PoseNet
 # trained on taps hardly minds the slide, where the paper's is no better than chance (its Table 2), but recordings of another

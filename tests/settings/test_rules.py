@@ -132,13 +132,16 @@ def test_targets_that_all_sets_vary_are_taken(words):
     validate(override(PLAIN, words.split()))
 
 
-def test_a_surface_shows_its_depth_alone():
+def test_what_a_stimulus_does_not_show_is_no_target():
     words = "--paired.stimuli surface --pose.stimuli surface"
     assert refusal(words).startswith("--targets ")
     validate(override(PLAIN, [*words.split(), "--targets", "depth_mm"]))
-    assert "depth and tilt alone" in refusal(f"{words} --targets depth_mm,x_mm")
+    assert "'surface' does not show x_mm" in refusal(f"{words} --targets depth_mm,x_mm")
     leaning = f"{words} --paired.ranges.tilt_deg 10 --pose.ranges.tilt_deg 10"
     validate(override(PLAIN, [*leaning.split(), "--targets", "depth_mm,tilt_x_deg,tilt_y_deg"]))
+    edges = "--paired.stimuli edge --pose.stimuli edge"
+    validate(override(PLAIN, edges.split()))
+    assert "'edge' does not show y_mm" in refusal(f"{edges} --targets y_mm,yaw_deg")
 
 
 def test_turned_touches_keep_distance_direction_and_depth_alone():
