@@ -22,6 +22,7 @@ from PIL import Image
 
 from jaxunshear.dataset.chunks import pack, unpack
 from jaxunshear.dataset.making import read_metadata
+from jaxunshear.dataset.siblings import siblings_of
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.settings.configs import MANIFEST, Settings, set_folder, set_name
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
@@ -80,23 +81,25 @@ class Reader:
         """
         rows = self._rows("train")
         most = shift * self._size
-        siblings = siblings_of(rows)
+        siblings = siblings_of(rows["stimulus"], rows["pose_id"])
         wanted = fields or tuple(rows)
 
         def draw(row: int, generator: np.random.Generator) -> Batch:
             offset = np.rint(generator.uniform(-most, most, 2)).astype(int)
-            tap = generator.choice(siblings[row])
+            tap = generator.choice(siblings.of(row))
             example = self._images({name: rows[name][tap if name in OF_TAP else row] for name in wanted})
             return shifted(example, *offset.tolist()) if offset.any() else example
 
         drawn = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
         order = _shuffled(self.length("train"), batch, seed)
-        # whether nothing of an example is drawn at random: then a batch is read at once
-        still = not shift and all(len(each) == 1 for each in siblings)
+
+        def at_once(step: int) -> Batch:
+            here = order(step)
+            taps = siblings.drawn(here, np.random.default_rng((seed, step)))
+            return self._images({name: rows[name][taps if name in OF_TAP else here] for name in wanted})
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
-            steps = itertools.count(start_step)
-            return (self.take("train", order(step), wanted) if still else drawn[step] for step in steps)
+            return (drawn[step] if shift else at_once(step) for step in itertools.count(start_step))
 
         return from_step
 
@@ -169,14 +172,6 @@ def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
         return np.array([epoch(place // count)[place % count] for place in places])
 
     return rows
-
-
-def siblings_of(rows: Batch) -> list[np.ndarray]:
-    """For every row the rows at the same pose of the same stimulus: each holds one of the pose's taps."""
-    poses = np.stack([rows["stimulus"], rows["pose_id"]], axis=-1)
-    _, group = np.unique(poses, axis=0, return_inverse=True)
-    members = np.split(np.argsort(group, kind="stable"), np.cumsum(np.bincount(group))[:-1])
-    return [members[index] for index in group.reshape(-1)]
 
 
 def _remedy(folder: Path) -> str:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.reading import Batch, Reader, SetReader, siblings_of
+from jaxunshear.dataset.reading import Batch, Reader, SetReader
+from jaxunshear.dataset.siblings import siblings_of
 from jaxunshear.settings.data import PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.training.examples import Examples, open_simulated
@@ -59,19 +60,13 @@ def with_alike(batches: Batches, examples: Examples, count: int, seed: int) -> B
 
     def from_step(start: int = 0) -> Iterator[Batch]:
         rows = _stored(examples).rows("train")
-        pins, siblings = rows["sheared_pins"], siblings_of(rows)
+        pins, siblings = rows["sheared_pins"], siblings_of(rows["stimulus"], rows["pose_id"])
         for step, pairs in zip(itertools.count(start), batches(start)):
             generator = np.random.default_rng((seed, step))
             drawn = generator.integers(len(pins), size=count)
-            others = [generator.choice(_others(siblings[row], row)) for row in drawn]
-            yield pairs | {ONE: pins[drawn], ANOTHER: pins[others]}
+            yield pairs | {ONE: pins[drawn], ANOTHER: pins[siblings.others(drawn, generator)]}
 
     return from_step
-
-
-def _others(rows: np.ndarray, row: int) -> np.ndarray:
-    """`rows` but for `row`, unless it is the only one."""
-    return rows[rows != row] if len(rows) > 1 else rows
 
 
 def _stored(examples: Examples) -> SetReader:
