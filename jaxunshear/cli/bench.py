@@ -17,6 +17,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "stream": ("size",),
     "strangers": ("recordings", "seed"),
     "data": (),
+    "input": (),
 }
 
 
@@ -28,8 +29,8 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
             raise UserError(f"--{option}: bench {arguments.what} has no use for it; it takes {known}")
     if arguments.batch is not None and arguments.batch < 1:
         raise UserError(f"--batch {arguments.batch}: use at least 1")
-    if arguments.what == "data":
-        return _run_data(keep)
+    if arguments.what in ("data", "input"):
+        return _run_data(arguments.what, keep)
     if arguments.what != "sim":
         return _run_networks(arguments, keep)
     from jaxunshear.checks import bench_figure, bench_sim
@@ -43,12 +44,12 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
     return 0
 
 
-def _run_data(keep: Keep) -> int:
-    from jaxunshear.checks import bench_data
+def _run_data(what: str, keep: Keep) -> int:
+    from jaxunshear.checks import bench_data, bench_input
     from jaxunshear.table import plain_table
 
-    rows = bench_data.bench_data()
-    print(plain_table(rows, bench_data.COLUMNS))
+    rows = bench_data.bench_data() if what == "data" else bench_input.bench_input()
+    print(plain_table(rows, bench_data.COLUMNS if what == "data" else bench_input.COLUMNS))
     keep(rows)
     return 0
 
