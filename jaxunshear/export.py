@@ -19,7 +19,7 @@ from jaxunshear.infer import FRAMES, OWN_FRAME, learnt_note
 from jaxunshear.owners import check_apart
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
-from jaxunshear.storage import check_new_folder, read_json, write_bytes
+from jaxunshear.storage import check_new_folder, read_object, write_bytes
 
 if TYPE_CHECKING:
     from jaxunshear.applications.exported.frames import Camera
@@ -95,7 +95,7 @@ def _view_of(folder: Path, experiment: Experiment) -> "View | None":
     from jaxunshear.dataset.recorded_reading import frame_from
     from jaxunshear.training.examples import FRAME
 
-    return frame_from(read_json(folder / FRAME)).view if isinstance(experiment.paired, Recorded) else None
+    return frame_from(read_object(folder / FRAME)).view if isinstance(experiment.paired, Recorded) else None
 
 
 def _onnx(

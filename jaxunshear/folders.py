@@ -7,7 +7,7 @@ from pathlib import Path
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.stored import from_json
-from jaxunshear.storage import read_json
+from jaxunshear.storage import read_object
 
 RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a model card
 
@@ -29,7 +29,7 @@ def load_settings(model: Path) -> Experiment:
             f"--model {model} holds no experiment.json: name the folder of a finished run, such as runs/demo, "
             f"or released weights{f' ({names})' if names else ''}"
         )
-    return from_json(read_json(file), str(file))
+    return from_json(read_object(file), str(file))
 
 
 def names_apart(folders: Sequence[Path]) -> list[str]:

@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.storage import read_json_if_sound
+from jaxunshear.storage import read_object_if_sound
 
 RUN, SWEEP, SET = "a run or weights", "a sweep", "a data set"
 MARKS = {"experiment.json": RUN, "sweep.json": SWEEP, "task.json": SWEEP, "shards.json": SET}
@@ -44,5 +44,5 @@ def check_apart(path: Path | None, option: str, home: Path | None = None) -> Non
 
 def _is_ours(mark: Path) -> bool:
     """A damaged one may be."""
-    held = read_json_if_sound(mark)
+    held = read_object_if_sound(mark)
     return not isinstance(held, dict) or FIELDS.get(mark.name) in (None, *held)

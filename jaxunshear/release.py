@@ -16,7 +16,7 @@ from jaxunshear.results.stored import read
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
 from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.settings.targets import to_json
-from jaxunshear.storage import plain, read_json, write_json, write_text
+from jaxunshear.storage import plain, read_object, write_json, write_text
 
 PARTS = {name: kind.released for name, kind in REGISTRY.items() if kind.released is not None}
 ORIGINS = ("origin", "taken_over", "start")  # what they learnt from goes with the weights
@@ -56,7 +56,7 @@ def release(run_dir: Path, out: Path) -> Path:
             raise UserError(f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo")
     if out.exists():
         raise UserError(f"--out {out} exists: name a new folder")
-    settings = read_json(run_dir / "experiment.json")
+    settings = read_object(run_dir / "experiment.json")
     results = read(run_dir / "results.json", Results, EVALUATED)
     try:
         text, settings = card(results, out.name), settings | {"name": out.name}  # not a sweep's row
@@ -76,12 +76,12 @@ def release(run_dir: Path, out: Path) -> Path:
     shutil.rmtree(part, ignore_errors=True)
     for name in names:
         write_weights(part / name, variables[name], PARTS[name])
-        model = read_json(run_dir / name / MODEL)
+        model = read_object(run_dir / name / MODEL)
         origins = {key: model[key] for key in ORIGINS if key in model}
         reported = {"kind": model["kind"], "net": model["net"], "targets": to_json(targets[name])}
         write_json(part / name / MODEL, reported | origins)
     if not results.simulated:
-        write_json(part / FRAME, read_json(run_dir / FRAME))
+        write_json(part / FRAME, read_object(run_dir / FRAME))
         settings["paired"] |= {
             "tap_folder": "recorded taps" * bool(settings["paired"]["tap_folder"]),
             "slide_folder": "recorded slides",

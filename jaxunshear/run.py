@@ -20,7 +20,7 @@ from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json
-from jaxunshear.storage import Json, read_json, write_json
+from jaxunshear.storage import Json, read_object, write_json
 from jaxunshear.training.kept_out import exams_of
 from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, taken_over
 
@@ -84,7 +84,7 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
     )  # else data at most, which lie elsewhere
     if path.exists():
         try:
-            stored = to_json(from_json(read_json(path), str(path)))
+            stored = to_json(from_json(read_object(path), str(path)))
         except UserError as error:
             if started:
                 raise UserError(f"{error}; to start anew give another --out, or delete {folder}") from error

@@ -1,7 +1,7 @@
 """Files are written beside their place and moved into it: a killed run leaves the old file or the new one, never half.
 
 >>> write_json(Path("runs/demo/results.json"), {"ms_ssim": 0.9})
->>> read_json(Path("runs/demo/results.json"))["ms_ssim"]
+>>> read_object(Path("runs/demo/results.json"))["ms_ssim"]
 """
 
 import contextlib
@@ -101,8 +101,8 @@ def _measured(path: Path) -> bool:
     with contextlib.suppress(ValueError, TypeError):
         if "frame" in json.loads(line):
             return True
-    held = read_json_if_sound(path)
-    return isinstance(held, dict) and "versions" in held and not held.keys().isdisjoint(("machine", "machines"))
+    held = read_object_if_sound(path)
+    return held is not None and "versions" in held and not held.keys().isdisjoint(("machine", "machines"))
 
 
 def check_new_folder(path: Path | None, option: str = "--out") -> None:
@@ -167,7 +167,7 @@ def write_json(path: Path, obj: object) -> None:
     write_text(path, json.dumps(sealed(held) if isinstance(held, dict) else held, indent=2, allow_nan=False) + "\n")
 
 
-def read_json(path: Path) -> Any:
+def read_json(path: Path) -> object:
     """What `path` holds, without its seal. Raises `UserError` where it is missing, is no JSON, or is not what was sealed."""
     path = Path(path)
     try:
@@ -208,10 +208,18 @@ def unsealed(held: Any) -> Any:
     return held
 
 
-def read_json_if_sound(path: Path) -> Any | None:
+def read_object(path: Path) -> Json:
+    """An object that `path` holds, as `read_json`. Raises `UserError` where it holds anything else, such as a list."""
+    held = read_json(path)
+    if not isinstance(held, dict):
+        raise UserError(f"{path} holds no JSON object but a {type(held).__name__}: delete it and make it again")
+    return held
+
+
+def read_object_if_sound(path: Path) -> Json | None:
     """What `path` holds; None where it is missing or damaged, for files that are not worth stopping for."""
     try:
-        return read_json(path)
+        return read_object(path)
     except UserError:
         return None
 

@@ -83,11 +83,21 @@ def test_what_may_be_damage_is_left_to_be_called_so(error):
 
 def test_a_file_not_worth_stopping_for_is_read_if_it_is_sound(tmp_path):
     path = tmp_path / "times.json"
-    assert storage.read_json_if_sound(path) is None
+    assert storage.read_object_if_sound(path) is None
     path.write_text("{")
-    assert storage.read_json_if_sound(path) is None
+    assert storage.read_object_if_sound(path) is None
+    path.write_text("[1]")
+    assert storage.read_object_if_sound(path) is None
     storage.write_json(path, {"data": 1.0})
-    assert storage.read_json_if_sound(path) == {"data": 1.0}
+    assert storage.read_object_if_sound(path) == {"data": 1.0}
+
+
+@pytest.mark.parametrize(("text", "kind"), [("[]", "list"), ("1", "int"), ("null", "NoneType"), ('"a"', "str")])
+def test_what_is_no_object_is_refused_where_one_is_read(tmp_path, text, kind):
+    path = tmp_path / "experiment.json"
+    path.write_text(text)
+    with pytest.raises(UserError, match=f"experiment.json holds no JSON object but a {kind}"):
+        storage.read_object(path)
 
 
 def test_a_flipped_bit_is_never_another_figure(tmp_path):

@@ -37,7 +37,7 @@ from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import names_of
-from jaxunshear.storage import Json, read_json
+from jaxunshear.storage import Json, read_object
 from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
 from jaxunshear.training.examples import FRAME
 
@@ -91,7 +91,7 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
     run = ready(partial(_forward, nets, targets, recorded_too), variables)
     if over_pins(experiment):
         if isinstance(experiment.paired, Recorded):
-            frame, rest = frame_from(read_json(model / FRAME)), None
+            frame, rest = frame_from(read_object(model / FRAME)), None
         else:
             rest = np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
         if frame is None:
@@ -99,7 +99,7 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
         return _of_pins(experiment, run, names, frame, rest, expected_by(model, experiment))
     view = None
     if isinstance(experiment.paired, Recorded):
-        view = frame_from(read_json(model / FRAME)).view
+        view = frame_from(read_object(model / FRAME)).view
 
     def answer(images: np.ndarray) -> Answers:
         after, poses = jax.device_get(run(_unit(images)))
@@ -121,7 +121,7 @@ def frame_for(path: Path, experiment: Experiment) -> Frame | None:
 def expected_by(model: Path, experiment: Experiment) -> Expected:
     """How the sensor of a model appears in the images that are prepared for it: recorded, or as the simulator draws it."""
     if isinstance(experiment.paired, Recorded):
-        frame = frame_from(read_json(model / FRAME))
+        frame = frame_from(read_object(model / FRAME))
         return expected_of(frame.place, frame.size)
     paired, _ = simulated_of(experiment, "this")
     place = undeformed(experiment.sensor, paired.camera, paired.preprocess).place

@@ -11,7 +11,7 @@ from jaxunshear.calibration.prediction import Values, skin_to_gel
 from jaxunshear.errors import UserError
 from jaxunshear.settings.image import FITTED_CAMERA, Camera
 from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331_FITTED, Sensor, check_sensor
-from jaxunshear.storage import Json, read_json
+from jaxunshear.storage import Json, read_object
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ SHIPPED = Calibrated(f"preset {TACTIP_331_FITTED.name}", TACTIP_331_FITTED, FITT
 
 def read_calibration(file: Path) -> Calibrated:
     """A `calibration.json` of `jaxunshear calibrate`. Raises `UserError` where it is none."""
-    found = read_json(file)
+    found = read_object(file)
     try:
         preset = found["preset"]
         sensor, camera = Sensor(**preset["sensor"]), Camera(**preset["camera"])

@@ -21,14 +21,14 @@ def add_parsers(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import ablation, exchange, leakage
     from jaxunshear.settings.stored import from_json
-    from jaxunshear.storage import read_json, write_json
+    from jaxunshear.storage import read_object, write_json
 
     settings = arguments.run / "experiment.json"
     if not settings.is_file():
         raise UserError(
             f"{arguments.run} holds no experiment.json: name the folder of a finished run, such as runs/demo"
         )
-    experiment = from_json(read_json(settings), str(settings))
+    experiment = from_json(read_object(settings), str(settings))
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import leakage_figure
         from jaxunshear.storage import write_bytes

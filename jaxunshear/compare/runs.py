@@ -19,7 +19,7 @@ from jaxunshear.settings.configs import differences
 from jaxunshear.settings.data import RENDERED
 from jaxunshear.settings.earlier import LATER, without_later
 from jaxunshear.settings.registry import TRAINABLE
-from jaxunshear.storage import read_json_if_sound
+from jaxunshear.storage import read_object_if_sound
 from jaxunshear.sweep.scores import Measured, read_tests, same_contacts
 
 OWN = "unsheared"  # in the place of a network's name, where runs are about networks of different names
@@ -72,7 +72,7 @@ def _read(name: str, folder: Path) -> Run:
     results = read(folder / "results.json", Results, EVALUATED)
     logs = {network: read_history(folder / network / "log.jsonl") for network in TRAINABLE}
     endings = {network: folder / network / "summary.json" for network in logs}
-    models = (read_json_if_sound(folder / network / "model.json") or {} for network in results.settings["networks"])
+    models = (read_object_if_sound(folder / network / "model.json") or {} for network in results.settings["networks"])
     versions = [(model.get("origin") or {}).get("version") for model in models]
     return Run(
         name,

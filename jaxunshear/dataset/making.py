@@ -12,7 +12,7 @@ from jaxunshear.settings import configs
 from jaxunshear.settings.data import PoseData, Recorded
 from jaxunshear.settings.experiment import Experiment, further_tests, takes_taps
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
-from jaxunshear.storage import blame_the_machine, checksum, os_error, read_json
+from jaxunshear.storage import blame_the_machine, checksum, os_error, read_object
 
 
 def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) -> dict:
@@ -23,7 +23,7 @@ def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) ->
         raise UserError(f"there is no data set in {folder}: make it with `jaxunshear data`")
     remedy = f"delete {folder} and run `jaxunshear data` again"
     try:
-        metadata, sums = read_json(folder / configs.METADATA), read_json(folder / configs.MANIFEST)
+        metadata, sums = read_object(folder / configs.METADATA), read_object(folder / configs.MANIFEST)
     except UserError as error:
         blame_the_machine(folder, error)
         raise UserError(f"the data set in {folder} is damaged ({first_line(error)}): {remedy}") from error

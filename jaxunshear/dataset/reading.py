@@ -27,7 +27,7 @@ from jaxunshear.errors import UserError, first_line
 from jaxunshear.settings.configs import MANIFEST, Settings, set_folder, set_name
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import blame_the_machine, read_json
+from jaxunshear.storage import blame_the_machine, read_object
 
 MEMORY_BYTES = 1 << 30
 IMAGES = ("image", "canonical", "sheared")
@@ -184,7 +184,7 @@ def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
 
     remedy = _remedy(folder)
     try:
-        sums = read_json(folder / MANIFEST)
+        sums = read_object(folder / MANIFEST)
     except UserError as error:
         blame_the_machine(folder / MANIFEST, error)
         raise UserError(f"the data set in {folder} is damaged ({MANIFEST}): {remedy}") from error

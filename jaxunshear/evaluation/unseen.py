@@ -24,7 +24,7 @@ from jaxunshear.results.run import EVALUATED, Full, Results, Table
 from jaxunshear.results.stored import read
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, recorded_of
-from jaxunshear.storage import read_json
+from jaxunshear.storage import read_object
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
 from jaxunshear.training.kept_out import Exam
@@ -89,7 +89,7 @@ def _prepared(
     experiment: Experiment, run_dir: Path, contacts: Contacts, settings: Recorded, folder: Path
 ) -> RecordedSet:
     """The recordings as a set, seen as the run's sensor sees."""
-    known = read_json(run_dir / FRAME)
+    known = read_object(run_dir / FRAME)
     frame = frame_from(known)
     paths = prepare(contacts, settings, frame, folder, f"read {settings.slide_folder}")
     return RecordedSet(settings, UnstoredSet(contacts, paths, known))

@@ -12,7 +12,7 @@ from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.page import number, spanned
 from jaxunshear.report.pictures import address_of
 from jaxunshear.report.walk_figure import WORDS
-from jaxunshear.storage import Json, read_json
+from jaxunshear.storage import Json, read_object
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {
     name: WORDS[name] for name in WORDS if "unsheared" in WORDS[name]
@@ -28,7 +28,7 @@ def sections(run_dir: Path) -> list[Markup]:
         if not file.is_file():
             continue
         try:
-            found.append(part(read_json(file), folder))
+            found.append(part(read_object(file), folder))
         except (KeyError, TypeError, AttributeError) as error:
             raise UserError(f"{file} lacks {error}: run `jaxunshear {name}` again, or delete it") from error
     return found

@@ -26,7 +26,7 @@ from jaxunshear.results.stored import read
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import build
 from jaxunshear.settings.training import Training
-from jaxunshear.storage import Json, os_error, read_json, read_json_if_sound
+from jaxunshear.storage import Json, os_error, read_object, read_object_if_sound
 from jaxunshear.training.step import learning_rate
 
 EXTRA = "pip install 'jaxunshear[tensorboard]'"
@@ -136,7 +136,7 @@ class _Stream:
     def _update_run(self) -> None:
         if not self.lines:
             self._begin()
-            self.lines = [read_json(self.source / "experiment.json")]
+            self.lines = [read_object(self.source / "experiment.json")]
             self.writer.add_text("settings", _table(self.lines[0]), 0, self.began)
         if not self.shown and (image := _montage(self.source)) is not None:
             self.writer.add_image("montage", image, 0, self.began, dataformats="HWC")
@@ -170,7 +170,7 @@ def scalars(line: Line) -> dict[str, float]:
 
 def _rates(source: Path, lines: Sequence[Line]) -> list[float]:
     """The learning rate of each line's step; none where the network's model.json is of another version."""
-    model = read_json_if_sound(source / "model.json") or {}
+    model = read_object_if_sound(source / "model.json") or {}
     try:
         training = build(model["training"], Training, str(source / "model.json"), "training")
         an_epoch = model["epoch_images"] / training.batch

@@ -15,7 +15,7 @@ from jaxunshear.results.stored import write
 from jaxunshear.settings.experiment import Experiment, needed, trained
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import from_json, to_json
-from jaxunshear.storage import read_json
+from jaxunshear.storage import read_object
 from jaxunshear.sweep.rows import Row, training_part
 from jaxunshear.sweep.tasks import TASK, Order, Task, outcome_file, read_outcome
 from jaxunshear.training.origin import check_origin
@@ -121,7 +121,7 @@ def _finished_trainings(folder: Path) -> dict[str, Path]:
         if not done:
             continue
         try:
-            experiment = from_json(read_json(path / "experiment.json"))
+            experiment = from_json(read_object(path / "experiment.json"))
         except UserError:
             continue  # of another version: its trainings are not those of today
         for network in done:

@@ -116,7 +116,7 @@ def check_finished(folder: Path) -> None:
         finish = f"jaxunshear train FILE --network {folder.name} --out {folder.absolute().parents[1]}"
         raise UserError(f"the training of {folder.name} in {folder} was not finished: finish it with `{finish}`")
     if (folder / SUMMARY).exists():
-        storage.read_json(folder / SUMMARY)
+        storage.read_object(folder / SUMMARY)
 
 
 def load_best(folder: Path) -> Json:
@@ -182,7 +182,7 @@ def write_settings(folder: Path, settings: Json) -> None:
     path = Path(folder) / MODEL
     if not path.exists():
         return storage.write_json(path, settings)
-    old, new = _flat(storage.read_json(path)), _flat(settings)
+    old, new = _flat(storage.read_object(path)), _flat(settings)
     for name in old | new:
         lacking = name not in old and is_later(name, new[name])
         if old.get(name) != new.get(name) and not lacking:
@@ -196,7 +196,7 @@ def read_net(folder: Path) -> Net:
     if not path.exists():
         raise UserError(f"{folder} holds no trained model (no {MODEL}): train first, or name another folder")
     try:
-        stored = storage.read_json(path)
+        stored = storage.read_object(path)
         kind = NETS[stored["kind"]]
         fields = LATER | stored["net"]
         fields = {field.name: fields[field.name] for field in dataclasses.fields(kind)}
@@ -208,7 +208,7 @@ def read_net(folder: Path) -> Net:
 def read_targets(folder: Path) -> Targets:
     """The pose targets that the network in `folder` has learnt, from model.json; none of one that has learnt no poses. Raises UserError."""
     path = Path(folder) / MODEL
-    stored = storage.read_json(path)
+    stored = storage.read_object(path)
     if "targets" not in stored and stored.get("kind") != "posenet":
         return ()
     return from_json(stored.get("targets"), str(path))  # a PoseNet that gives none was trained by an earlier version
@@ -233,7 +233,7 @@ def _read(folder: Path, step: int) -> tuple[dict[str, np.ndarray], Json]:
 def _record(folder: Path, step: int) -> Json:
     path = _path(folder, step)
     try:
-        record = storage.read_json(path / "record.json")
+        record = storage.read_object(path / "record.json")
         if not {"best_step", DIGEST, "history"} <= record.keys():
             raise UserError("its record is incomplete")
         return record

@@ -12,7 +12,7 @@ from jaxunshear.settings.configs import PAIRED_SET, POSE_SET, RECORDED_SET, RECO
 from jaxunshear.settings.data import PoseData, Recorded
 from jaxunshear.settings.experiment import Experiment, learnt_from, needed, training_of
 from jaxunshear.settings.registry import OF_TAPS, POSENETS
-from jaxunshear.storage import Json, read_json, read_json_if_sound
+from jaxunshear.storage import Json, read_object, read_object_if_sound
 from jaxunshear.training.kept_out import Exam, exams_of, known
 
 TRAININGS = ("train", "train_posenet", "train_teacher", "train_pins")
@@ -51,7 +51,7 @@ def _split_rule(origin: Json) -> Json:
 
 def origins_of(folder: Path) -> list[Json]:
     """Of all that the weights in `folder` have learnt from, their own set first. Raises UserError where they do not say."""
-    model = read_json(folder / "model.json")
+    model = read_object(folder / "model.json")
     if isinstance(model, dict) and model.get("origin") and "taken_over" in model:
         return [model["origin"], *model["taken_over"]]
     return _earlier_origins(folder, model if isinstance(model, dict) else {})
@@ -59,7 +59,7 @@ def origins_of(folder: Path) -> list[Json]:
 
 def _earlier_origins(folder: Path, model: Json) -> list[Json]:
     """Of weights that do not list what they took over: at most both sets of their experiment, unless they began from others."""
-    experiment = read_json_if_sound(folder.parent / "experiment.json") or {}
+    experiment = read_object_if_sound(folder.parent / "experiment.json") or {}
     own = model.get("origin")
     started = "start" in model if own else any(experiment.get(name, {}).get("start") for name in TRAININGS)
     if started:
@@ -91,7 +91,7 @@ def check_origin(experiment: Experiment, network: str, run_dir: Path) -> None:
     """Raises UserError where the trained `network` in `run_dir` learnt from another data set, such as one of an earlier version of the
     data, or took over what may know its tests, or where its model.json cannot be read."""
     folder = Path(run_dir) / network
-    model = read_json(folder / "model.json")
+    model = read_object(folder / "model.json")
     stored = model.get("origin") if isinstance(model, dict) else None
     changed = differences(stored or {}, origin_of(experiment, network))
     if changed:
