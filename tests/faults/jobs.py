@@ -11,6 +11,7 @@ from jaxunshear.dataset.reading import open_set
 from jaxunshear.evaluation.measurements import reproducible
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import read
+from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.configs import set_name
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.splits import SPLITS
@@ -24,13 +25,18 @@ TAPE = ("--networks", "posenet", "--network", "posenet")
 
 @dataclass(frozen=True)
 class Job:
-    """`words(work)`: the command that writes below the folder `work`; `found(work)`: what must be the same of it."""
+    """`words(work)`: the command that writes below the folder `work`; `found(work)`: what must be the same of it.
+
+    `named(work)`: whether what came out says that a part was killed; then the command with `again` behind it must bring that back.
+    """
 
     name: str
     words: Callable[[Path], tuple[object, ...]]
     found: Callable[[Path], object]
     prepare: Callable[[Path], object] = lambda work: None
     program: tuple[str, ...] = (sys.executable, "-m", "jaxunshear")
+    named: Callable[[Path], bool] = lambda work: False
+    again: tuple[str, ...] = ()
 
 
 def jobs(places: Places) -> dict[str, Job]:
@@ -72,6 +78,8 @@ def jobs(places: Places) -> dict[str, Job]:
             lambda work: ("sweep", work),
             _table,
             program=(sys.executable, str(ROOT / "tests/sweep/stand_in.py")),
+            named=_killed_rows,
+            again=("retry",),
         ),
     ]
     return {job.name: job for job in made}
@@ -121,7 +129,14 @@ def _walks(work: Path) -> object:
 
 
 def _table(work: Path) -> object:
-    from jaxunshear.results.sweep import SweepResult
     from jaxunshear.sweep.summary import reproducible as same
 
-    return same(read(work / "small" / "sweep.json", SweepResult, "again"))
+    return same(_swept(work))
+
+
+def _killed_rows(work: Path) -> bool:
+    return any("killed by signal 9" in failure.reason for cell in _swept(work).cells for failure in cell.failures)
+
+
+def _swept(work: Path) -> SweepResult:
+    return read(work / "small" / "sweep.json", SweepResult, "again")

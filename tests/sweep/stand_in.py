@@ -1,6 +1,6 @@
 """A worker whose networks, data sets and evaluation are made up: `python stand_in.py FOLDER PARENT`, as sweep/work.py.
 
-And a whole sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray]`. A training takes ten steps of
+And a whole sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray|retry]`. A training takes ten steps of
 `STAND_IN_PAUSE` seconds with a checkpoint each, and writes a line for every step to <data>/steps.txt; learning rates of 1/2, 1/4 and
 1/8 let it fail, 1/16 finds the disk full where `STAND_IN_FULL` is set.
 """
@@ -143,7 +143,8 @@ def main():
         (out / "data").mkdir(parents=True, exist_ok=True)
         failing = replace(SWEEP, grid=SWEEP.grid[:1], rows=((("train.learning_rate", 0.5),),))
         more = {"engine": engines.ray_engine(None, 1)} if sys.argv[3:] == ["ray"] else {}
-        summary = run_sweep(failing, out, out / "data", "none", worker=WORKER, **more)
+        retry = sys.argv[3:] == ["retry"]
+        summary = run_sweep(failing, out, out / "data", "none", retry_failed=retry, worker=WORKER, **more)
         print(json.dumps(plain(summary)))
         return 0
     for name, functions in {"ablation": (ablate,), "leakage": (leakage, for_sweep)}.items():
