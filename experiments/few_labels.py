@@ -15,6 +15,7 @@ from dataclasses import replace
 
 from jaxunshear.fit import BASE
 from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
@@ -24,6 +25,7 @@ sweep = Sweep(
         BASE,
         name="few_labels",
         unshear=replace(BASE.unshear, input="pins"),
+        pins=PinNet(),  # dense layers alone: many rows
         train_pins=replace(PINS, epochs=40),
     ),
     grid=(

@@ -12,12 +12,14 @@ pins, 40 epochs).
 from dataclasses import replace
 
 from jaxunshear.fit import BASE
+from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="pairings",
     claim="Which partner a recorded slide should have.",
-    base=replace(BASE, name="pairings"),
+    base=replace(BASE, name="pairings", pins=PinNet(), train_pins=PINS),  # dense layers alone: many rows
     grid=(("paired.pairing", ("rendered", "nearest")),),
     seeds=(0, 1, 2),
 )

@@ -16,13 +16,18 @@ from dataclasses import replace
 
 from jaxunshear.fit import BASE
 from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.networks import PinNet
 from jaxunshear.settings.sweep import Sweep
 
 sweep = Sweep(
     name="parted_skin",
     claim="What parts the codes of simulated touches parts those of recorded ones.",
     base=replace(
-        BASE, name="parted_skin", unshear=replace(BASE.unshear, input="pins"), train_pins=replace(PINS, epochs=40)
+        BASE,
+        name="parted_skin",
+        unshear=replace(BASE.unshear, input="pins"),
+        pins=PinNet(),  # dense layers alone, as in parted.py
+        train_pins=replace(PINS, epochs=40),
     ),
     rows=(
         (),

@@ -11,8 +11,8 @@ from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.recorded import sensor_of, survey
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.experiment import Experiment
-from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.experiment import PINS, Experiment
+from jaxunshear.settings.networks import PinNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import Value
@@ -24,6 +24,7 @@ BASE = Experiment(
     paired=Recorded(),
     pose=RecordedTaps(),
     unshear=UnshearNet(widths=(16, 32, 64, 128, 256), pose_channels=256, shear_channels=256),
+    pins=PinNet(convolved=(24, 48, 96)),
     train=Training(
         epochs=6,
         batch=8,
@@ -43,6 +44,7 @@ BASE = Experiment(
         validate_every=250,
         validation_images=512,
     ),
+    train_pins=replace(PINS, pose_weight=5.0),
 )
 
 

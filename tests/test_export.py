@@ -29,6 +29,7 @@ from jaxunshear.export import stablehlo_of
 from jaxunshear.folders import RELEASED
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.model import pinnets, posenet, unshearnet
+from jaxunshear.model.pin_grid import grid_of
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
 from jaxunshear.settings.experiment import Experiment
@@ -69,7 +70,8 @@ def drawn(init):
 
 def drawn_of_pins(net, outputs=0):
     variables = drawn(lambda key: pinnets.init(net, REST, 1.5, key, outputs))
-    return variables | {"batch_stats": {"rest": REST, "spread": np.float32(1.5)}}
+    grid = {"grid": grid_of(REST)} if "grid" in variables["batch_stats"] else {}
+    return variables | {"batch_stats": {"rest": REST, "spread": np.float32(1.5)} | grid}
 
 
 def images(net=NET):
@@ -78,8 +80,8 @@ def images(net=NET):
     return Parts(unshears, reads, TARGETS, "unsheared", None, SIZE)
 
 
-def pins(turned=0.0):
-    net, reader = PinUnshear(**PINS), PinPoseNet(**PINS, turned=turned)
+def pins(turned=0.0, convolved=()):
+    net, reader = PinUnshear(**PINS, convolved=convolved), PinPoseNet(**PINS, turned=turned)
     reads = Part(reader, drawn_of_pins(reader, posenet.outputs_of(TARGETS)))
     return Parts(Part(net, drawn_of_pins(net)), reads, TARGETS, "unsheared", REST, SIZE)
 
@@ -92,6 +94,7 @@ CASES = {
     "reader of slides": lambda: images()._replace(way="learnt"),
     "pins": pins,
     "pins, turned": lambda: pins(0.5),
+    "pins, convolved": lambda: pins(convolved=(4, 6, 5)),
 }
 
 

@@ -6,7 +6,7 @@
 >>> pins = render(renderer, its_variables, outputs)                       # (B, K) in [0, 1] -> the pins of a tap there
 
 Ours, not the paper's, whose networks read images. A pin that is not seen is NaN, and counts as one that has not moved.
-`rest` and `spread` scale what goes in and what comes out; they are constants that the variables carry.
+`rest` and `spread` scale what goes in and what comes out; they are constants that the variables carry, and so is the grid of `pin_grid`.
 """
 
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 
 from jaxunshear.model.parts import Variables, check_sheared, holds
+from jaxunshear.model.pin_grid import GridTrunk, grid_of
 from jaxunshear.settings.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
 
 LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet is not to agree at any cost
@@ -50,26 +51,26 @@ class Dense(nn.Module):
 
 
 class Codes(nn.Module):
-    """E, DC and DS under their names in the paper, over motions (B, 2 P)."""
+    """E, DC and DS under their names in the paper, over motions (B, 2 P), where E convolves with the grid (P, G) behind them."""
 
     net: PinUnshear
     motions: int
 
     def setup(self) -> None:
-        net = self.net
-        self.E, self.pose, self.DC = Trunk(net), nn.Dense(net.pose_code), Dense(net, self.motions)
+        net, trunk = self.net, GridTrunk if self.net.convolved else Trunk
+        self.E, self.pose, self.DC = trunk(net), nn.Dense(net.pose_code), Dense(net, self.motions)
         if net.shear_code:
             self.shear, self.DS = nn.Dense(net.shear_code), Dense(net, self.motions)
-            self.ES = Trunk(net) if net.apart else None
+            self.ES = trunk(net) if net.apart else None
 
-    def pose_code(self, x: Array) -> Array:
-        return self.pose(self.E(x))
+    def pose_code(self, *seen: Array) -> Array:
+        return self.pose(self.E(*seen))
 
-    def encode(self, x: Array) -> tuple[Array, Array | None]:
-        z = self.E(x)
+    def encode(self, *seen: Array) -> tuple[Array, Array | None]:
+        z = self.E(*seen)
         if not self.net.shear_code:
             return self.pose(z), None
-        z_s = self.shear(z if self.ES is None else self.ES(x))
+        z_s = self.shear(z if self.ES is None else self.ES(*seen))
         return self.pose(z), jnp.tanh(z_s) if self.net.shear_noise else z_s
 
     def decode_canonical(self, z_p: Array) -> Array:
@@ -78,8 +79,8 @@ class Codes(nn.Module):
     def decode_sheared(self, z_p: Array, z_s: Array) -> Array:
         return self.DS(jnp.concatenate([z_p, z_s], -1))
 
-    def __call__(self, x: Array) -> tuple[Array, Array | None]:
-        z_p, z_s = self.encode(x)
+    def __call__(self, *seen: Array) -> tuple[Array, Array | None]:
+        z_p, z_s = self.encode(*seen)
         return self.DC(z_p), None if z_s is None else self.decode_sheared(z_p, z_s)
 
 
@@ -88,14 +89,17 @@ def init(net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, 
     pose targets together, for all but PinUnshear."""
     motions = int(np.size(rest))
     given = outputs if isinstance(net, PinRenderer) else motions + (2 if net.turned else 0)
-    params = _module(net, motions, outputs).init(key, jnp.zeros((1, given)))["params"]
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
-    return {"params": params, "batch_stats": constants}
+    seen = [jnp.zeros((1, given))]
+    if isinstance(net, PinUnshear) and net.convolved:
+        constants["grid"] = jnp.asarray(grid_of(rest))
+        seen.append(constants["grid"])
+    return {"params": _module(net, motions, outputs).init(key, *seen)["params"], "batch_stats": constants}
 
 
 def unshear(net: PinUnshear, variables: Variables, pins: Float[Array, "B P 2"]) -> Float[Array, "B P 2"]:
     """Sheared pins px -> canonical ones; needs neither the shear code nor DS, which released weights leave out."""
-    return decode_canonical(net, variables, _codes(net, variables, "pose_code", _motions(variables, pins)))
+    return decode_canonical(net, variables, _codes(net, variables, "pose_code", *_seen(net, variables, pins)))
 
 
 def encode(
@@ -103,8 +107,8 @@ def encode(
 ) -> tuple[Float[Array, "B {net.pose_code}"], Float[Array, "B {net.shear_code}"] | None]:
     """Pins px -> (z_p, z_s, or None as in released weights)."""
     if net.shear_code and not holds(variables, "shear"):
-        return _codes(net, variables, "pose_code", _motions(variables, pins)), None
-    return _codes(net, variables, "encode", _motions(variables, pins))
+        return _codes(net, variables, "pose_code", *_seen(net, variables, pins)), None
+    return _codes(net, variables, "encode", *_seen(net, variables, pins))
 
 
 def decode_canonical(net: PinUnshear, variables: Variables, z_p: Float[Array, "B F"]) -> Float[Array, "B P 2"]:
@@ -210,6 +214,12 @@ def _dense(net: PinNet, variables: Variables, x: Array) -> Array:
 def _codes(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -> Any:
     module = Codes(net, variables["batch_stats"]["rest"].size)
     return module.apply({"params": variables["params"]}, *inputs, method=method)
+
+
+def _seen(net: PinUnshear, variables: Variables, pins: Array) -> tuple[Array, ...]:
+    """What E is given."""
+    motions = _motions(variables, pins)
+    return (motions, variables["batch_stats"]["grid"]) if net.convolved else (motions,)
 
 
 def _motions(variables: Variables, pins: Array) -> Array:

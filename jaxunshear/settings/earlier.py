@@ -14,6 +14,7 @@ LATER: Json = {
     "other_tilts_deg": (),
     "apart": False,
     "shear_noise": 0.0,
+    "convolved": (),
     "swap_weight": 0.0,
     "agreement_weight": 0.0,
     "paired_share": 1.0,

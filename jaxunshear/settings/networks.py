@@ -70,6 +70,9 @@ class PinNet:
 
     hidden: int = 256  # units a dense layer
     layers: int = 3  # dense layers
+    convolved: tuple[
+        int, ...
+    ] = ()  # channels of E's convolutions over a grid across the pins, before one dense layer; (): dense alone
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
     # share of the examples that are turned about the sensor's axis: of recorded ones posenet_sheared's; of simulated ones all networks',
     # and these are dragged further or less, and seen by another camera, too
@@ -83,12 +86,14 @@ class PinNet:
         yield 0 <= self.shear_noise < 1, "shear_noise", "use a number from 0 to below 1: z_s lies in (-1, 1)"
         for field in ("hidden", "layers", "pose_code"):
             yield getattr(self, field) >= 1, field, "must be at least 1"
+        yield all(channels >= 1 for channels in self.convolved), "convolved", "list positive numbers, or none"
+        yield len(self.convolved) <= 4, "convolved", "list at most four: each after the first halves the grid's side"
         yield self.shear_code >= 0, "shear_code", "must not be below zero; 0 builds no shear code"
         yield self.noise_px >= 0, "noise_px", "must not be below zero"
         yield 0 <= self.turned <= 1, "turned", "use a share from 0 to 1"
 
 
-PIN_CODES = ("pose_code", "shear_code", "apart", "shear_noise")  # what PinUnshear alone reads
+PIN_CODES = ("convolved", "pose_code", "shear_code", "apart", "shear_noise")  # what PinUnshear alone reads
 
 
 def without_pin_codes(net: PinNet) -> PinNet:

@@ -22,9 +22,9 @@ def moved(seed=1, count=3):
     return jnp.asarray(REST + np.random.default_rng(seed).normal(0, 1.5, (count, *REST.shape)), jnp.float32)
 
 
-@pytest.mark.parametrize("jit", [False, True])
-def test_shapes_and_batches(jit):
-    net, variables = made(PinUnshear)
+@pytest.mark.parametrize(("jit", "changes"), [(False, {}), (True, {}), (True, {"convolved": (4, 6), "apart": True})])
+def test_shapes_and_batches(jit, changes):
+    net, variables = made(PinUnshear, **changes)
     unshear = jax.jit(pinnets.unshear, static_argnums=0) if jit else pinnets.unshear
     pins = moved()
     z_p, z_s = pinnets.encode(net, variables, pins)
@@ -78,6 +78,14 @@ def test_a_pin_that_is_not_seen_counts_as_one_that_has_not_moved():
     assert outputs.shape == (3, 4) and np.isfinite(outputs).all()
     np.testing.assert_array_equal(outputs, pinnets.predict(net, variables, still))
     assert np.isfinite(pinnets.unshear(*made(PinUnshear), jnp.full_like(pins, jnp.nan))).all()
+
+
+def test_an_encoder_that_convolves_has_no_dense_trunk_and_sees_every_pin():
+    net, variables = made(PinUnshear, convolved=(4, 6))
+    assert set(variables["params"]["E"]) == {"Conv_0", "Conv_1", "Dense_0", *(f"LayerNorm_{i}" for i in range(3))}
+    assert set(variables["params"]["DC"]) == {"Trunk_0", "Dense_0"}
+    slopes = jax.jit(jax.grad(lambda pins: jnp.sum(pinnets.encode(net, variables, pins)[0])))(moved())
+    assert jnp.all(jnp.any(slopes != 0, axis=-1))
 
 
 def test_distance_is_in_units_of_the_spread_and_skips_what_is_not_seen():

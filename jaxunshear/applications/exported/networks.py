@@ -3,6 +3,8 @@
 Batch normalisation of a trained network is a scale and a shift, which go into the convolution before it.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -21,7 +23,11 @@ def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Variables, se
     """Sheared images or pins -> canonical ones."""
     params = variables["params"]
     if isinstance(net, PinUnshear):
-        z_p = _dense(graph, params["pose"], _trunk(graph, net, params["E"], _motions(graph, variables, seen)))
+        motions = _motions(graph, variables, seen)
+        encoder = (
+            _grid_trunk(graph, net, variables, motions) if net.convolved else _trunk(graph, net, params["E"], motions)
+        )
+        z_p = _dense(graph, params["pose"], encoder)
         return _places(graph, variables, _trunk_dense(graph, net, params["DC"], z_p))
     x, layers = seen, _Layers(graph, variables)
     for name in ("First_0", *(f"Down_{i}" for i in range(len(net.widths) - 1))):
@@ -120,11 +126,39 @@ def _dense(graph: Graph, params: Variables, x: str) -> str:
 
 def _trunk(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
     for i in range(net.layers):
-        norm = params[f"LayerNorm_{i}"]
-        scale, bias = _single(norm["scale"]), _single(norm["bias"])
-        x = _dense(graph, params[f"Dense_{i}"], x)
-        x = _gelu(graph, graph.add("LayerNormalization", x, scale, bias, axis=-1, epsilon=LAYER_NORM_EPSILON))
+        x = _normalised(graph, params[f"LayerNorm_{i}"], _dense(graph, params[f"Dense_{i}"], x))
     return x
+
+
+def _grid_trunk(graph: Graph, net: PinUnshear, variables: Variables, motions: str) -> str:
+    """`pin_grid.GridTrunk`, channels first but where they are normalised."""
+    params, grid = variables["params"]["E"], _single(variables["batch_stats"]["grid"])
+    side = math.isqrt(grid.shape[1])
+    by_axis = graph.add("Transpose", graph.add("Reshape", motions, np.array([-1, len(grid), 2])), perm=(0, 2, 1))
+    laid = graph.add("Reshape", graph.add("MatMul", by_axis, grid), np.array([-1, 2, side, side]))
+    inside = _single(np.any(grid != 0, axis=0)).reshape(1, 1, side, side)
+    alike = graph.add("Mul", graph.add("Slice", laid, np.array([0]), np.array([1]), np.array([1])), np.float32(0))
+    x = graph.add("Concat", laid, graph.add("Add", alike, inside), axis=1)
+    for i in range(len(net.convolved)):
+        stride = 2 if i else 1
+        after = -(-side // stride)
+        short = max((after - 1) * stride + 3 - side, 0)
+        pads, side = (short // 2, short // 2, short - short // 2, short - short // 2), after
+        kernel, bias = (
+            _single(params[f"Conv_{i}"]["kernel"]).transpose(3, 2, 0, 1),
+            _single(params[f"Conv_{i}"]["bias"]),
+        )
+        x = graph.add("Conv", x, kernel, bias, strides=(stride, stride), pads=pads)
+        last = graph.add("Transpose", x, perm=(0, 2, 3, 1))
+        x = graph.add("Transpose", _normalised(graph, params[f"LayerNorm_{i}"], last), perm=(0, 3, 1, 2))
+    flat = graph.add("Flatten", graph.add("Transpose", x, perm=(0, 2, 3, 1)))
+    return _normalised(graph, params[f"LayerNorm_{len(net.convolved)}"], _dense(graph, params["Dense_0"], flat))
+
+
+def _normalised(graph: Graph, norm: Variables, x: str) -> str:
+    """Over the last axis, and GELU."""
+    scale, bias = _single(norm["scale"]), _single(norm["bias"])
+    return _gelu(graph, graph.add("LayerNormalization", x, scale, bias, axis=-1, epsilon=LAYER_NORM_EPSILON))
 
 
 def _gelu(graph: Graph, x: str) -> str:

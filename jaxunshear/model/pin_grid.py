@@ -1,0 +1,53 @@
+"""Motions of pins laid on a square grid, for convolutions: neighbouring pins move alike, which dense layers have to learn.
+
+>>> grid = grid_of(rest)                      # (P, G): what each pin counts at each place; 0 outside the pins
+>>> GridTrunk(net).apply(variables, motions, grid)
+"""
+
+import math
+
+import flax.linen as nn
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+from jaxtyping import Float
+from scipy.interpolate import RBFInterpolator
+from scipy.spatial import cKDTree
+
+from jaxunshear.settings.networks import PinNet
+
+AROUND = 30  # pins that the motion at a place is interpolated from
+INSIDE = 1.2  # pin spacings from the nearest pin: a place is still among them
+
+
+def grid_of(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
+    """Of pins that stand untouched at `rest` px: G places in rows, as far apart as pins, each interpolated by linear splines."""
+    pins = np.asarray(rest, np.float64)
+    low, high = pins.min(axis=0), pins.max(axis=0)
+    tree = cKDTree(pins)
+    spacing = float(np.median(tree.query(pins, k=2)[0][:, 1]))
+    side = max(2, round(float(np.max(high - low)) / spacing))
+    columns, rows = np.meshgrid(*np.linspace(low, high, side).T)
+    places = np.stack([columns.ravel(), rows.ravel()], axis=-1)
+    spline = RBFInterpolator(pins, np.eye(len(pins)), neighbors=min(AROUND, len(pins)), kernel="linear")
+    inside = tree.query(places)[0] < INSIDE * spacing
+    return np.where(inside[:, None], spline(places), 0).T.astype(np.float32)
+
+
+class GridTrunk(nn.Module):
+    """Convolutions over the grid, the second and later ones to half the side, each normalised over its channels; then a dense layer."""
+
+    net: PinNet
+
+    @nn.compact
+    def __call__(self, motions: Array, grid: Array) -> Array:
+        count, side, he = len(motions), math.isqrt(grid.shape[1]), nn.initializers.he_normal()
+        laid = jnp.einsum("bpi,pg->bgi", motions.reshape(count, -1, 2), grid)
+        inside = jnp.any(grid != 0, axis=0).astype(laid.dtype)
+        inside = jnp.broadcast_to(inside[None, :, None], (count, len(inside), 1))
+        x = jnp.concatenate([laid, inside], -1).reshape(count, side, side, 3)
+        for number, channels in enumerate(self.net.convolved):
+            stride = 2 if number else 1
+            x = nn.gelu(nn.LayerNorm()(nn.Conv(channels, (3, 3), stride, kernel_init=he)(x)))
+        return nn.gelu(nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=he)(x.reshape(count, -1))))
