@@ -20,6 +20,8 @@ SHORT = (
     "16",
     "--train_pins.validate_every",
     "40",
+    "--pins.convolved",
+    "4,6",
 )
 
 
