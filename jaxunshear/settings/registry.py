@@ -18,7 +18,7 @@ TEACHER: Final = (
 )
 RENDERER: Final = "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
 
-CONSTANTS = ("rest", "spread")  # variables of networks over pins that are not trained
+CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained
 
 
 @dataclass(frozen=True)
