@@ -16,7 +16,7 @@ import numpy as np
 from jaxunshear.errors import UserError
 
 StimulusName = Literal["disk", "clover", "teardrop", "flower", "leaf", "spiral_1", "spiral_2", "edge", "surface"]
-# Of a pose, what shapes show that look the same in many places; all others show all of it.
+# Of a pose, what shapes show that are alike in many places; all others show all of it.
 SHOWN = {
     "edge": ("x_mm", "yaw_deg", "depth_mm", "edge_mm", "edge_deg", "tilt_x_deg", "tilt_y_deg"),
     "surface": ("depth_mm", "tilt_x_deg", "tilt_y_deg"),
