@@ -70,9 +70,8 @@ class PinNet:
 
     hidden: int = 256  # units a dense layer
     layers: int = 3  # dense layers
-    convolved: tuple[
-        int, ...
-    ] = ()  # channels of E's convolutions over a grid across the pins, before one dense layer; (): dense alone
+    # channels of E's convolutions over a grid across the pins, then one dense layer; (): dense layers alone
+    convolved: tuple[int, ...] = ()
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
     # share of the examples that are turned about the sensor's axis: of recorded ones posenet_sheared's; of simulated ones all networks',
     # and these are dragged further or less, and seen by another camera, too

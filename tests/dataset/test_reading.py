@@ -155,7 +155,7 @@ def test_reading_keeps_up_with_training(made, monkeypatch):
     """After the first batch nothing is read or decoded: a step takes rows that are in memory."""
     steps = made.train_batches(16, 0, 0.015)(0)
     next(steps)
-    for name in ("_read_rows", "_check_shards", "Image", "read_json"):
+    for name in ("_read_rows", "_check_shards", "Image", "read_object"):
         monkeypatch.setattr(reading, name, None)
     assert len(take(steps, 20)) == 20
 
