@@ -61,6 +61,18 @@ def sizing() -> str:
     return "\n".join(lines)
 
 
+def waiting() -> str:
+    """Steps of training whose examples are there, and whose examples are read and drawn as they go."""
+    lines = [
+        "| networks over | batch | ms a step, examples there | read and drawn | ratio, median (95 % of turns) |",
+        "|---|---|---|---|---|",
+    ]
+    for row in json.loads((RESULTS / "bench_input.json").read_text())["rows"]:
+        times = (f"{row['ms_there']:.1f}", f"{row['ms_drawn']:.1f}", f"{row['ratio']:.2f} ({row['ratio_p95']:.2f})")
+        lines.append(_line(row["name"], [str(row["batch"]), *times]))
+    return "\n".join(lines)
+
+
 def real_skin() -> str:
     """Errors over pins and over images, each with its 95 % interval over seeds and contacts."""
     inputs = [_cells(name)[0].metrics for name in ("recorded_pins", "recorded_images")]
@@ -667,6 +679,7 @@ TABLES = {
     ),
     "docs/cluster.md": (sizing,),
     "docs/robot.md": (exported_speed,),
+    "docs/speed.md": (waiting,),
     "docs/faults.md": (faults,),
     "docs/limits.md": (few_pairs, twisted, tilted),
 }
