@@ -95,7 +95,7 @@ class Reader:
 
         def at_once(step: int) -> Batch:
             here = order(step)
-            taps = siblings.drawn(here, np.random.default_rng((seed, step)))
+            taps = siblings.drawn(here, np.random.default_rng((seed, step, 1)))  # others draw by (seed, step)
             return self._images({name: rows[name][taps if name in OF_TAP else here] for name in wanted})
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:

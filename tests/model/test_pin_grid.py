@@ -1,4 +1,4 @@
-"""Motions of pins on a grid: what is linear over the pins is exact there, and nothing stands outside them."""
+"""Motions of pins on a grid: a shift is exact there, a smooth field nearly, and nothing stands outside the pins."""
 
 import numpy as np
 import pytest
