@@ -11,7 +11,7 @@ from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.recorded import sensor_of, survey
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.experiment import PINS, Experiment
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
 from jaxunshear.settings.training import Training
@@ -44,7 +44,6 @@ BASE = Experiment(
         validate_every=250,
         validation_images=512,
     ),
-    train_pins=replace(PINS, pose_weight=5.0),
 )
 
 

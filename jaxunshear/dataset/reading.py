@@ -84,22 +84,25 @@ class Reader:
         siblings = siblings_of(rows["stimulus"], rows["pose_id"])
         wanted = fields or tuple(rows)
 
-        def draw(row: int, generator: np.random.Generator) -> Batch:
+        def draw(row: int, generator: np.random.Generator) -> np.ndarray:
             offset = np.rint(generator.uniform(-most, most, 2)).astype(int)
-            tap = generator.choice(siblings.of(row))
-            example = self._images({name: rows[name][tap if name in OF_TAP else row] for name in wanted})
-            return shifted(example, *offset.tolist()) if offset.any() else example
+            return np.array([row, generator.choice(siblings.of(row)), *offset])
 
         drawn = grain.MapDataset.range(self.length("train")).seed(seed).shuffle().repeat().random_map(draw).batch(batch)
         order = _shuffled(self.length("train"), batch, seed)
 
-        def at_once(step: int) -> Batch:
+        def at_once(step: int) -> np.ndarray:
             here = order(step)
             taps = siblings.drawn(here, np.random.default_rng((seed, step, 1)))  # others draw by (seed, step)
-            return self._images({name: rows[name][taps if name in OF_TAP else here] for name in wanted})
+            return np.stack([here, taps, *np.zeros((2, batch), int)], axis=-1)
+
+        def at(step: int) -> Batch:
+            here, taps, *offsets = (drawn[step] if shift else at_once(step)).T
+            examples = self._images({name: rows[name][taps if name in OF_TAP else here] for name in wanted})
+            return shifted(examples, np.stack(offsets, axis=-1)) if shift else examples
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
-            return (drawn[step] if shift else at_once(step) for step in itertools.count(start_step))
+            return map(at, itertools.count(start_step))
 
         return from_step
 
@@ -141,16 +144,17 @@ class SetReader(Reader):
             ) from error
 
 
-def shifted(example: Batch, columns: int, rows: int) -> Batch:
-    """Moves images (S, S, 1) by integer pixels, black flowing in, and pins with them."""
-    moved = dict(example)
-    for name in example.keys() & set(IMAGES):
-        size = len(example[name])
-        moved[name] = np.zeros_like(example[name])
-        down, right = _overlap(rows, size), _overlap(columns, size)
-        moved[name][down[0], right[0]] = example[name][down[1], right[1]]
-    for name in example.keys() & set(PINS):
-        moved[name] = example[name] + np.array([columns, rows], np.float32)
+def shifted(examples: Batch, offsets: np.ndarray) -> Batch:
+    """Moves images (B, S, S, 1) by `offsets` (B, 2), whole pixels (col, row), black flowing in, and pins with them."""
+    moved = dict(examples)
+    for name in examples.keys() & set(IMAGES):
+        size = examples[name].shape[1]
+        moved[name] = np.zeros_like(examples[name])
+        for to, image, (columns, rows) in zip(moved[name], examples[name], offsets.tolist(), strict=True):
+            down, right = _overlap(rows, size), _overlap(columns, size)
+            to[down[0], right[0]] = image[down[1], right[1]]
+    for name in examples.keys() & set(PINS):
+        moved[name] = examples[name] + offsets[:, None].astype(np.float32)
     return moved
 
 

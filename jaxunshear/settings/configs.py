@@ -46,7 +46,6 @@ PAIRED = {
     "demo": PairedData(camera=FLUSH_CAMERA),
     "calibrated": PairedData(config="calibrated", **FITTED),
     "standard": PairedData(config="standard", poses=1200, **FITTED),
-    "best": PairedData(config="best", poses=9000, **FITTED),
     "skin": PairedData(config="skin", poses=750, **SKIN),
     "parted": PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
     "twisted": PairedData(
@@ -80,7 +79,6 @@ POSE = {
     "demo": PoseData(camera=FLUSH_CAMERA),
     "calibrated": PoseData(config="calibrated", **FITTED),
     "standard": PoseData(config="standard", poses=3000, **FITTED),
-    "best": PoseData(config="best", poses=18000, **FITTED),
     "skin": PoseData(config="skin", poses=1000, **SKIN),
     "parted": PoseData(config="parted", poses=1600, **FITTED),
     "tilted": PoseData(config="tilted", poses=1200, ranges=TILTED, **FITTED),

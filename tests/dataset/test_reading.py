@@ -120,12 +120,13 @@ def test_shifts_are_the_same_for_both_images_and_their_pins(made, paired, engine
 
 
 def test_a_shift_to_the_right_and_down_moves_a_pin_to_higher_columns_and_rows():
-    image = np.zeros((8, 8, 1), np.uint8)
-    image[2, 3] = 255
-    moved = shifted({"image": image, "pins": np.array([[3.0, 2.0]], np.float32), "pose": 7}, columns=2, rows=1)
-    assert np.argwhere(moved["image"][..., 0]).tolist() == [[3, 5]]
-    assert moved["pins"].tolist() == [[5, 3]]
-    assert moved["pose"] == 7
+    images = np.zeros((2, 8, 8, 1), np.uint8)
+    images[:, 2, 3] = 255
+    pins = np.full((2, 1, 2), (3.0, 2.0), np.float32)
+    moved = shifted({"image": images, "pins": pins, "pose": np.array([7, 8])}, np.array([[2, 1], [0, -2]]))
+    assert np.argwhere(moved["image"][..., 0]).tolist() == [[0, 3, 5], [1, 0, 3]]
+    assert moved["pins"].tolist() == [[[5, 3]], [[3, 0]]]
+    assert moved["pose"].tolist() == [7, 8]
 
 
 def test_only_the_named_fields_are_read(made):
