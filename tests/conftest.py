@@ -43,7 +43,17 @@ def pytest_unconfigure() -> None:
         shutil.rmtree(os.environ[COMPILED], ignore_errors=True)
 
 
-STRICT = {"metrics", "model", "test_losses.py", "test_turning.py", "test_drawing.py", "test_dots.py", "test_camera.py"}
+STRICT = {
+    "scene",
+    "contact",
+    "metrics",
+    "model",
+    "test_losses.py",
+    "test_turning.py",
+    "test_drawing.py",
+    "test_dots.py",
+    "test_camera.py",
+}
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -17,7 +17,7 @@ def level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
     rows = [jnp.stack(row, -1) for row in ((zero, zero, y), (zero, zero, -x), (-y, x, zero))]
     cross = jnp.stack(rows, 1)
     return (
-        jnp.eye(3, dtype=pose.dtype)
+        jnp.eye(3, dtype=pose.dtype)[None]
         + jnp.sin(angle) / angle * cross
         + product((1 - jnp.cos(angle)) / angle**2 * cross, cross)
     )

@@ -128,7 +128,7 @@ def solve_increment(
         z, _, x, before = state
         apart = _times(system.w, x - z, frame)
         change = RHO * (OVER_RELAXATION / share) * (z - before)  # of a short step as of a long one
-        touching = jnp.sum(z[..., -1] > 0, axis=-1)
+        touching = jnp.sum(z[..., -1] > 0, axis=-1, dtype=z.dtype)
         return jnp.sqrt(jnp.sum(apart**2 + change**2, axis=(1, 2)) / jnp.maximum(touching, 1))
 
     def aim(count: Array) -> Array:
@@ -146,7 +146,7 @@ def solve_increment(
             done = hard & (before <= aim(count))  # and would leave the solution again, while others are waited for
             after = jax.tree.map(lambda old, new: jnp.where(done[:, None, None], old, new), inner, after)
             now = jnp.where(done, before, now)
-        return after, now, spent + BETWEEN_CHECKS * (before > aim(count)), count + BETWEEN_CHECKS
+        return after, now, spent + jnp.where(before > aim(count), BETWEEN_CHECKS, 0), count + BETWEEN_CHECKS
 
     # what holds already, as where nothing touches, needs no iteration
     force, dual, moved = start
@@ -163,7 +163,9 @@ def _levelled(system: System, frame: Array | None, points: Array) -> Array:
     """Points (B, N, 3) of the sensor frame in the level frame, whose lowest point of the dome lies at z = 0."""
     if frame is None:
         return points
-    centre = jnp.stack([jnp.zeros_like(system.centre_mm), jnp.zeros_like(system.centre_mm), system.centre_mm])
+    centre = jnp.stack([jnp.zeros_like(system.centre_mm), jnp.zeros_like(system.centre_mm), system.centre_mm])[
+        None, None
+    ]
     return rotate(frame, points - centre) + centre
 
 
@@ -187,9 +189,9 @@ def increment_offset(
     def in_target_frame(displaced: Array) -> Array:
         return turn(pose[:, YAW], _levelled(system, frame, displaced)[..., :2]) + pose[:, None, :2]
 
-    place = system.nodes + skin.displacement
+    place = system.nodes[None] + skin.displacement
     rest_height = _levelled(system, frame, jnp.broadcast_to(system.nodes, place.shape))[..., 2]
-    found = place if displacement is None else system.nodes + displacement
+    found = place if displacement is None else system.nodes[None] + displacement
     fall = drop(obstacles, which, in_target_frame(found))
     height = jnp.minimum(rest_height - pose[:, DEPTH, None] + fall, FAR_MM)
     if skin.force.shape[-1] == 1:

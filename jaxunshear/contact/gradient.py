@@ -197,14 +197,14 @@ def pins(
     Differentiable by all three; for points not far from the model's own, whose nodes and increments it keeps.
     """
     turns = jnp.zeros(6, bool).at[jnp.array([YAW, TILT_X, TILT_X + 1])].set(True)
-    path = jnp.einsum("btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0))
+    path = jnp.einsum("btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0)[None, None])
     w, g, scale = compliance(model, model.log_ratio if log_ratio is None else log_ratio)
     inverse = jnp.linalg.inv(jax.lax.stop_gradient(w) + RHO * jnp.eye(len(w), dtype=w.dtype))
     system = System(w, inverse, w, model.nodes, model.centre_mm)
     force = model.force_n * scale
     skin = Skin(force, jnp.zeros_like(force), (force.reshape(len(force), -1) @ w).reshape(force.shape), path[0])
     state = pin_state(system, g.T, model.obstacles, model.which, friction, path, skin, model.most)
-    return Pins(model.tips + state.motion, state.margin_mm, state.residual_mm)
+    return Pins(model.tips[None] + state.motion, state.margin_mm, state.residual_mm)
 
 
 def pin_gradient(

@@ -84,7 +84,8 @@ def slopes(
     along = tangential / jnp.where(pull > 0, pull, 1)[..., None]
     share = jnp.where(slips, limit / jnp.where(pull > 0, pull, 1), 1)
     outer = along[..., :, None] * along[..., None, :]
-    disk = share[..., None, None] * (jnp.eye(2, dtype=moved.dtype) - jnp.where(slips, 1, 0)[..., None, None] * outer)
+    unit = jnp.eye(2, dtype=moved.dtype)[None, None]
+    disk = share[..., None, None] * (unit - jnp.where(slips[..., None, None], outer, 0))
     zero, one = jnp.zeros_like(normal), jnp.ones_like(normal)
     by_normal = jnp.where(slips, mu, 0)[..., None] * along
     bottom = jnp.stack([zero, zero, one], -1)[..., None, :]
@@ -162,7 +163,7 @@ def _dense(w: Array, slope: Array, right: Array) -> Array:
 def _dense_blocks(blocks: Array, slope: Array, right: Array) -> Array:
     """(I - D (I - W)) x = right for W as blocks (B or 1, M, 3, M, 3)."""
     count, nodes = right.shape[:2]
-    one = jnp.eye(3 * nodes, dtype=right.dtype).reshape(nodes, 3, nodes, 3)
+    one = jnp.eye(3 * nodes, dtype=right.dtype).reshape(1, nodes, 3, nodes, 3)
     matrix = one + jnp.einsum("bnij,bnjmk->bnimk", slope, blocks - one)
     factors = jax.scipy.linalg.lu_factor(matrix.reshape(count, 3 * nodes, 3 * nodes))
     return jax.vmap(jax.scipy.linalg.lu_solve)(factors, right.reshape(count, -1)).reshape(right.shape)
@@ -200,7 +201,9 @@ def _find(most: int, w: Array, frame: Array, offset: Array, friction: Array, gue
     def one_round(state: _Search) -> _Search:
         force, dual, error, number = state
         length = jnp.clip(guess.length_mm, LEAST_MM, MOST_MM)
-        wanted = jnp.where(error > goal, TOLERANCE * length * 10.0**-number, jnp.inf).astype(offset.dtype)
+        wanted = jnp.where(error > goal, TOLERANCE * length * 10.0 ** -number.astype(length.dtype), jnp.inf).astype(
+            offset.dtype
+        )
         warm = (force, dual, _times(w, force, frame))
         force, dual, _, _ = solve_increment(system, frame, offset, friction, warm, wanted, LIMIT)
         start = (force, _size(miss(force)), jnp.ones((), bool), jnp.zeros((), jnp.int32))

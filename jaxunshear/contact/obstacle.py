@@ -58,11 +58,12 @@ def distance_at(
     inside = jnp.clip(xy, -half, half)
     place = jnp.minimum((inside + half) / SPACING_MM, size - 1.001)
     cell = place.astype(jnp.int32)
-    share = place - cell
+    share = place - cell.astype(place.dtype)
     flat = obstacles.distance.reshape(-1)
     base = which[:, None] * size * size + cell[..., 1] * size + cell[..., 0]
-    lower = flat[base] * (1 - share[..., 0]) + flat[base + 1] * share[..., 0]
-    upper = flat[base + size] * (1 - share[..., 0]) + flat[base + size + 1] * share[..., 0]
+    corner = [flat[base + step].astype(xy.dtype) for step in (0, 1, size, size + 1)]
+    lower = corner[0] * (1 - share[..., 0]) + corner[1] * share[..., 0]
+    upper = corner[2] * (1 - share[..., 0]) + corner[3] * share[..., 0]
     return lower * (1 - share[..., 1]) + upper * share[..., 1] + jnp.max(jnp.abs(xy - inside), axis=-1)
 
 

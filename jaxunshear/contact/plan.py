@@ -83,11 +83,11 @@ def _in_target_frame(
     nodes: jax.Array, displacement: jax.Array, centre: jax.Array, pose: jax.Array, tilted: bool
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Places (B, N, 2) of displaced nodes in the target frame, and heights (B, N) of the undeformed ones over the lowest."""
-    place, height = nodes + displacement, jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
+    place, height = nodes[None] + displacement, jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
     if tilted:
         frame, lift = level_frame(pose), jnp.array([0, 0, 1.0], nodes.dtype) * centre
-        place = rotate(frame, place - lift) + lift
-        height = product(frame[:, 2], (nodes - lift).T) + centre
+        place = rotate(frame, place - lift[None, None]) + lift[None, None]
+        height = product(frame[:, 2], (nodes - lift[None]).T) + centre
     cos, sin = jnp.cos(pose[:, YAW])[:, None], jnp.sin(pose[:, YAW])[:, None]
     x, y = place[..., 0], place[..., 1]
     return jnp.stack([cos * x - sin * y, sin * x + cos * y], -1) + pose[:, None, :2], height, place[..., 2]

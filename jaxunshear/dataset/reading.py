@@ -145,7 +145,7 @@ class SetReader(Reader):
 
 
 def shifted(examples: Batch, offsets: np.ndarray) -> Batch:
-    """Moves images (B, S, S, 1) by `offsets` (B, 2), whole pixels (col, row), black flowing in, and pins with them."""
+    """Moves images (B, S, S, 1) by `offsets` (B, 2), integer pixels (col, row), black flowing in, and pins with them."""
     moved = dict(examples)
     for name in examples.keys() & set(IMAGES):
         size = examples[name].shape[1]

@@ -57,11 +57,12 @@ class Codes(nn.Module):
     motions: int
 
     def setup(self) -> None:
-        net, trunk = self.net, GridTrunk if self.net.convolved else Trunk
-        self.E, self.pose, self.DC = trunk(net), nn.Dense(net.pose_code), Dense(net, self.motions)
+        net = self.net
+        self.E = GridTrunk(net) if net.convolved else Trunk(net)
+        self.pose, self.DC = nn.Dense(net.pose_code), Dense(net, self.motions)
         if net.shear_code:
             self.shear, self.DS = nn.Dense(net.shear_code), Dense(net, self.motions)
-            self.ES = trunk(net) if net.apart else None
+            self.ES = Trunk(net) if net.apart else None
 
     def pose_code(self, *seen: Array) -> Array:
         return self.pose(self.E(*seen))
@@ -70,7 +71,7 @@ class Codes(nn.Module):
         z = self.E(*seen)
         if not self.net.shear_code:
             return self.pose(z), None
-        z_s = self.shear(z if self.ES is None else self.ES(*seen))
+        z_s = self.shear(z if self.ES is None else self.ES(seen[0]))
         return self.pose(z), jnp.tanh(z_s) if self.net.shear_noise else z_s
 
     def decode_canonical(self, z_p: Array) -> Array:
@@ -145,24 +146,24 @@ def reconstruct(
     the pins after another slide; `same_slide`: of another pose after that other slide."""
     partners = [each for each in (same_slide, same_pose) if each is not None]
     seen = jnp.concatenate([pins, *partners])
-    z_p, own_s = encode(net, variables, seen if key is None else spoilt(net, seen, key))
-    count = len(pins)
-    first, second, last = slice(0, count), slice(count, 2 * count), slice(-count, None)
-    canonical = decode_canonical(net, variables, z_p[first])
-    if own_s is None:
+    seen = seen if key is None else spoilt(net, seen, key)
+    # one by one: where trunks are apart, the partner in the slide passes E by
+    z_p, own_s = zip(*(encode(net, variables, each) for each in jnp.split(seen, 1 + len(partners))), strict=True)
+    canonical = decode_canonical(net, variables, z_p[0])
+    if own_s[0] is None:
         return Decoded(canonical, None, None, None)
-    z_s = own_s
+    z_s = jnp.stack(own_s)
     if key is not None and net.shear_noise:
         z_s += net.shear_noise * jax.random.normal(jax.random.fold_in(key, 1), z_s.shape)
-    held = jax.lax.stop_gradient(z_p[first]) if net.apart else z_p[first]
-    sheared = decode_sheared(net, variables, held, z_s[first])
+    held = jax.lax.stop_gradient(z_p[0]) if net.apart else z_p[0]
+    sheared = decode_sheared(net, variables, held, z_s[0])
     if same_pose is None:
         return Decoded(canonical, sheared, None, None)
-    apart = disagreement(z_p[first], z_p[last])
+    apart = disagreement(z_p[0], z_p[-1])
     if same_slide is None:
         return Decoded(canonical, sheared, None, apart)
-    exchanged = decode_sheared(net, variables, held, z_s[second])
-    return Decoded(canonical, sheared, exchanged, apart + disagreement(own_s[second], own_s[last]))
+    exchanged = decode_sheared(net, variables, held, z_s[1])
+    return Decoded(canonical, sheared, exchanged, apart + disagreement(own_s[1], own_s[-1]))
 
 
 def disagreement(one: Float[Array, "B F"], other: Float[Array, "B F"]) -> Float[Array, "B"]:

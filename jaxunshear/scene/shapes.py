@@ -33,6 +33,11 @@ def _length(v: jax.Array) -> jax.Array:
     return jnp.where(squared > 0, jnp.sqrt(jnp.where(squared > 0, squared, 1)), 0)
 
 
+def _beside(table: np.ndarray, p: jax.Array) -> jax.Array:
+    """A table (V, ...) with the leading axes of points (..., 2), so that each of it stands beside each point."""
+    return jnp.asarray(table, p.dtype).reshape((1,) * (p.ndim - 1) + table.shape)
+
+
 def edge() -> Distance:
     """A half plane, its straight edge along y."""
     return lambda p: p[..., 0]
@@ -62,9 +67,9 @@ def clover(radius: float, offset: float, fillet: float) -> Distance:
 
     def distance(p: jax.Array) -> jax.Array:
         x, y = jnp.abs(p[..., 0]), jnp.abs(p[..., 1])
-        eighth = jnp.stack([jnp.maximum(x, y), jnp.minimum(x, y)], axis=-1)
-        from_lobe = eighth - jnp.asarray([offset, 0.0], p.dtype)
-        from_fillet = eighth - jnp.asarray([middle, middle], p.dtype)
+        far, near = jnp.maximum(x, y), jnp.minimum(x, y)
+        from_lobe = jnp.stack([far - offset, near], axis=-1)
+        from_fillet = jnp.stack([far - middle, near - middle], axis=-1)
         at_fillet = (middle - offset) * from_lobe[..., 1] > middle * from_lobe[..., 0]
         return jnp.where(at_fillet, fillet - _length(from_fillet), _length(from_lobe) - radius)
 
@@ -141,9 +146,9 @@ def flower(mean: float, wave: float, petals: int) -> Distance:
         petal = 2 * half * jnp.round(jnp.arctan2(fixed[..., 1], fixed[..., 0]) / (2 * half))
         off_axis = jnp.arctan2(fixed[..., 1], fixed[..., 0]) - petal
         folded = _length(fixed)[..., None] * jnp.stack([jnp.cos(off_axis), jnp.abs(jnp.sin(off_axis))], axis=-1)
-        starts = jnp.asarray(np.linspace(0, half, STARTS), p.dtype)
-        apart = jnp.sum((folded[..., None, :] - _on_curve(radius, starts)[0]) ** 2, axis=-1)
-        start, gap = starts[jnp.argmin(apart, axis=-1)], half / (STARTS - 1)
+        starts = np.linspace(0, half, STARTS)
+        apart = jnp.sum((folded[..., None, :] - _on_curve(radius, _beside(starts, p))[0]) ** 2, axis=-1)
+        start, gap = jnp.asarray(starts, p.dtype)[jnp.argmin(apart, axis=-1)], half / (STARTS - 1)
         angle = _nearest_angle(radius, start, jnp.maximum(start - gap, 0), jnp.minimum(start + gap, half), folded)
         point, normal = _on_curve(radius, petal + jnp.where(off_axis < 0, -angle, angle))
         return jnp.sum((p - point) * normal, axis=-1)  # the outline's point stands still, to first order
@@ -160,7 +165,7 @@ def spiral(inner: float, pitch: float, turns: float, half_width: float) -> Dista
 
     def distance(p: jax.Array) -> jax.Array:
         fixed = jax.lax.stop_gradient(p)[..., None, :]
-        windings = jnp.asarray(2 * np.pi * np.arange(-1, np.ceil(turns) + 1), p.dtype)
+        windings = _beside(2 * np.pi * np.arange(-1, np.ceil(turns) + 1), p)
         start = jnp.clip(jnp.arctan2(fixed[..., 1], fixed[..., 0]) + windings, 0, last)
         angle = _nearest_angle(radius, start, jnp.maximum(start - 1, 0), jnp.minimum(start + 1, last), fixed)
         points = _on_curve(radius, angle)[0]
@@ -188,13 +193,13 @@ def spiral_target(inner: float, pitch: float, half_width: float, turns: float) -
 
 def _along(p: jax.Array, start: np.ndarray, end: np.ndarray) -> tuple[jax.Array, jax.Array, jax.Array]:
     """Of the segments (V, 2) to (V, 2) the one nearest to each point (...,): its index, where along it in [0, 1], and the point."""
-    begin, along = jnp.asarray(start, p.dtype), jnp.asarray(end - start, p.dtype)
-    offset = p[..., None, :] - begin
+    begin, side = jnp.asarray(start, p.dtype), jnp.asarray(end - start, p.dtype)
+    along, offset = _beside(end - start, p), p[..., None, :] - _beside(start, p)
     t = jnp.clip(jnp.sum(offset * along, -1) / jnp.sum(along * along, -1), 0, 1)
     index = jnp.argmin(jnp.sum((offset - t[..., None] * along) ** 2, -1), axis=-1)
     t = jnp.take_along_axis(t, index[..., None], axis=-1)[..., 0]
     # a corner to the bit, from whichever of its two segments it is seen
-    point = jnp.where((t < 1)[..., None], begin[index] + t[..., None] * along[index], jnp.asarray(end, p.dtype)[index])
+    point = jnp.where((t < 1)[..., None], begin[index] + t[..., None] * side[index], jnp.asarray(end, p.dtype)[index])
     return index, t, point
 
 
@@ -217,7 +222,7 @@ def polygon(corners: Num[np.ndarray, "V 2"]) -> Distance:
 
     def distance(p: jax.Array) -> jax.Array:
         index, t, point = _along(jax.lax.stop_gradient(p), corners, following)
-        inside_segment, at_end = (t > 0) & (t < 1), (index + (t >= 1)) % len(corners)
+        inside_segment, at_end = (t > 0) & (t < 1), (index + (t >= 1).astype(index.dtype)) % len(corners)
         normal = jnp.where(
             inside_segment[..., None], jnp.asarray(flat, p.dtype)[index], jnp.asarray(mean, p.dtype)[at_end]
         )

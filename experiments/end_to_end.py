@@ -1,0 +1,44 @@
+"""Claim: from images end to end, over pins, an encoder that convolves brings unsheared edges nearer to a tap's own.
+
+    jaxunshear sweep experiments/end_to_end.py
+
+The parted network of `parted.py`, four times its poses, for images of 256 px. It learns from the simulator's true pins, made as noisy as
+found ones are, and is also scored on pins that are found in images with noise and drift, each image by itself (test `found`).
+`posenet_sheared` learns poses of the same slides directly: it shows how much of the pose a slide still holds for such a network.
+
+Expected: docs/results/end_to_end.json; an hour on two cores, a quarter of it for 60,000 contacts.
+"""
+
+from dataclasses import replace
+
+import parted
+
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sweep import Sweep
+
+BASE = parted.sweep.base
+SEEN = {"camera": replace(BASE.paired.camera, frame_px=256), "preprocess": Preprocess(size=256)}
+ROWS = {
+    "E convolves": (),
+    "E is dense": (("pins.convolved", ()),),
+}
+
+sweep = Sweep(
+    name="end_to_end",
+    claim="From images end to end, an encoder that convolves brings unsheared edges nearer to a tap's own.",
+    base=replace(
+        BASE,
+        name="end_to_end",
+        networks=(*BASE.networks, "posenet_sheared"),
+        paired=replace(BASE.paired, poses=3200, **SEEN),
+        pose=replace(BASE.pose, poses=6400, **SEEN),
+        unshear=replace(BASE.unshear, size=256),
+        posenet=replace(BASE.posenet, size=256),
+        pins=replace(BASE.pins, convolved=(16, 32, 64), noise_px=0.14),  # by which pins found in these images are off
+        train_pins=replace(BASE.train_pins, epochs=25),
+    ),
+    rows=tuple(ROWS.values()),
+    labels=tuple(ROWS),
+    seeds=(0, 1, 2),
+    ablation=True,
+)
