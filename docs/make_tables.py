@@ -560,22 +560,48 @@ def parted_slide() -> str:
     return "\n".join(lines)
 
 
-def found_pins() -> str:
-    """What reading found pins costs, and what a tap's own found pins cost: means of the trainings, each with its least and most."""
-    runs = [{name: row["value"] for name, row in run.items()} for run in _runs("found_pins")]
-    lines = ["| pins read | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
-    kinds = {"tap": "tap", "sheared": "slide", "disentangled": "slide, unsheared"}
-    for prefix, source in (("", "true"), ("found.", "found")):
-        for kind, shown in kinds.items():
-            names = ((f"ms_ssim.{kind}.overall", 3), (f"pins.{kind}.rms_px", 2))
-            names += tuple(
-                (f"pose_mae.{kind}.{quantity}", digits) for quantity, digits in (("edge_mm", 2), ("edge_deg", 1))
-            )
-            cells = [
-                _of_values([run[f"{prefix}{name}"] for run in runs], digits) if f"{prefix}{name}" in runs[0] else ""
-                for name, digits in names
-            ]
-            lines.append(_line(f"{shown}, {source}", cells))
+def end_to_end() -> str:
+    """Edges read off taps, off unsheared slides, and off slides by a network that learnt them directly; over the tap's, by seed."""
+    kinds = {"tap": "tap", "disentangled": "unsheared", "sheared_learnt": "learnt directly"}
+    lines = [
+        "| poses, pins that are read | MS-SSIM, unsheared | read off | edge distance, mm | edge angle, deg | over the tap's: mm | deg |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for cell in _cells("end_to_end"):
+        for prefix, source in (("", "true"), ("found: ", "found")):
+            found = {
+                kind: [cell.metrics[f"{prefix}pose/{kind}/{name}"] for name, _ in QUANTITIES[2:]] for kind in kinds
+            }
+            for kind, shown in kinds.items():
+                first = kind == "tap"
+                title = f"{cell.label}, {source}" if first else ""
+                likeness = _cell(cell.metrics[f"{prefix}ms_ssim/disentangled"], 3) if kind == "disentangled" else ""
+                errors = [_cell(one, digits) for one, (_, digits) in zip(found[kind], QUANTITIES[2:], strict=True)]
+                pairs = [
+                    zip(a.per_seed.values(), b.per_seed.values(), strict=True)
+                    for a, b in zip(found[kind], found["tap"], strict=True)
+                ]
+                over = ["", ""] if first else [_of_values([one / tap for one, tap in pair], 2) for pair in pairs]
+                lines.append(_line(title, [likeness, shown, *errors, *over]))
+    return "\n".join(lines)
+
+
+def end_to_end_codes() -> str:
+    """What each code leaks, and what DS draws of exchanged codes over what it draws of a contact's own, by seed."""
+    lines = [
+        "| | pose from z_s (a leak) | slide from z_p (a leak) | DS, codes exchanged, px | of its own, px | exchanged over own |",
+        "|---|---|---|---|---|---|",
+    ]
+    for cell in _cells("end_to_end"):
+        leaks = [
+            list(cell.ablation[f"{name} (mlp)/r2"].per_seed.values()) for name in ("pose from z_s", "slide from z_p")
+        ]
+        drawn = [
+            list(cell.ablation[f"DS, codes {name}/rms_px"].per_seed.values())
+            for name in ("exchanged", "both of its own")
+        ]
+        over = [exchanged / own for exchanged, own in zip(*drawn, strict=True)]
+        lines.append(_line(cell.label, [_of_values(values, 2) for values in (*leaks, *drawn, over)]))
     return "\n".join(lines)
 
 
@@ -665,7 +691,16 @@ TABLES = {
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides, transfer),
     "docs/calibration.md": (refit,),
     "docs/applications.md": (geometry, servo, servo_pins, objects, perception),
-    "docs/codes.md": (parted, parted_pins, found_pins, parted_slide, joint, parted_skin, parted_skin_slide),
+    "docs/codes.md": (
+        parted,
+        parted_pins,
+        end_to_end,
+        end_to_end_codes,
+        parted_slide,
+        joint,
+        parted_skin,
+        parted_skin_slide,
+    ),
     "docs/experiments.md": (
         standard,
         recoveries,

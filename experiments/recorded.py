@@ -7,7 +7,7 @@ DIR holds taps and slides with their labels, in one of the layouts of docs/your-
 alone train one that reads slides; both together are unsheared.
 
 Expected on two cores, of 5,000 taps and 5,000 slides of an edge (three seeds; docs/results/recorded_pins.json, recorded_images.json): over
-pins eight minutes, tap, unsheared and directly learnt y .12, .17 and .16 mm; over images 20 minutes, .19, .28 and .31 mm.
+pins eight minutes, tap, unsheared and directly learnt y .12, .16 and .16 mm; over images 20 minutes, .19, .28 and .31 mm.
 
 A surface instead of an edge is a matter of the targets:
 
