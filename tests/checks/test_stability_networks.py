@@ -179,29 +179,36 @@ def test_a_training_that_does_not_see_is_caught():
     assert not row.holds and row.outcome == "not finite"
 
 
-def test_a_loss_that_is_nan_is_caught(monkeypatch, compiled_anew):
-    monkeypatch.setattr(losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - 1))
-    row = judge.examine(steps_case("usual", SHALLOW))
-    assert not row.holds and row.outcome == "stopped, though it can be computed" and "supervised" in row.said
-    assert not judge.examine(named("network losses, images all black")).holds
+USUAL = steps_case("usual", SHALLOW)
 
 
-def test_the_slope_of_a_root_at_zero_is_caught(monkeypatch):
-    """Finite values with a gradient that is not."""
-    monkeypatch.setattr(losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3))))
-    row = judge.examine(named("network losses, equal images"))
-    assert not row.holds and row.outcome == "not finite" and "supervised.1" in row.said
+@pytest.mark.parametrize(
+    ("less", "case", "outcome", "said"),
+    [
+        (1, USUAL, "stopped, though it can be computed", "supervised"),
+        (1, named("network losses, images all black"), "not finite", "supervised"),
+        (0, named("network losses, equal images"), "not finite", "supervised.1"),  # the slope alone
+    ],
+    ids=["training", "black", "equal"],
+)
+def test_a_root_of_what_is_not_positive_is_caught(monkeypatch, compiled_anew, less, case, outcome, said):
+    monkeypatch.setattr(losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - less))
+    row = judge.examine(case)
+    assert not row.holds and row.outcome == outcome and said in row.said
 
 
-def test_a_power_of_what_is_negative_is_caught(monkeypatch, compiled_anew):
-    monkeypatch.setattr(metrics, "_power", lambda x, weight: x**weight)
-    assert judge.examine(named("network ms_ssim, inverted")).outcome == "not finite"
-
-
-def test_a_score_that_hides_a_nan_is_caught(monkeypatch, compiled_anew):
-    monkeypatch.setattr(metrics, "_power", lambda x, weight: jnp.where(x > 0, jnp.where(x > 0, x, 1) ** weight, 0))
-    row = judge.examine(named("network ms_ssim, a NaN"))
-    assert not row.holds and row.outcome == "hides a NaN"
+@pytest.mark.parametrize(
+    ("power", "name", "outcome"),
+    [
+        (lambda x, weight: x**weight, "inverted", "not finite"),
+        (lambda x, weight: jnp.where(x > 0, jnp.where(x > 0, x, 1) ** weight, 0), "a NaN", "hides a NaN"),
+    ],
+    ids=["of what is negative", "that hides a NaN"],
+)
+def test_a_wrong_power_is_caught(monkeypatch, compiled_anew, power, name, outcome):
+    monkeypatch.setattr(metrics, "_power", power)
+    row = judge.examine(named(f"network ms_ssim, {name}"))
+    assert not row.holds and row.outcome == outcome
 
 
 @pytest.mark.parametrize("part", ["codes 0:", "that cannot be", "network losses", "network ssim", "network ms_ssim"])
