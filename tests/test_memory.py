@@ -21,7 +21,9 @@ def printed(first: str = "", **more: str) -> list[str]:
     """Lines of a process that asks for large pages after `first`."""
     variables = {name: value for name, value in os.environ.items() if name != "GLIBC_TUNABLES"} | more
     words = [sys.executable, "-X", "dev", "-c", PROBE.format(first=first), "stimuli"]
-    return subprocess.run(words, env=variables, check=True, capture_output=True, text=True).stdout.splitlines()
+    return subprocess.run(
+        words, env=variables, check=True, capture_output=True, text=True, timeout=60
+    ).stdout.splitlines()
 
 
 def test_the_same_command_runs_once_more():

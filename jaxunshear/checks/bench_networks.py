@@ -11,7 +11,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
@@ -41,19 +41,15 @@ TRAINED = ((256, 8), (128, 32))  # size in px, batch
 INFERRED = (256, 128)
 FROZEN: Json = {"freezing": True}  # PyTorch's weights as constants too
 ABSENT = "is not installed"  # which is no failure
+ROUNDS = (
+    7,
+    4.0,
+)  # of each side, and seconds of each: so long that threads which still spin for the other's work do not count
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
 
 
-class Rounds(NamedTuple):
-    """Turns of each side, and how long each takes at least: so long that threads which still spin for the other side's work do not
-    count."""
-
-    turns: int = 7
-    seconds: float = 4.0
-
-
-def bench_train(size: int | None = None, batch: int | None = None, rounds: Rounds = Rounds()) -> list[Json]:
+def bench_train(size: int | None = None, batch: int | None = None, rounds: tuple[int, float] = ROUNDS) -> list[Json]:
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
     plain = size is None and batch is None
     cases = list(TRAINED) if plain else [(128 if size is None else size, 32 if batch is None else batch)]
@@ -62,7 +58,7 @@ def bench_train(size: int | None = None, batch: int | None = None, rounds: Round
     )
 
 
-def bench_infer(size: int | None = None, batch: int | None = None, rounds: Rounds = Rounds()) -> list[Json]:
+def bench_infer(size: int | None = None, batch: int | None = None, rounds: tuple[int, float] = ROUNDS) -> list[Json]:
     """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
     cases = [(px, 1 if batch is None else batch) for px in (INFERRED if size is None else (size,))]
     return _measured(
@@ -70,7 +66,7 @@ def bench_infer(size: int | None = None, batch: int | None = None, rounds: Round
     )
 
 
-def bench_stream(size: int | None = None, rounds: Rounds = Rounds()) -> list[Json]:
+def bench_stream(size: int | None = None, rounds: tuple[int, float] = ROUNDS) -> list[Json]:
     """The same of what a robot runs for each frame: encoder, canonical decoder and PoseNet, one image at a time."""
     cases = [(px, 1) for px in (INFERRED if size is None else (size,))]
 
@@ -85,7 +81,7 @@ def _measured(
     cases: Sequence[tuple[int, int]],
     sides: Callable[[int, int], Sides],
     operations: Callable[[int], int],
-    rounds: Rounds,
+    rounds: tuple[int, float],
 ) -> list[Json]:
     """Rows of all cases; `operations` of the convolutions for one image, of the size in px."""
     keep_freed_memory()
@@ -241,7 +237,7 @@ def _place() -> str:
     return "cuda" if jax.default_backend() == "gpu" else "cpu"
 
 
-def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: Rounds) -> list[Json]:
+def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: tuple[int, float]) -> list[Json]:
     """One row a side."""
     ready: dict[str, Work] = {}
     rows: dict[str, Json] = {}
@@ -265,9 +261,9 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: Roun
             rows[name]["failed"] = f"{type(crash).__name__}: {first_line(crash)}"
     times: dict[str, list[float]] = {name: [] for name in ready}
     product, yard = matrix_product(), []
-    for _ in range(rounds.turns):
+    for _ in range(rounds[0]):
         for name, work in ready.items():
-            end = time.perf_counter() + rounds.seconds
+            end = time.perf_counter() + rounds[1]
             while True:
                 times[name].append(seconds(work))
                 if time.perf_counter() >= end:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from jaxunshear.checks import bench_networks
-from jaxunshear.checks.bench_networks import Rounds
 from jaxunshear.checks.multiplications import multiplications, pose_multiplications
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unshearnet
@@ -50,9 +49,9 @@ def test_posenet_s_multiplications_are_those_of_its_layers():
 @pytest.mark.parametrize(
     "bench",
     [
-        pytest.param(lambda: bench_networks.bench_train(32, 2, Rounds(1, 0.0)), marks=pytest.mark.long),
-        lambda: bench_networks.bench_infer(32, 2, Rounds(1, 0.0)),
-        lambda: bench_networks.bench_stream(32, Rounds(1, 0.0)),
+        pytest.param(lambda: bench_networks.bench_train(32, 2, (1, 0.0)), marks=pytest.mark.long),
+        lambda: bench_networks.bench_infer(32, 2, (1, 0.0)),
+        lambda: bench_networks.bench_stream(32, (1, 0.0)),
     ],
     ids=["train", "infer", "stream"],
 )
@@ -78,7 +77,7 @@ def test_what_is_not_installed_has_not_failed():
         raise RuntimeError("no")
 
     sides = iter([("jaxunshear", lambda: lambda: None), ("pytorch", absent), ("pytorch, other", broken)])
-    said = bench_networks.table(bench_networks._compared(sides, 32, 1, 1, Rounds(1, 0.0)))
+    said = bench_networks.table(bench_networks._compared(sides, 32, 1, 1, (1, 0.0)))
     assert "torch is not installed" in said and said.count("FAILED") == 1 and "FAILED: RuntimeError: no" in said
 
 

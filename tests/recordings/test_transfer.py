@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.applications import transfer
-from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, _between
+from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, between
 from jaxunshear.applications.transfer import aligned_with, score_transfer, scored
 from jaxunshear.dataset.recorded import everything
 from jaxunshear.errors import UserError
@@ -72,7 +72,7 @@ def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])  # rows turn by +degrees
     here = 50 + 0.8 * (known - 64) @ turn
     motion = RNG.normal(size=(2, *known.shape))
-    there, back, by = _between(here, known)
+    there, back, by = between(here, known)
     np.testing.assert_allclose(there(here + 0.8 * motion @ turn), known + motion, atol=1e-9)
     np.testing.assert_allclose(back(known + motion), here + 0.8 * motion @ turn, atol=1e-9)
     assert by == pytest.approx(degrees, abs=1e-9)  # an edge that a network sees at 0 lies at `degrees` in the image
