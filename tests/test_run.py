@@ -335,6 +335,9 @@ def test_a_refusal_before_any_work_binds_nobody(tmp_path):
 
 
 def test_data_that_another_process_makes_bind_nobody(tmp_path):
+    def idle(calls):
+        pytest.fail("work that another process does")
+
     folder = configs.unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path)
     folder.mkdir(parents=True)
     other = os.open(folder, os.O_RDONLY)
@@ -342,7 +345,7 @@ def test_data_that_another_process_makes_bind_nobody(tmp_path):
     try:
         for seed in (0, 7):
             with pytest.raises(UserError, match="another process"):
-                run.run_stages(replace(SMALL, seed=seed), ("data",), tmp_path, tmp_path, "none")
+                run.run_stages(replace(SMALL, seed=seed), ("data",), tmp_path, tmp_path, "none", idle)
     finally:
         os.close(other)
 
