@@ -64,7 +64,7 @@ def _run(
                 from jaxunshear.evaluation.evaluate import evaluate
 
                 results, worked = evaluate(experiment, folder, data, command), True
-                _print_summary(results, folder)
+                print_summary(results, folder)
             else:
                 from jaxunshear.report.report import write_report
 
@@ -212,7 +212,7 @@ def _keep_time(folder: Path, stage: str, seconds: float) -> None:
     write_json(folder / TIMES, read_times(folder) | {stage: round(seconds, 3)})
 
 
-def _print_summary(results: Results, folder: Path) -> None:
+def print_summary(results: Results, folder: Path) -> None:
     if not results.simulated:
         _print_recorded(results, folder)
         return

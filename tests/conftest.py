@@ -1,7 +1,9 @@
 """What all tests share. Real recordings are third-party and lie beside the checkout, if at all."""
 
+import functools
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from importlib.metadata import version
@@ -80,6 +82,24 @@ class Answer(NamedTuple):
     code: int
     out: str
     err: str
+
+
+@pytest.fixture
+def absent(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """`absent("ray")`: that module is not installed."""
+    return lambda name: monkeypatch.setitem(sys.modules, name, None)
+
+
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For commands that walk and reconstruct: 8 steps around the disk, and scales of few taps."""
+    from jaxunshear.applications import fresh, servo
+    from jaxunshear.applications.contour import outline
+    from jaxunshear.scene.stimuli import STIMULI
+
+    steps = 8 * 0.5 / outline(STIMULI["disk"]).length
+    monkeypatch.setattr(servo, "Course", functools.partial(servo.Course, patience=steps))
+    monkeypatch.setattr(fresh, "KNOWN", 12)
 
 
 @pytest.fixture

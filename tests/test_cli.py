@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -105,14 +106,25 @@ def is_one_line(answer) -> None:
 
 
 @pytest.fixture
-def no_stage(monkeypatch):
+def stages(monkeypatch):
+    """`stages(act)`: whatever starts the stages of an experiment calls `act`, without all that the real ones import."""
+
+    def replace(act):
+        module = ModuleType("jaxunshear.run")
+        module.run_stages = act
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+
+    return replace
+
+
+@pytest.fixture
+def no_stage(stages):
     """No stage may start: what is refused must be refused before any work."""
 
     def started(*_, **__):
         pytest.fail("a stage started")
 
-    monkeypatch.setitem(sys.modules, "jaxunshear.run", type(sys)("jaxunshear.run"))
-    monkeypatch.setattr(sys.modules["jaxunshear.run"], "run_stages", started, raising=False)
+    stages(started)
 
 
 @pytest.mark.parametrize(("words", "line"), BAD_FIELDS, ids=[words for words, _ in BAD_FIELDS])
@@ -177,11 +189,15 @@ def test_bad_commands_and_paths(command, no_stage, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def run_with(monkeypatch, command, act):
-    """`run` whose stages are `act`."""
-    monkeypatch.setitem(sys.modules, "jaxunshear.run", type(sys)("jaxunshear.run"))
-    monkeypatch.setattr(sys.modules["jaxunshear.run"], "run_stages", act, raising=False)
-    return command("run", DEMO)
+@pytest.fixture
+def run_with(stages, command):
+    """`run_with(act)`: the answer of `run` whose stages are `act`."""
+
+    def run(act):
+        stages(act)
+        return command("run", DEMO)
+
+    return run
 
 
 def fails_with(error: BaseException):
@@ -200,24 +216,24 @@ def fails_with(error: BaseException):
         (MemoryError(), "out of memory"),
     ],
 )
-def test_what_the_machine_refuses_is_one_line(monkeypatch, command, error, line):
-    answer = run_with(monkeypatch, command, fails_with(error))
+def test_what_the_machine_refuses_is_one_line(run_with, error, line):
+    answer = run_with(fails_with(error))
     is_one_line(answer)
     assert line in answer.err
 
 
-def test_a_full_disk_wrapped_by_a_library(monkeypatch, command):
+def test_a_full_disk_wrapped_by_a_library(run_with):
     def act(*_, **__):
         try:
             raise OSError(errno.ENOSPC, "No space left on device")
         except OSError as error:
             raise RuntimeError("save failed") from error
 
-    is_one_line(run_with(monkeypatch, command, act))
+    is_one_line(run_with(act))
 
 
-def test_an_interrupt_says_how_to_go_on(monkeypatch, command):
-    answer = run_with(monkeypatch, command, fails_with(KeyboardInterrupt()))
+def test_an_interrupt_says_how_to_go_on(run_with):
+    answer = run_with(fails_with(KeyboardInterrupt()))
     assert (answer.code, answer.err) == (130, "stopped; run the same command to continue\n")
 
 
@@ -249,13 +265,13 @@ def test_a_place_that_cannot_be_written_is_refused_before_any_work(command, no_s
     assert "/proc cannot be written" in answer.err and "name another place" in answer.err
 
 
-def test_a_bug_keeps_its_traceback(monkeypatch, command):
+def test_a_bug_keeps_its_traceback(run_with):
     with pytest.raises(ZeroDivisionError):
-        run_with(monkeypatch, command, fails_with(ZeroDivisionError()))
+        run_with(fails_with(ZeroDivisionError()))
 
 
 @pytest.mark.parametrize(
-    ("words", "stages"),
+    ("words", "expected"),
     [
         (["run"], ("data", "entangled", "disentangled", "posenet", "evaluate", "report")),
         (["data"], ("data",)),
@@ -264,17 +280,14 @@ def test_a_bug_keeps_its_traceback(monkeypatch, command):
         (["evaluate"], ("evaluate",)),
     ],
 )
-def test_commands_become_stages(monkeypatch, command, tmp_path, words, stages):
+def test_commands_become_stages(stages, command, tmp_path, words, expected):
     calls = []
-    monkeypatch.setitem(sys.modules, "jaxunshear.run", type(sys)("jaxunshear.run"))
-    monkeypatch.setattr(
-        sys.modules["jaxunshear.run"], "run_stages", lambda *a, **k: calls.append((a, k)), raising=False
-    )
+    stages(lambda *a, **k: calls.append((a, k)))
     answer = command(words[0], DEMO, *words[1:], "--out", tmp_path, "--train.epochs", "2", "--data=sets")
     assert (answer.code, answer.err) == (0, "")
     ((experiment, asked), named) = calls[0]
     assert experiment.train.epochs == 2
-    assert asked == stages
+    assert asked == expected
     assert named["out"] == tmp_path
     assert named["data"] == Path("sets")
     assert named["command"].startswith(f"jaxunshear {words[0]} ")

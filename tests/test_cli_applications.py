@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.applications import fresh, servo
-from jaxunshear.applications.contour import outline
+from jaxunshear.applications import servo
 from jaxunshear.applications.geometry_ways import WAYS
 from jaxunshear.results.applications import WalkScores
 from jaxunshear.results.stored import SCHEMA, record_of
-from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
@@ -48,11 +46,6 @@ def run_of(folder, size, seed=0):
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     return run_of(tmp_path_factory.mktemp("run"), 128)
-
-
-@pytest.fixture(autouse=True)
-def few(monkeypatch):
-    monkeypatch.setattr(fresh, "KNOWN", 12)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +103,8 @@ def test_a_half_trained_network_is_refused(command, tmp_path, model, name):
     assert answer.code == 2 and "was not finished" in answer.err and not (tmp_path / "out").exists()
 
 
-def test_servo_then_reconstruct(command, tmp_path, monkeypatch, model):
+def test_servo_then_reconstruct(command, brief, tmp_path, model):
     """A few steps by each way; networks that have learnt nothing go astray, which is told."""
-    monkeypatch.setattr(servo, "PATIENCE", 8 * 0.5 / outline(STIMULI["disk"]).length)
     out = tmp_path / "walks"
     words = ("--model", model, "--out", out, "--stimulus", "disk")
     answer = command("servo", *words, "--starts", 1, "--json", tmp_path / "rows.json")
@@ -164,7 +156,7 @@ def test_nothing_is_written_among_the_recordings(command, tmp_path, monkeypatch,
 
 
 @pytest.mark.long
-def test_geometry_scores_and_draws(command, tmp_path, model):
+def test_geometry_scores_and_draws(command, brief, tmp_path, model):
     answer = command("geometry", "--model", model, "--contacts", 6, "--out", tmp_path / "out")
     assert answer.code == 0, answer.err
     rows = {row["name"]: row for row in json.loads((tmp_path / "out" / "geometry.json").read_text())["rows"]}
@@ -181,9 +173,8 @@ def test_geometry_scores_and_draws(command, tmp_path, model):
     assert (tmp_path / "out" / "geometry.png").is_file()
 
 
-def test_images_too_small_to_show_pins_are_refused(command, tmp_path, monkeypatch):
+def test_images_too_small_to_show_pins_are_refused(command, brief, tmp_path):
     walks, small = tmp_path / "walks", run_of(tmp_path, 32)
-    monkeypatch.setattr(servo, "PATIENCE", 2 * 0.5 / outline(STIMULI["disk"]).length)
     words = ("--model", small, "--out", walks)
     assert command("servo", *words, "--stimulus", "disk", "--starts", 1, "--ways", "true").code == 0
     answer = command("reconstruct", *words)

@@ -1,13 +1,12 @@
 """`jaxunshear explore`: what it needs, and what it refuses before it works."""
 
-import importlib.util
 import socket
 
 import pytest
 
 
-def test_without_the_extra_one_line_names_it(command, monkeypatch):
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+def test_without_the_extra_one_line_names_it(command, absent):
+    absent("nicegui")
     answer = command("explore")
     assert answer.code == 2 and "`explore`" in answer.err and answer.err.count("\n") == 1
 

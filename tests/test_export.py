@@ -274,8 +274,8 @@ def test_what_cannot_be_exported_is_refused(words, complaint, tmp_path, monkeypa
     assert not list(tmp_path.iterdir())
 
 
-def test_a_missing_extra_is_named(tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+def test_a_missing_extra_is_named(tmp_path, absent, capsys):
+    absent("onnxruntime")
     assert main(["export", "standard", "--out", str(tmp_path / "a.onnx")]) == 2
     assert "'.[onnx]'" in capsys.readouterr().err
 

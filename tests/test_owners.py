@@ -3,7 +3,9 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from jaxunshear.owners import check_apart, owner_of
 
@@ -61,16 +63,16 @@ def test_results_go_elsewhere(command, run, monkeypatch, words):
     assert sorted(run.parent.rglob("*")) == before
 
 
-def test_only_what_a_command_measured_is_written_anew(command, tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxunshear.checks.verify.CHECKS", ())
-    file = tmp_path / "rows.json"
+def test_only_what_a_command_measured_is_written_anew(command, tmp_path):
+    image, file = tmp_path / "image.png", tmp_path / "rows.json"
+    Image.fromarray(np.eye(64, dtype=np.uint8) * 255).save(image)
     for held in ('{"name": "package"}', "{", "[1, 2]", "7"):
         file.write_text(held)
-        answer = command("check", "verify", "--json", file)
+        answer = command("doctor", image, "--json", file)
         assert answer.code == 2 and "holds something else" in answer.err
         assert file.read_text() == held
     file.write_text(json.dumps(ROWS, indent=2))
-    assert command("check", "verify", "--json", file).code == 0
-    assert command("check", "verify", "--json", file).code == 0
+    assert command("doctor", image, "--json", file).code == 0
+    assert command("doctor", image, "--json", file).code == 0
     answer = command("validate", tmp_path, "--calibration", file, "--json", tmp_path / "a" / ".." / "rows.json")
     assert answer.code == 2 and "also what this command reads" in answer.err

@@ -3,6 +3,7 @@
 import io
 import re
 import sys
+from contextlib import redirect_stderr
 
 import pytest
 
@@ -65,11 +66,10 @@ def test_a_terminal_that_cannot_move_its_cursor_gets_lines(monkeypatch):
     assert work(Terminal(), steps=100, seconds=0.5) == work(io.StringIO(), steps=100, seconds=0.5)
 
 
-def test_a_bar_in_a_bar_and_a_line_between_leave_lines_in_their_order(monkeypatch):
+def test_a_bar_in_a_bar_and_a_line_between_leave_lines_in_their_order():
     stream = Terminal()
-    monkeypatch.setattr(sys, "stderr", stream)
     clock = Clock()
-    with Progress("out [red]", total=2, clock=clock) as outer:
+    with redirect_stderr(stream), Progress("out [red]", total=2, clock=clock) as outer:
         print("said", file=sys.stderr)
         with Progress("in", total=1, clock=clock) as inner:
             clock.now += 1

@@ -117,23 +117,23 @@ def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
 
 
 @pytest.mark.parametrize("head", [False, True])
-def test_released_weights_do_what_the_run_does(run, tmp_path, monkeypatch, head):
+def test_released_weights_do_what_the_run_does(run, tmp_path, head):
     if head:
         variables = checkpoint.load_best(run / "disentangled")
         variables["params"]["head"] = pose_head.init(unshearnet.code_shape(NET), 5, jax.random.key(2))
         checkpoint.save(run / "disentangled", 2, {"average": variables}, {"history": [], "best_step": 2})
         errors = RESULTS["pose_mae"] | {"code_learnt": RESULTS["pose_mae"]["tap"]}
         write_json(run / "results.json", RESULTS | {"pose_mae": errors})
-    monkeypatch.setattr(folders, "RELEASED", tmp_path / "weights")
     made = release(run, tmp_path / "weights" / "mine")
     frames = image_in(tmp_path / "frames")
-    for model, out in ((run, "by_run"), ("mine", "by_name")):
+    for model, out in ((run, "by_run"), (made, "by_weights")):
         infer.unshear_recordings(frames, Path(model), tmp_path / out, log=lambda text: None, force=True)
-    pictures = [np.asarray(Image.open(tmp_path / out / "a.png"), float) for out in ("by_run", "by_name")]
+    pictures = [np.asarray(Image.open(tmp_path / out / "a.png"), float) for out in ("by_run", "by_weights")]
     assert np.ptp(pictures[0]) > 20
     assert np.abs(pictures[0] - pictures[1]).mean() <= 3  # kernels are float16
     poses = [
-        np.genfromtxt(tmp_path / out / "poses.csv", delimiter=",", skip_header=1)[2:] for out in ("by_run", "by_name")
+        np.genfromtxt(tmp_path / out / "poses.csv", delimiter=",", skip_header=1)[2:]
+        for out in ("by_run", "by_weights")
     ]
     np.testing.assert_allclose(*poses, atol=0.05)
     for name in ("disentangled", "posenet"):
@@ -207,10 +207,9 @@ def test_weights_of_another_network_under_a_true_digest_are_reported_apart(run, 
         checkpoint.load_best(file.parent)
 
 
-def test_an_unknown_name_lists_those_there_are(tmp_path, monkeypatch):
-    monkeypatch.setattr(folders, "RELEASED", tmp_path)
-    (tmp_path / "mine").mkdir()
-    with pytest.raises(UserError, match=r"released weights \(mine\)"):
+def test_an_unknown_name_lists_those_there_are():
+    names = ", ".join(folder.name for folder in RELEASED)
+    with pytest.raises(UserError, match=rf"released weights \({names}\)"):
         folders.load_settings(folders.model_folder(Path("yours")))
 
 

@@ -1,6 +1,7 @@
 """The whole way at its smallest: one command, then what a person does with the result."""
 
 import contextlib
+import fcntl
 import json
 import os
 import random
@@ -212,9 +213,16 @@ def test_the_networks_take_images_of_people(finished, command, tmp_path):
 
 
 @pytest.fixture
-def stage(tmp_path, monkeypatch):
+def clock(monkeypatch):
+    """Seconds, in a list of one, that have passed for whoever counts a stage's time."""
+    passed = [0.0]
+    monkeypatch.setattr(run, "time", SimpleNamespace(perf_counter=lambda: passed[0]))
+    return passed
+
+
+@pytest.fixture
+def stage(tmp_path, monkeypatch, clock):
     """`stage(5, "stop")` runs one training that takes 5 s and then is stopped, refused or finished; returns times.json."""
-    clock = [0.0]
     folder = tmp_path / "small" / "posenet"
 
     def act(seconds, ending):
@@ -236,7 +244,6 @@ def stage(tmp_path, monkeypatch):
         path = tmp_path / "small" / "times.json"
         return read_json(path) if path.exists() else {}
 
-    monkeypatch.setattr(run, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     return act
 
 
@@ -256,8 +263,7 @@ def test_a_stage_done_again_from_the_start_counts_anew(stage, tmp_path, ending):
     assert stage(3, "finish") == {"posenet": 6}
 
 
-def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch):
-    clock = [0.0]
+def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch, clock):
     made = {name: configs.set_folder(getattr(SMALL, name), SMALL.sensor, tmp_path) for name in ("paired", "pose")}
 
     def make(*_):
@@ -272,7 +278,6 @@ def test_data_count_all_of_the_time_that_they_took(tmp_path, monkeypatch):
         return {}
 
     monkeypatch.setattr(making, "make_sets", make)
-    monkeypatch.setattr(run, "time", SimpleNamespace(perf_counter=lambda: clock[0]))
     for seconds in (5, 10):
         with contextlib.suppress(KeyboardInterrupt):
             run.run_stages(SMALL, ("data",), tmp_path, tmp_path, "none")
@@ -329,15 +334,20 @@ def test_a_refusal_before_any_work_binds_nobody(tmp_path):
         assert left == ["experiment.json", "run.lock"]
 
 
-def test_data_that_another_process_makes_bind_nobody(tmp_path, monkeypatch):
-    def refuse(*_):
-        configs.unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path).mkdir(parents=True, exist_ok=True)
-        raise UserError("another process is making the set")
+def test_data_that_another_process_makes_bind_nobody(tmp_path):
+    def idle(calls):
+        pytest.fail("work that another process does")
 
-    monkeypatch.setattr(making, "make_sets", refuse)
-    for seed in (0, 7):
-        with pytest.raises(UserError, match="another process"):
-            run.run_stages(replace(SMALL, seed=seed), ("data",), tmp_path, tmp_path, "none")
+    folder = configs.unfinished_folder(SMALL.paired, SMALL.sensor, tmp_path)
+    folder.mkdir(parents=True)
+    other = os.open(folder, os.O_RDONLY)
+    fcntl.flock(other, fcntl.LOCK_EX)  # as that process would
+    try:
+        for seed in (0, 7):
+            with pytest.raises(UserError, match="another process"):
+                run.run_stages(replace(SMALL, seed=seed), ("data",), tmp_path, tmp_path, "none", idle)
+    finally:
+        os.close(other)
 
 
 @pytest.mark.parametrize(("poses", "kept"), [(SMALL.paired.poses, True), (SMALL.paired.poses + 1, False)])

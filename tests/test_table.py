@@ -2,7 +2,7 @@
 
 import io
 import re
-import sys
+from contextlib import redirect_stdout
 
 import pytest
 
@@ -28,10 +28,10 @@ def test_a_pipe_gets_a_row_a_line_without_colours_or_frames(monkeypatch, variabl
 
 
 def test_a_narrow_terminal_folds_cells_and_loses_nothing(monkeypatch):
-    monkeypatch.setattr(sys, "stdout", Terminal())
     monkeypatch.setenv("COLUMNS", "40")
     monkeypatch.setenv("TERM", "xterm")
-    lines = re.sub(r"\x1b\[[\d;]*m", "", plain_table(ROWS, COLUMNS)).splitlines()
+    with redirect_stdout(Terminal()):
+        lines = re.sub(r"\x1b\[[\d;]*m", "", plain_table(ROWS, COLUMNS)).splitlines()
     assert max(map(len, lines)) <= 40
     text = "".join(lines)
     assert text.count("x") == 150 and "1.23" in text and "…" not in text

@@ -14,9 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.applications.fresh import FreshContacts
 from jaxunshear.applications.geometry import relative_growth, smoothed
-from jaxunshear.applications.geometry_ways import known_motions
 from jaxunshear.applications.inverse import indentation_of, learnt
 from jaxunshear.applications.occupancy import NEAR_MM, evidence, learn
 from jaxunshear.applications.reconstruct import Fused, filled_shape, interpolated, ridge_shape, skin_places
@@ -35,13 +33,16 @@ class Maker(NamedTuple):
     in_mm: bool  # whether the value is a height in mm above the sensor's apex
 
 
-def makers_of(sensor: Sensor, lattice: Lattice, known: FreshContacts, distance: np.ndarray) -> dict[str, Maker]:
-    """By name; from taps at the depth of the walk whose pins lie (N, P) mm outside the object."""
-    motion, rest = known_motions(lattice, known), skin_places(sensor)
+def makers_of(
+    sensor: Sensor, lattice: Lattice, motion: np.ndarray, indentation_mm: np.ndarray, distance: np.ndarray
+) -> dict[str, Maker]:
+    """By name; from motions (N, P, 2) px, NaN where unknown, of taps at the depth of the walk, how far the skin above each pin is pressed
+    in (N, P), and how far outside the object it lies (N, P) mm."""
+    rest = skin_places(sensor)
     followed = ~np.isnan(motion[:, 0, 0])
     motion, distance = motion[followed], distance[followed]
     near = np.linalg.norm(rest, axis=-1) < NEAR_MM
-    inverse = learnt(lattice, motion, known.indentation_mm[followed])
+    inverse = learnt(lattice, motion, indentation_mm[followed])
     tips = pin_tips(sensor)[:, :2]
     px_per_mm = np.sum((lattice.place - lattice.middle) * tips) / np.sum(tips**2)
     towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)

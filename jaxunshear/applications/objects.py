@@ -13,6 +13,7 @@ import numpy as np
 from jaxunshear.applications import fresh, perception
 from jaxunshear.applications.contour import Contour, outline
 from jaxunshear.applications.fresh import FreshContacts, fresh_contacts
+from jaxunshear.applications.geometry_ways import known_motions
 from jaxunshear.applications.makers import Maker, makers_of
 from jaxunshear.applications.perception import Unshear
 from jaxunshear.applications.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target
@@ -51,7 +52,7 @@ def makers_for(experiment: Experiment, known: FreshContacts) -> dict[str, Maker]
     for index, touched in enumerate(paired.stimuli):
         rows = known.stimulus == index
         distance[rows] = _distance(stimulus_of(touched), xy[rows])
-    return makers_of(experiment.sensor, lattice, known, distance)
+    return makers_of(experiment.sensor, lattice, known_motions(lattice, known), known.indentation_mm, distance)
 
 
 def solids(

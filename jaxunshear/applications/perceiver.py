@@ -168,7 +168,7 @@ def _of_pins(
     """Pins are found and followed first; what comes out is drawn as dots. `rest` (P, 2) px are the places of pins that the networks know,
     where these are not the frame's."""
     lattice = make_lattice(to_found(frame, frame.place), frame.shell)
-    there, back, degrees = _between(frame.place, frame.place if rest is None else rest)
+    there, back, degrees = between(frame.place, frame.place if rest is None else rest)
 
     def seen(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         motion, sure = followed(lattice, images, alone=True)
@@ -193,7 +193,7 @@ def _of_pins(
     return Perceiver(preprocess, frame.view, names, read, answer, expected)
 
 
-def _between(here: np.ndarray, known: np.ndarray) -> tuple[Move, Move, float]:
+def between(here: np.ndarray, known: np.ndarray) -> tuple[Move, Move, float]:
     """From pins (B, P, 2) px that stand at `here` (P, 2) to those that stand at `known`, back again, and by how many degrees the former
     are turned against the latter: pins' motions are turned and scaled as the two lattices are."""
     centred, target = here - here.mean(axis=0), known - known.mean(axis=0)

@@ -39,7 +39,6 @@ from jaxunshear.storage import BROKEN_NPZ, write_bytes
 
 LOST_MM = 8.0  # from the edge: farther than any network has seen
 WINDOW_MM = 3.0  # along the outline, in which a sensor is searched for after a step
-PATIENCE = 1.6  # outlines' lengths that a walk may take
 UNSOLVED = 5  # contacts in a row that may fail to converge
 SAVE_EVERY = 50  # steps
 
@@ -58,6 +57,7 @@ class Course:
     off_deg: float = 10.0  # and are turned by as much
     seed: int = 0
     gains: Gains = field(default_factory=Gains)
+    patience: float = 1.6  # outlines' lengths that a walk may take
 
 
 @dataclass
@@ -136,7 +136,7 @@ def first_points(course: Course, line: Contour) -> np.ndarray:
 
 def _at_starts(course: Course, line: Contour, ways: tuple[str, ...], settings: PairedData, made: str) -> Walks:
     count = len(ways) * course.starts
-    total = int(np.ceil(PATIENCE * line.length / course.gains.step_mm))
+    total = int(np.ceil(course.patience * line.length / course.gains.step_mm))
     size = settings.preprocess.size
     point = np.full((count, total, 3), np.nan)
     point[:, 0] = np.tile(first_points(course, line), (len(ways), 1))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, perceiver
+from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Perceiver, perceiver
 from jaxunshear.dataset.digests import digest_of
 from jaxunshear.dataset.preparing import LEAST_FRAMES, frame_of
 from jaxunshear.dataset.recorded import Contacts, common_view, everything
@@ -51,8 +51,11 @@ class Aligned(NamedTuple):
         return self.sign * poses[self.reads] + self.offset
 
 
-def score_transfer(experiment: Experiment, model: Path, recordings: Path, command: str) -> Results:
-    """Results in the names of results.json. Raises UserError where the recordings hold no labelled taps and slides of one edge."""
+def score_transfer(
+    experiment: Experiment, model: Path, recordings: Path, command: str, network: Perceiver | None = None
+) -> Results:
+    """Results in the names of results.json, of the networks at `model` or of `network`. Raises UserError where the recordings hold no
+    labelled taps and slides of one edge."""
     started = time.perf_counter()
     paired, _ = simulated_of(experiment, "this")
     settings = Recorded(str(recordings), str(recordings), digest_of((str(recordings),)), preprocess=paired.preprocess)
@@ -66,7 +69,7 @@ def score_transfer(experiment: Experiment, model: Path, recordings: Path, comman
             )
     known_half = np.random.default_rng(SEED).random(len(taps.files)) < 0.5
     (of_taps, tap_pins), (of_slides, slide_pins) = (
-        _read(experiment, model, settings, *kind) for kind in ((taps, "taps"), (slides, "slides"))
+        _read(experiment, model, network, settings, *kind) for kind in ((taps, "taps"), (slides, "slides"))
     )
     known = _of(of_taps[AS_RECORDED], known_half)
     if UNSHEARED not in of_slides:
@@ -161,15 +164,16 @@ def aligned_with(name: str, readings: dict[str, np.ndarray], labels: np.ndarray)
 
 
 def _read(
-    experiment: Experiment, model: Path, settings: Recorded, contacts: Contacts, kind: str
+    experiment: Experiment, model: Path, network: Perceiver | None, settings: Recorded, contacts: Contacts, kind: str
 ) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, np.ndarray]]:
     """Poses by way and quantity, (N,) each, and pins by way, (N, P, 2) px, of networks over pins; NaN where a contact could not be
     read."""
     contacts = contacts._replace(
         split=np.zeros(len(contacts.files), int)
     )  # all alike: whoever seeks training frames finds them
-    frame = frame_of(contacts, settings, experiment.sensor) if over_pins(experiment) else None
-    network = perceiver(model, experiment, True, frame)
+    if network is None:
+        frame = frame_of(contacts, settings, experiment.sensor) if over_pins(experiment) else None
+        network = perceiver(model, experiment, True, frame)
     view = network.view or common_view(contacts, network.preprocess)
     found: dict[str, dict[str, np.ndarray]] = {}
     pins: dict[str, np.ndarray] = {}

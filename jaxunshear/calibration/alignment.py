@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.calibration.labels import Frame, Motions, framed
-from jaxunshear.calibration.prediction import Values, displacements
+from jaxunshear.calibration.prediction import Simulate, Values, displacements
 from jaxunshear.calibration.statistics import Seen
 from jaxunshear.calibration.validation import centred, r2, settled
 from jaxunshear.settings.sensor import Sensor
@@ -31,12 +31,13 @@ class Matter(NamedTuple):
     side: int
     values: Values
     sensor: Sensor
+    simulate: Simulate = displacements
 
     def moved(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
         """As `prediction.displacements`."""
         values = self.values
         contacts = framed(self.contacts, frame)
-        return displacements(self.sensor, contacts, self.side, values.friction, 0.0, values.skin_to_gel)
+        return self.simulate(self.sensor, contacts, self.side, values.friction, 0.0, values.skin_to_gel)
 
     def compared(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
         """Recorded and simulated motions (N, P, 2) px as `centred` gives them, zero where one is not known; the simulated ones are

@@ -171,12 +171,18 @@ def _counted(images: np.ndarray, progress: Progress) -> Iterator[np.ndarray]:
         progress.advance()
 
 
-def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: list[str]) -> tuple[Group, float]:
+def readable(part: Recorded, seen: Seen) -> np.ndarray:
+    """Rows of the images whose pins are sure and whose labels, as far as there are any, can be read."""
     rows = np.flatnonzero(seen.sure)
     if part.poses is not None:
         rows = rows[np.isfinite(part.poses[rows]).all(axis=-1)]
     if part.moves is not None and np.isfinite(part.moves).any():  # a slide that cannot be read is no tap
         rows = rows[np.isfinite(part.moves[rows]).all(axis=-1)]
+    return rows
+
+
+def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: list[str]) -> tuple[Group, float]:
+    rows = readable(part, seen)
     if part.poses is None or len(rows) < LEAST_LABELLED:
         notes.append(
             f"{part.name}: fewer than {LEAST_LABELLED} labelled poses, so it determines framing and pin size only"

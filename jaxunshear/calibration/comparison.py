@@ -20,7 +20,7 @@ def compared(
     after: tuple[Sensor, Values, Tips],
 ) -> tuple[Summaries, list[tuple[str, np.ndarray]]]:
     """Statistics of recorded images and of simulated ones before and after the fit, and pictures with their titles."""
-    reported: Summaries = {RECORDED: _merged([_summaries(group, group.seen, group.seen.sure) for group in groups])}
+    reported: Summaries = {RECORDED: _merged([summaries_of(group, group.seen, group.seen.sure) for group in groups])}
     pictures = [(f"recorded: {part.name}", part.images[0]) for part in recorded[:2]]
     for kind, (sensor, values, tips) in ((BEFORE, before), (AFTER, after)):
         reported[kind], picture = _simulated(groups, sensor, values, tips)
@@ -37,11 +37,11 @@ def _simulated(groups: list[Group], sensor: Sensor, values: Values, tips: Tips) 
         images = render(values.camera(group.seen.size), sensor, group.seen.size, tip)
         pictures = pictures or [images[0]]
         seen = observe(images, sensor)
-        parts.append(_summaries(group, seen, converged & seen.sure))
+        parts.append(summaries_of(group, seen, converged & seen.sure))
     return _merged(parts), pictures[0]
 
 
-def _summaries(group: Group, seen: Seen, kept: np.ndarray) -> list[Summary]:
+def summaries_of(group: Group, seen: Seen, kept: np.ndarray) -> list[Summary]:
     """Of a group's images, recorded or simulated; NaN where they are not `kept` (N,)."""
     contacts = group.contacts
     seen = seen._replace(

@@ -5,6 +5,7 @@ interpolation, so that their spacing and the camera can be fitted without a new 
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -22,6 +23,7 @@ from jaxunshear.settings.sensor import Sensor
 
 PROBE_DEG = 5.0  # between its rings
 PROBE_RINGS = 14  # to 70 degrees
+Simulate = Callable[..., tuple[np.ndarray, np.ndarray]]  # as `displacements`
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,12 @@ Every ring's mean radius and mean place count, contact by contact, each with the
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from jaxunshear.calibration.labels import Motions
-from jaxunshear.calibration.prediction import Values, displacements, place_of
+from jaxunshear.calibration.prediction import Simulate, Values, displacements, place_of
 from jaxunshear.calibration.statistics import Seen, less_mean, ring_radii, ring_shift
 from jaxunshear.image.lattice import shells
 from jaxunshear.settings.sensor import Sensor
@@ -47,10 +48,9 @@ class Group:
 class _Simulated:
     """Displacements of the probe's pins of labelled contacts, solved when first asked for."""
 
-    def __init__(
-        self, contacts: Motions, side: int, which: int, sensor: Sensor, advance: Callable[[int], None]
-    ) -> None:
-        self.contacts, self.side, self.which, self.sensor, self.advance = contacts, side, which, sensor, advance
+    def __init__(self, which: int, solve: Simulate, advance: Callable[[int], None]) -> None:
+        """`solve` for friction, surface and skin:gel."""
+        self.which, self.solve, self.advance = which, solve, advance
         self.nodes: list[float] = []
         self.known: dict[tuple[float, float, float], np.ndarray] = {}
 
@@ -59,7 +59,7 @@ class _Simulated:
         surface = values.surface_mm[self.which]
         key = (round(values.friction, 9), round(surface, 9), round(ratio, 9))
         if key not in self.known:
-            moved, converged = displacements(self.sensor, self.contacts, self.side, values.friction, surface, ratio)
+            moved, converged = self.solve(values.friction, surface, ratio)
             self.known[key] = np.where(converged[:, None, None], moved, np.nan)
             self.advance(len(moved))
         return self.known[key]
@@ -105,10 +105,13 @@ class Problem:
         start: Values,
         held: Collection[str],
         advance: Callable[[int], None],
+        simulate: Simulate = displacements,
     ) -> None:
         self.groups, self.sensor, self.start = groups, sensor, start
         self.simulated = [
-            None if group.contacts is None else _Simulated(group.contacts, group.side, i, sensor, advance)
+            None
+            if group.contacts is None
+            else _Simulated(i, partial(simulate, sensor, group.contacts, group.side), advance)
             for i, group in enumerate(groups)
         ]
         self.recorded = [

@@ -39,15 +39,15 @@ from jaxunshear.training.tasks import unshear_task
 
 TRAINED = ((256, 8), (128, 32))  # size in px, batch
 INFERRED = (256, 128)
-ROUNDS = 7
 FROZEN: Json = {"freezing": True}  # PyTorch's weights as constants too
-ROUND_S = 4.0  # of each side: long enough that threads which still spin for the other side's work do not count
 ABSENT = "is not installed"  # which is no failure
+Rounds = tuple[int, float]
+ROUNDS: Rounds = (7, 4.0)  # and a round's seconds: threads that still spin for the other side's work do not count
 Work = Callable[[], object]
 Sides = Iterator[tuple[str, Callable[[], Work]]]
 
 
-def bench_train(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[Json]:
+def bench_train(size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
     """Rows `jaxunshear` and `pytorch, ...` for every size and batch, or for those asked. Raises `UserError` for a bad size."""
     plain = size is None and batch is None
     cases = list(TRAINED) if plain else [(128 if size is None else size, 32 if batch is None else batch)]
@@ -56,7 +56,7 @@ def bench_train(size: int | None = None, batch: int | None = None, rounds: int =
     )
 
 
-def bench_infer(size: int | None = None, batch: int | None = None, rounds: int = ROUNDS) -> list[Json]:
+def bench_infer(size: int | None = None, batch: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
     """The same of encoder and canonical decoder, for one image at a time unless `batch` says otherwise."""
     cases = [(px, 1 if batch is None else batch) for px in (INFERRED if size is None else (size,))]
     return _measured(
@@ -64,7 +64,7 @@ def bench_infer(size: int | None = None, batch: int | None = None, rounds: int =
     )
 
 
-def bench_stream(size: int | None = None, rounds: int = ROUNDS) -> list[Json]:
+def bench_stream(size: int | None = None, rounds: Rounds = ROUNDS) -> list[Json]:
     """The same of what a robot runs for each frame: encoder, canonical decoder and PoseNet, one image at a time."""
     cases = [(px, 1) for px in (INFERRED if size is None else (size,))]
 
@@ -79,7 +79,7 @@ def _measured(
     cases: Sequence[tuple[int, int]],
     sides: Callable[[int, int], Sides],
     operations: Callable[[int], int],
-    rounds: int,
+    rounds: Rounds,
 ) -> list[Json]:
     """Rows of all cases; `operations` of the convolutions for one image, of the size in px."""
     keep_freed_memory()
@@ -235,7 +235,7 @@ def _place() -> str:
     return "cuda" if jax.default_backend() == "gpu" else "cpu"
 
 
-def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int) -> list[Json]:
+def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: Rounds) -> list[Json]:
     """One row a side."""
     ready: dict[str, Work] = {}
     rows: dict[str, Json] = {}
@@ -259,9 +259,9 @@ def _compared(sides: Sides, size: int, batch: int, operations: int, rounds: int)
             rows[name]["failed"] = f"{type(crash).__name__}: {first_line(crash)}"
     times: dict[str, list[float]] = {name: [] for name in ready}
     product, yard = matrix_product(), []
-    for _ in range(rounds):
+    for _ in range(rounds[0]):
         for name, work in ready.items():
-            end = time.perf_counter() + ROUND_S
+            end = time.perf_counter() + rounds[1]
             while True:
                 times[name].append(seconds(work))
                 if time.perf_counter() >= end:

@@ -23,6 +23,7 @@ from jaxunshear.contact.level import LEVELS, Level, unabridged
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.progress import Progress
+from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.reach import RING_MM, ring_spacing, spaced
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import Json
@@ -34,13 +35,16 @@ FINEST_MM = 0.7
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured: scenes for errors (each shape in turn), scenes for times, repeats and their budget."""
+    """What is measured: how many scenes for errors (each shape in turn) and for times, repeats and their budget, which scenes they are,
+    and against what."""
 
     compared: int = 63
     timed: int = 256
     slow: int = 63  # timed, of rows that take a second a state
     repeats: int = 5
     budget_s: float = 15.0
+    scenes: Callable[[str, int], Scenes] = paper_scenes  # by kind and number
+    truth: Level = LEVELS["reference"]
 
 
 @dataclass(frozen=True)
@@ -135,7 +139,7 @@ def bench_sim(
 
 def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json:
     """One row. A solver that crashes is a row too."""
-    scenes = paper_scenes(kind, setting.scenes or effort.timed)
+    scenes = effort.scenes(kind, setting.scenes or effort.timed)
     compared = scenes.take(np.arange(min(effort.compared, len(scenes))))
     row: Json = {
         "name": setting.name,
@@ -191,9 +195,9 @@ def measure(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> Json
 
 def _truth(sensor: Sensor, setting: Setting, kind: str, effort: Effort) -> np.ndarray:
     """(effort.compared, P, 3) mm: always of all scenes that errors are measured on, so that one answer serves every row."""
-    scenes = paper_scenes(kind, effort.compared)
+    scenes = effort.scenes(kind, effort.compared)
     if setting.against == "reference":
-        return true_pins(sensor, NAMES, scenes, LEVELS["reference"])
+        return true_pins(sensor, NAMES, scenes, effort.truth)
     finest = spaced(sensor, FINEST_MM)
     return true_pins(finest, NAMES, scenes, replace(LEVELS["auto"], tolerance=0.02, limit=5000))
 

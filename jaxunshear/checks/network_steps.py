@@ -32,6 +32,7 @@ from jaxunshear.training.tasks import Task, posenet_task, unshear_task
 STEPS, SAVED_EVERY = 8, 4
 TARGETS = of_ranges((), Ranges())
 Net = UnshearNet | UNet | PoseNet
+Guards = tuple[Callable[..., dict[str, float]], Callable[..., None]]
 
 
 class Programs(NamedTuple):
@@ -72,18 +73,26 @@ def _programs(net: Net, training: Training) -> Programs:
     return Programs(start(jax.random.key(0)), jax.jit(step), infer_)
 
 
-def walk(net: Net, training: Training, make: Callable[[int], Batch], folder: Path, steps: int = STEPS) -> Found:
+def walk(
+    net: Net,
+    training: Training,
+    make: Callable[[int], Batch],
+    folder: Path,
+    steps: int = STEPS,
+    guards: Guards = (check_terms, check_state),
+) -> Found:
     """`steps` training steps of float batches `make(step)`, then inference with the kept network on `make(-1)`. The learning
-    rate stays, and is that of `training` or of its last drop. Raises `UserError` where the loop would."""
+    rate stays, and is that of `training` or of its last drop. Raises `UserError` where the loop would,
+    by `guards` of each step's terms and of a state to be saved."""
     state, step, use = programs(net, training)
     drops = dict(training.drops)
     for done in range(1, steps + 1):
         batch = make(done - 1)
         rate = training.learning_rate * drops.get(done - 1, 1.0)
         state, terms = step(state, batch, np.float32(rate), np.float32(training.patch_weight))
-        last = check_terms(done, terms, batch, folder)
+        last = guards[0](done, terms, batch, folder)
         if done % SAVED_EVERY == 0:
-            check_state(state, done, batch, folder)
+            guards[1](state, done, batch, folder)
             checkpoint.save(folder, done, state, {"best_step": done, "history": []})
     variables = checkpoint.load_best(folder)
     arrays = {"terms": last, "variables": variables, "outputs": dict(use(variables, images_of(make(-1))))}

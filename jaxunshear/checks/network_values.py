@@ -5,7 +5,7 @@ Inference is that of networks trained for `LEARNT` steps: fresh ones make nearly
 
 import functools
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -184,13 +184,16 @@ def _nan_inference(net: Net) -> Found:
 
 
 def _precision(net: Net, kind: type, bar: float) -> Found:
-    """float32 against `kind`, over all outputs in [0, 1]: root mean square for bfloat16, the largest for float64."""
-    images = images_of(_floats(net, UNSEEN))
     names = ("outputs",) if isinstance(net, PoseNet) else ("unsheared", "sheared")
+    return precision(functools.partial(infer, net), (learnt(net), images_of(_floats(net, UNSEEN))), names, kind, bar)
+
+
+def precision(run: Callable[..., dict], given: tuple, names: Sequence[str], kind: type, bar: float) -> Found:
+    """`run` of arrays, `given` as float32 against `kind`, over all of its outputs `names`, in [0, 1]: root mean square for bfloat16, the
+    largest for float64."""
 
     def reported(kind: type) -> dict[str, np.ndarray]:
-        cast = jax.tree.map(lambda leaf: jnp.asarray(leaf, kind), (learnt(net), images))
-        found = jax.jit(lambda variables, images: infer(net, variables, images))(*cast)
+        found = jax.jit(run)(*jax.tree.map(lambda leaf: jnp.asarray(leaf, kind), given))
         return {name: np.asarray(found[name], np.float64) for name in names}
 
     usual = reported(jnp.float32)

@@ -4,7 +4,7 @@ print(show_plan("leaf", (0, 0, 20, 3), move=(2, 1)).text)
 print(show_grouping(64).text)
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -23,6 +23,7 @@ from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, YAW, Paths, path_of
+from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.stimuli import stimulus_of
 from jaxunshear.settings.outlines import touched as named
 from jaxunshear.settings.sensor import Sensor, sensor_named
@@ -106,8 +107,13 @@ def show_plan(
     return Shown([needs, *rows], "\n".join([title, *_needs(needs), "", *_table(rows)]))
 
 
-def show_grouping(count: int, level: str = "auto", sensor: str = "tactip331") -> Shown:
-    """How `count` random slides and as many taps of the paper share batches, and what sharing by need saves."""
+def show_grouping(
+    count: int,
+    level: str = "auto",
+    sensor: str = "tactip331",
+    scenes: Callable[[str, int], Scenes] = paper_scenes,
+) -> Shown:
+    """How `count` random slides and as many taps (of the paper) share batches, and what sharing by need saves."""
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
     whose, how = sensor_named(sensor), level_named(level)
@@ -115,7 +121,7 @@ def show_grouping(count: int, level: str = "auto", sensor: str = "tactip331") ->
     rows: list[Json] = []
     lines = []
     for kind in KINDS:
-        work = _Work(whose, NAMES, obstacles, path_of(paper_scenes(kind, count)))
+        work = _Work(whose, NAMES, obstacles, path_of(scenes(kind, count)))
         batches = work.plan(how)
         alone = [len(work._replace(paths=work.paths.take(np.array([i]))).plan(how)[0].nodes) for i in range(count)]
         lines += [

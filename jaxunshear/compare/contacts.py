@@ -47,7 +47,7 @@ def contacts(runs: list[Run]) -> Contacts | None:
     notes = []
     for run in runs[1:]:
         try:
-            images.append(_unsheared(run, first, kept["sheared"]))
+            images.append(unsheared_by(run, first, kept["sheared"]))
         except UserError as error:
             images.append(None)
             notes.append(f"no images of {run.name}: {error}")
@@ -63,7 +63,7 @@ def _likeness(images: np.ndarray, taps: np.ndarray) -> np.ndarray:
     return np.where(images.any(axis=(1, 2)), ms_ssim(one, other, scales_that_fit(images.shape[1])), np.nan)
 
 
-def _unsheared(run: Run, first: Run, sheared: np.ndarray) -> np.ndarray:
+def unsheared_by(run: Run, first: Run, sheared: np.ndarray) -> np.ndarray:
     """(M, S, S) uint8 of what `run` makes of the first run's sheared images; blank where none is kept."""
     if run.shown == "sheared":
         raise UserError("it has no network that unshears")

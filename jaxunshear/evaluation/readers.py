@@ -62,10 +62,10 @@ def places(pins: np.ndarray) -> np.ndarray:
 FEATURES = {PIXELS: pixels, PIN_PLACES: places}
 
 
-def learnt(name: str, taps: Reader, targets: Targets) -> PoseReader | None:
-    """PIXELS or PIN_PLACES from training taps alone; None where there are too few."""
+def learnt(name: str, taps: Reader, targets: Targets, most: int = MOST_TAPS) -> PoseReader | None:
+    """PIXELS or PIN_PLACES from training taps alone, at most so many; None where there are too few."""
     count = taps.length("train")
-    rows = np.linspace(0, count - 1, min(MOST_TAPS, count)).round().astype(int)
+    rows = np.linspace(0, count - 1, min(most, count)).round().astype(int)
     fields = fields_of(targets)
     batch = taps.take("train", rows, (FIELD[name], *fields))
     return reader_of(FEATURES[name](batch[FIELD[name]]), {field: batch[field] for field in fields}, targets)

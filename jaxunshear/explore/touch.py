@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from jaxunshear.contact.batches import obstacles_of, plan_paths
-from jaxunshear.contact.level import LEVELS
+from jaxunshear.contact.level import LEVELS, Level
 from jaxunshear.contact.plan import NODE_COUNTS, padded
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.systems import dome
@@ -56,11 +56,11 @@ def scenes_of(touch: Touch) -> Scenes:
     return Scenes(np.zeros(2, int), pose, move, np.full(2, float(touch.friction)))
 
 
-def feel(touch: Touch) -> Felt:
+def feel(touch: Touch, level: Level = LEVEL) -> Felt:
     """Raises UserError for what the contact model does not cover, and where a contact does not converge."""
     try:
         contacts, skins = follow(
-            touch.sensor, (touch.stimulus,), path_of(scenes_of(touch)), LEVEL, batch=BATCH, retry=False
+            touch.sensor, (touch.stimulus,), path_of(scenes_of(touch)), level, batch=BATCH, retry=False
         )
     except UserError as error:
         raise UserError(str(error).removeprefix("scene 0: ")) from None

@@ -120,7 +120,7 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
                 axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
                 axes.xaxis.set_major_formatter("{x:g}")
                 axes.xaxis.set_minor_formatter(NullFormatter())
-                _panel(axes, summary, metric, cost, number)
+                panel(axes, summary, metric, cost, number)
         seeds = len(summary.seeds)
         names = "      ".join(f"{digit} {label}" for label, digit in number.items())
         names += "      hollow: another test" * (len(ranked(summary)) < len(number))
@@ -131,7 +131,7 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
     return picture.getvalue()
 
 
-def _panel(axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict[str, str]) -> None:
+def panel(axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict[str, str]) -> None:
     labels, x, y = points(summary, metric, cost)
     best = [labels.index(label) for label in efficient(summary)[metric][cost]]
     comparable = ranked(summary)

@@ -18,7 +18,7 @@ import numpy as np
 
 from jaxunshear.calibration.calibrated import SHIPPED
 from jaxunshear.calibration.labels import depth_axis
-from jaxunshear.calibration.simulated_slides import Taps, View, shear, view_of
+from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
 from jaxunshear.dataset.chunks import load_chunk
 from jaxunshear.dataset.reading import Batch
 from jaxunshear.dataset.recorded_reading import Drag, RecordedSet
@@ -35,14 +35,20 @@ FRICTION = (0.25, 0.55)  # fits to recordings gave .34 to .50
 DRAWN = 4  # slides to each tap, of one simulated motion
 CHUNK = 250  # contacts in a file
 VERSION = 1  # raise it whenever the same taps give other slides
+# poses (N, 6), slides (N, 6), frictions (N,) -> how far pins are dragged (N, P, 2) px, and (N,) whether that is known
+Simulate = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def drag_of(stored: RecordedSet, sensor: Sensor, data_dir: Path) -> Drag:
+def drag_of(
+    stored: RecordedSet, sensor: Sensor, data_dir: Path, simulate: Simulate | None = None, chunk: int = CHUNK
+) -> Drag:
     """Simulates a slide to each labelled tap of training and validation, beside the data sets, or finds them there; a killed run goes
-    on where it stopped. Raises UserError."""
+    on where it stopped. Where `simulate` is not given it is `shear` of the training taps; files have `chunk` contacts. Raises UserError."""
     place = Path(data_dir).absolute() / "simulated_slides" / f"{config_name(stored.settings, sensor)}-{_digest()}"
     view = functools.cache(lambda: view_of(_taps(stored, "train"), stored.lattice(), stored.size, SHIPPED))
-    motions = {split: _motions(stored, split, place / split, view) for split in ("train", "validation")}
+    if simulate is None:
+        simulate = lambda *slides: shear(view(), *slides)  # noqa: E731
+    motions = {split: _motions(stored, split, place / split, simulate, chunk) for split in ("train", "validation")}
 
     def drag(split: str) -> Batch:
         rest = np.array(stored.frame["place_px"])
@@ -63,19 +69,19 @@ def _taps(stored: RecordedSet, split: str) -> Taps:
 
 
 def _motions(
-    stored: RecordedSet, split: str, folder: Path, view: Callable[[], View]
+    stored: RecordedSet, split: str, folder: Path, simulate: Simulate, chunk: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows of the split's taps (M,), how far their pins are dragged (M, P, 2) px, and the slides (M, 6)."""
     taps = _taps(stored, split)
     rows = np.flatnonzero(np.isfinite(taps.pins).any((1, 2)))
-    parts = [rows[start : start + CHUNK] for start in range(0, len(rows), CHUNK)]
+    parts = [rows[start : start + chunk] for start in range(0, len(rows), chunk)]
     paths = [folder / f"{index:05d}.npz" for index in range(len(parts))]
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     if missing:
         done = len(rows) - sum(len(parts[i]) for i in missing)
         with Progress(f"simulate slides ({split})", len(rows), unit="contacts", done=done) as progress:
             for i in missing:
-                _write(paths[i], view(), taps.pose, parts[i])
+                _write(paths[i], simulate, taps.pose, parts[i])
                 progress.advance(len(parts[i]))
     chunks = [load_chunk(path) for path in paths]
     joined = {name: np.concatenate([chunk[name] for chunk in chunks]) for name in ("row", "motion", "move", "fine")}
@@ -89,14 +95,14 @@ def _motions(
     return joined["row"][fine], joined["motion"][fine], joined["move"][fine]
 
 
-def _write(path: Path, view: View, pose: np.ndarray, rows: np.ndarray) -> None:
+def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -> None:
     generator = np.random.default_rng([VERSION, *path.parent.name.encode(), int(path.stem)])
     move = np.zeros((len(rows), 6))
     move[:, [axis for axis in range(3) if axis != depth_axis(pose)]] = (
         generator.uniform(-1, 1, (len(rows), 2)) * SLIDE_MM
     )
     move[:, 3:] = generator.uniform(-1, 1, (len(rows), 3)) * TWIST_DEG
-    motion, fine = shear(view, pose[rows], move, generator.uniform(*FRICTION, len(rows)))
+    motion, fine = simulate(pose[rows], move, generator.uniform(*FRICTION, len(rows)))
     buffer = io.BytesIO()
     np.savez(buffer, row=rows, motion=motion, move=move.astype(np.float32), fine=fine)
     write_bytes(path, buffer.getvalue())

@@ -26,8 +26,11 @@ TURNED_DEG, SHIFTED = 4.0, 0.065  # standard deviations of the camera's place; t
 Batch = Json
 
 
-def drawing_of(rest: Float[np.ndarray, "P 2"], share: float) -> Callable[[Batch, Array], Batch]:
-    """Draws `share` of all batches anew; the others are as the simulator gave them."""
+def drawing_of(
+    rest: Float[np.ndarray, "P 2"], share: float, turned_deg: float = TURNED_DEG, shifted: float = SHIFTED
+) -> Callable[[Batch, Array], Batch]:
+    """Draws `share` of all batches anew; the others are as the simulator gave them. The camera's place has standard deviations of
+    `turned_deg`, and of `shifted` spacings of the pins."""
     turns = turns_of(rest, 1)
     spacing_px = float(np.median(cKDTree(rest).query(rest, k=2)[0][:, 1]))
 
@@ -40,7 +43,7 @@ def drawing_of(rest: Float[np.ndarray, "P 2"], share: float) -> Callable[[Batch,
             times = jax.random.uniform(follow, (len(tap), 1, 1), tap.dtype, *FOLLOW)
             drawn["sheared_pins"] = tap + times * (slide - tap)
         seen = "sheared_pins" if "sheared_pins" in drawn else "pins"
-        drawn[seen] = _before_camera(turns.rest, drawn[seen], spacing_px, camera)
+        drawn[seen] = _before_camera(turns.rest, drawn[seen], turned_deg, shifted * spacing_px, camera)
         some = jax.random.uniform(chance) < share
         return {name: jnp.where(some, drawn[name], value) for name, value in batch.items()}
 
@@ -56,12 +59,12 @@ def _turned(turns: Turns, k: Array, batch: Batch) -> Batch:
     return after
 
 
-def _before_camera(rest: Array, pins: Array, spacing_px: float, key: Array) -> Array:
+def _before_camera(rest: Array, pins: Array, turned_deg: float, shift_px: float, key: Array) -> Array:
     """Pins (B, P, 2) px of sensors that stand turned and shifted before their camera, each by its own."""
     angle, shift = jax.random.split(key)
-    radians = jnp.radians(TURNED_DEG) * jax.random.normal(angle, (len(pins), 1))
+    radians = jnp.radians(turned_deg) * jax.random.normal(angle, (len(pins), 1))
     cosine, sine = jnp.cos(radians), jnp.sin(radians)
     middle = rest.mean(axis=0)
     x, y = jnp.moveaxis(pins - middle[None, None], -1, 0)
     moved = jnp.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
-    return middle[None, None] + moved + SHIFTED * spacing_px * jax.random.normal(shift, (len(pins), 1, 2))
+    return middle[None, None] + moved + shift_px * jax.random.normal(shift, (len(pins), 1, 2))

@@ -143,7 +143,7 @@ def _watcher(
         raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
     if not targets:
         raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
-    return partial(_watched, teacher, targets, training.pose_target)
+    return partial(watched, teacher, targets, training.pose_target)
 
 
 def _head(
@@ -158,7 +158,7 @@ def _head(
     return partial(_init_with_head, net, posenet.outputs_of(targets)), partial(_labelled, targets)
 
 
-def _watched(
+def watched(
     teacher: Callable[[Array], Array], targets: Targets, target: str, image: Array, canonical: Array, batch: Batch
 ) -> Array:
     """How far the pose that `teacher` reads off an image lies from the one it reads off the tap (B,): no label enters. With `target`

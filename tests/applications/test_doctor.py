@@ -3,14 +3,15 @@
 import json
 import shlex
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.applications import uses
 from jaxunshear.applications.doctor import examine
 from jaxunshear.cli import _parser, main
+from jaxunshear.dataset.preparing import LEAST_FRAMES
 from jaxunshear.errors import UserError
 from jaxunshear.report.doctor_text import text_of
 from jaxunshear.scene.pins import pin_lattice
@@ -23,6 +24,7 @@ NEWER = [f"{kind}_{axis}" for kind in ("pose", "shear") for axis in AXES]
 OTHER = replace(TACTIP_331, name="other", rings=5, pin_spacing_mm=3.0, pin_radius_mm=0.8)
 
 
+@cache
 def picture(sensor: Sensor, seed: int) -> np.ndarray:
     """White pins on black, each moved a little."""
     flat = pin_lattice(sensor)
@@ -52,22 +54,21 @@ def works(diagnosis):
 
 
 @pytest.mark.parametrize(
-    ("columns", "images", "layout"),
+    ("columns", "images", "count", "layout"),
     [
-        (OLDER, "images", "older layout (images/)"),
-        (OLDER, "frames_bw", "variant of the older layout (frames_bw/)"),
-        (NEWER, "processed_images", "newer layout (processed_images/)"),
+        (OLDER, "images", 10, "older layout (images/)"),
+        (OLDER, "frames_bw", 3, "variant of the older layout (frames_bw/)"),
+        (NEWER, "processed_images", 3, "newer layout (processed_images/)"),
     ],
 )
-def test_taps_and_slides_of_each_layout(tmp_path, monkeypatch, columns, images, layout):
-    monkeypatch.setattr(uses, "LEAST_FRAMES", 6)
+def test_taps_and_slides_of_each_layout(tmp_path, columns, images, count, layout):
     root = tmp_path / "edge 2d"
-    taps = recorded(root / "tap" / "train", columns=columns, images=images)
-    slides = recorded(root / "shear" / "train", slide=2.0, columns=columns, images=images)
+    taps = recorded(root / "tap" / "train", columns=columns, images=images, count=count)
+    slides = recorded(root / "shear" / "train", slide=2.0, columns=columns, images=images, count=count)
     diagnosis = examine(root)
     assert [(part.name, part.taps, part.slides, part.posed) for part in diagnosis.parts] == [
-        ("shear/train", 0, 3, 3),
-        ("tap/train", 3, 0, 3),
+        ("shear/train", 0, count, count),
+        ("tap/train", count, 0, count),
     ]
     for part in diagnosis.parts:
         assert part.layout == layout and part.size == (SIZE, SIZE)
@@ -76,17 +77,21 @@ def test_taps_and_slides_of_each_layout(tmp_path, monkeypatch, columns, images, 
         assert part.seen.pixels.kind == "binary" and not part.seen.pixels.negative
         named = {each.name: each for each in part.columns}
         assert list(named) == columns
-        assert (named[columns[2]].low, named[columns[2]].high, named[columns[2]].unit) == (3, 5, "mm")
-        assert (named[columns[5]].low, named[columns[5]].high, named[columns[5]].unit) == (-100, 140, "deg")
+        assert (named[columns[2]].low, named[columns[2]].high, named[columns[2]].unit) == (3, 2 + count, "mm")
+        assert (named[columns[5]].low, named[columns[5]].high, named[columns[5]].unit) == (
+            -100,
+            120 * count - 220,
+            "deg",
+        )
         assert [each.name for each in part.columns if each.varies] == [columns[1], columns[2], columns[5]]
-    assert (diagnosis.pairing.by_id, diagnosis.pairing.gap_mm, diagnosis.pairing.gap_deg) == (3, 0, 0)
+    assert (diagnosis.pairing.by_id, diagnosis.pairing.gap_mm, diagnosis.pairing.gap_deg) == (count, 0, 0)
     assert diagnosis.problems == diagnosis.lacks == ()
+    of_many = (("unshear", root, "--out", "unsheared"), ("pose", root)) if 2 * count >= LEAST_FRAMES else ()
     assert works(diagnosis) == [
         shlex.join(["jaxunshear", *map(str, words)])
         for words in (
             ("pins", root),
-            ("unshear", root, "--out", "unsheared"),
-            ("pose", root),
+            *of_many,
             ("fit", "--taps", taps, "--slides", slides),
             ("run", "experiments/recorded.py", "--recordings", root),
         )

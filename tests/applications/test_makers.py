@@ -27,7 +27,7 @@ def test_a_level_lies_between_what_does_not_overlap():
 
 
 @pytest.fixture
-def makers(monkeypatch):
+def makers():
     """Made-up taps: skin is pressed in on one side of an edge, and draws its pins apart there."""
     generator = np.random.default_rng(1)
     place, pins = skin_places(TACTIP_331), len(LATTICE.place)
@@ -37,11 +37,8 @@ def makers(monkeypatch):
     pressed = 2.0 / (1 + np.exp(distance))
     spread = 0.1 * pressed[..., None] * (LATTICE.place - LATTICE.middle)
     motion = spread + generator.normal(0, 0.05, spread.shape)
-    monkeypatch.setattr("jaxunshear.applications.makers.known_motions", lambda *_: motion)
-    none = np.zeros((60, 0))
-    known = FreshContacts(none, none, none, none, none, none, pressed, 0)
     assert pressed.shape == (60, pins)
-    return makers_of(TACTIP_331, LATTICE, known, distance), motion
+    return makers_of(TACTIP_331, LATTICE, motion, pressed, distance), motion
 
 
 def test_makers_agree_on_what_they_are_given(makers):

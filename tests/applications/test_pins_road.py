@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.applications import fresh, servo
+from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
 from jaxunshear.applications.perception import perceptions, unshearers, unshearing_of, ways_of
 from jaxunshear.applications.walk_scores import walk_scores
@@ -100,10 +100,10 @@ def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
     assert np.isnan(motion[1]).all()
 
 
-def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path, monkeypatch):
-    monkeypatch.setattr(servo, "PATIENCE", 4 * 0.5 / outline(STIMULI["disk"]).length)
+def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path):
     unknown = {"disentangled": lambda images: (np.full(len(images), np.nan),) * 2}
-    course = servo.Course("disk", starts=1, depth_mm=2.0)
+    steps = 4 * 0.5 / outline(STIMULI["disk"]).length
+    course = servo.Course("disk", starts=1, depth_mm=2.0, patience=steps)
     walks, line = servo.follow_contour(course, EXPERIMENT.sensor, PAIRED, unknown, tmp_path / "disk.npz")
     steps = np.diff(walks.point[0], axis=0)
     np.testing.assert_allclose(np.linalg.norm(steps[:, :2], axis=-1), course.gains.step_mm, rtol=1e-5)
@@ -113,9 +113,7 @@ def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path, monkeypatc
 
 
 @pytest.mark.long
-def test_servo_then_reconstruct_by_pins(command, model, tmp_path, monkeypatch):
-    monkeypatch.setattr(fresh, "KNOWN", 12)
-    monkeypatch.setattr(servo, "PATIENCE", 4 * 0.5 / outline(STIMULI["disk"]).length)
+def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
     words = ("--model", model, "--out", tmp_path / "walks", "--stimulus", "disk")
     answer = command("servo", *words, "--starts", 1, "--ways", "sheared,disentangled")
     assert answer.code == 0, answer.err

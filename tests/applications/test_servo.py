@@ -16,18 +16,12 @@ from jaxunshear.settings.outlines import traced
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 SETTINGS = PairedData()
-COURSE = Course("disk", starts=2, depth_mm=2.0)
+LENGTH = outline(STIMULI["disk"]).length
+COURSE = Course("disk", starts=2, depth_mm=2.0, patience=16 * 0.5 / LENGTH * 0.999)  # 16 steps
 WAYS = {"true": None}
 
 
-@pytest.fixture
-def short(monkeypatch):
-    """Walks of 16 steps, kept every 5."""
-    monkeypatch.setattr(servo, "PATIENCE", 16 * 0.5 / outline(STIMULI["disk"]).length * 0.999)
-    monkeypatch.setattr(servo, "SAVE_EVERY", 5)
-
-
-def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(short, tmp_path):
+def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(tmp_path):
     walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
     assert (walks.end == LATE).all() and walks.steps == 16 and not walks.unsolved.any()
     assert np.abs(walks.true[:, -4:, 0]).max() < 0.3  # mm from the edge
@@ -42,38 +36,44 @@ def test_a_walk_by_the_true_pose_keeps_to_the_edge_and_its_skin_remembers(short,
     np.testing.assert_allclose(seen_edge(walks, 0)[-1], line.points[line.at(walks.arc_mm[0])], atol=0.3)
 
 
-def test_a_killed_walk_goes_on_and_ends_equal(short, tmp_path, monkeypatch):
-    full, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "whole.npz")
-    real, taken = servo._touch, []
+def test_a_killed_walk_goes_on_and_ends_equal(tmp_path, monkeypatch):
+    monkeypatch.setattr(servo, "SAVE_EVERY", 5)
+    taken = []
 
-    def killed(*arguments):
+    def seen(images):
+        """An edge that depends on all that the camera sees."""
         taken.append(1)
-        if len(taken) == 9:
-            raise KeyboardInterrupt
-        return real(*arguments)
+        return images.mean(axis=(1, 2)) / images.max(), images[:, :64].mean(axis=(1, 2)) / images.max()
 
-    monkeypatch.setattr(servo, "_touch", killed)
+    def killed(images):
+        if len(taken) == 25:
+            raise KeyboardInterrupt
+        return seen(images)
+
+    full, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, {"a": seen}, tmp_path / "full.npz")
+    assert len(taken) == full.steps == 16
     with pytest.raises(KeyboardInterrupt):
-        follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
-    monkeypatch.setattr(servo, "_touch", real)
+        follow_contour(COURSE, TACTIP_331, SETTINGS, {"a": killed}, tmp_path / "disk.npz")
     assert stored_walks(tmp_path / "disk.npz")[1].steps == 5
-    again, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
+    again, _ = follow_contour(COURSE, TACTIP_331, SETTINGS, {"a": seen}, tmp_path / "disk.npz")
+    assert len(taken) == 25 + 11
     for field in ("point", "seen", "images", "force_n", "sums", "way_mm", "end"):
         np.testing.assert_array_equal(getattr(again, field), getattr(full, field), err_msg=field)
     with pytest.raises(UserError, match="other settings"):
-        follow_contour(dataclasses.replace(COURSE, depth_mm=3.0), TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
+        follow_contour(
+            dataclasses.replace(COURSE, depth_mm=3.0), TACTIP_331, SETTINGS, {"a": seen}, tmp_path / "disk.npz"
+        )
     (tmp_path / "disk.npz").write_bytes(b"torn")
     with pytest.raises(UserError, match="delete it"):
-        follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, tmp_path / "disk.npz")
+        follow_contour(COURSE, TACTIP_331, SETTINGS, {"a": seen}, tmp_path / "disk.npz")
 
 
-def test_a_walk_that_is_misled_is_lost_and_reported(short, tmp_path, monkeypatch):
-    monkeypatch.setattr(servo, "LOST_MM", 3.0)
+def test_a_walk_that_is_misled_is_lost_and_reported(tmp_path):
     astray = {"astray": lambda images: (np.full(len(images), -5.0), np.zeros(len(images)))}  # "go outwards"
     walks, line = follow_contour(COURSE, TACTIP_331, SETTINGS, astray, tmp_path / "disk.npz")
     assert (walks.end == LOST).all() and walks.steps < 16
     row = walk_scores(walks, line, "disk")[0]
-    assert row.ends == {"lost the edge": 2} and row.largest_mm > 3
+    assert row.ends == {"lost the edge": 2} and row.largest_mm > servo.LOST_MM
 
 
 def test_a_walk_around_an_outline_of_ones_own_closes_and_is_found_again(tmp_path):
@@ -94,7 +94,7 @@ def test_starts_are_spread_and_the_same_for_a_seed():
     assert apart.min() > 60
 
 
-def test_walks_of_other_networks_or_another_sensor_are_not_taken_for_these(short, tmp_path):
+def test_walks_of_other_networks_or_another_sensor_are_not_taken_for_these(tmp_path):
     file = tmp_path / "disk.npz"
     follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, file, {"true": "a"})
     follow_contour(COURSE, TACTIP_331, SETTINGS, WAYS, file, {"true": "a"})
@@ -109,14 +109,9 @@ def test_walks_of_other_networks_or_another_sensor_are_not_taken_for_these(short
 
 
 @pytest.mark.parametrize(("asked", "used"), [(None, STIMULI["disk"].friction), (0.2, 0.2)])
-def test_walks_touch_with_the_friction_of_the_data(short, tmp_path, monkeypatch, asked, used):
-    class Touched(Exception):
-        pass
-
-    def follow(sensor, names, paths, start):
-        np.testing.assert_array_equal(paths.friction, used)
-        raise Touched
-
-    monkeypatch.setattr(servo, "follow", follow)
-    with pytest.raises(Touched):
-        follow_contour(COURSE, TACTIP_331, dataclasses.replace(SETTINGS, friction=asked), WAYS, tmp_path / "disk.npz")
+def test_walks_touch_with_the_friction_of_the_data(asked, used):
+    """Coulomb's law: where skin slips its pull is the friction times the pressure, and nowhere is it more."""
+    settings = dataclasses.replace(SETTINGS, friction=asked)
+    walks, _ = follow_contour(dataclasses.replace(COURSE, patience=COURSE.patience / 4), TACTIP_331, settings, WAYS)
+    x, y, pressure = walks.force_n[walks.force_n[..., 2] > 0].T
+    assert (np.hypot(x, y) / pressure).max() == pytest.approx(used, rel=1e-3)

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration import alignment
 from jaxunshear.calibration.alignment import Matter, find_frame, turn_between, turned
 from jaxunshear.calibration.labels import Frame, framed, motions, to_paths
 from jaxunshear.calibration.prediction import Values, probe, skin_to_gel
@@ -57,10 +56,9 @@ def _recorded(contacts):
     return Seen(128, lattice, place, place[..., 0], count, count == 0, count, count, count)
 
 
-def test_a_frame_is_found_again(monkeypatch):
-    monkeypatch.setattr(alignment, "displacements", _like_a_skin)
+def test_a_frame_is_found_again():
     contacts = _contacts()
-    matter = Matter(_recorded(contacts), contacts, 1, VALUES, SENSOR)
+    matter = Matter(_recorded(contacts), contacts, 1, VALUES, SENSOR, _like_a_skin)
     found = find_frame(matter, Frame(2.2))
     assert np.allclose(found, TRUE, atol=0.1)
     reported = find_frame(matter, Frame(2.2), ("surface_mm",))
@@ -68,10 +66,11 @@ def test_a_frame_is_found_again(monkeypatch):
     assert abs(matter.turn(found)) < 0.01
 
 
-def test_a_surface_without_an_edge_has_no_place_across(monkeypatch):
-    monkeypatch.setattr(alignment, "displacements", lambda *words: _like_a_skin(words[0], words[1], 1, *words[3:]))
+def test_a_surface_without_an_edge_has_no_place_across():
     contacts = _contacts()
-    assert find_frame(Matter(_recorded(contacts), contacts, 0, VALUES, SENSOR), Frame(2.0)).across_mm == 0
+    of_an_edge = lambda *words: _like_a_skin(words[0], words[1], 1, *words[3:])  # noqa: E731
+    matter = Matter(_recorded(contacts), contacts, 0, VALUES, SENSOR, of_an_edge)
+    assert find_frame(matter, Frame(2.0)).across_mm == 0
 
 
 def test_a_shifted_frame_shifts_depth_and_edge():

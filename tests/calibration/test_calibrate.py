@@ -2,13 +2,12 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from jaxunshear.calibration import calibrate as module
-from jaxunshear.calibration.calibrate import calibrate
-from jaxunshear.calibration.prediction import Values, skin_to_gel
+from jaxunshear.calibration.calibrate import calibrate, readable
 from jaxunshear.calibration.rendering import render
 from jaxunshear.calibration.sampling import Recorded
 from jaxunshear.calibration.statistics import observe
@@ -95,16 +94,14 @@ def test_what_is_no_recording_is_refused(tmp_path):
         calibrate(tmp_path / "few", held=("colour",), log=_quiet)
 
 
-def test_an_image_whose_slide_cannot_be_read_is_no_tap(monkeypatch):
+def test_an_image_whose_slide_cannot_be_read_is_no_tap():
     seen = observe(render(GUESS, SMALL, 128, np.repeat(pin_tips(SMALL)[None], 20, axis=0)), SMALL)
     moves = np.ones((20, 6))
     moves[4] = np.nan
     part = Recorded("one", np.zeros((20, 128, 128), np.uint8), np.arange(120.0).reshape(20, 6), moves)
-    asked = []
-    monkeypatch.setattr(module, "read_labels", lambda seen, poses, moves, start, sensor: asked.append(poses))
-    start = Values(GUESS.mm_across, GUESS.distance_mm, SMALL.pin_spacing_mm, 0.3, skin_to_gel(SMALL))
-    module._labelled(part, seen, SMALL, start, [])
-    np.testing.assert_array_equal(asked[0], np.delete(part.poses, 4, axis=0))
+    np.testing.assert_array_equal(readable(part, seen), np.delete(np.arange(20), 4))
+    unmoved = replace(part, moves=np.full((20, 6), np.nan))  # no move is known: which are taps is not
+    np.testing.assert_array_equal(readable(unmoved, seen), np.arange(20))
 
 
 def test_what_was_held_is_not_called_undetermined(results):

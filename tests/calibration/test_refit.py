@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from jaxunshear.calibration import alignment
 from jaxunshear.calibration.alignment import Matter
 from jaxunshear.calibration.calibrated import SHIPPED, Calibrated, read_calibration, value_of, with_value
 from jaxunshear.calibration.folders import read_folder
@@ -69,7 +68,7 @@ def test_two_wrong_values_are_found(simulated):
     assert len(frames) == 1 and frames[0].across_mm == 0  # no edge
 
 
-def test_values_and_frame_are_found_within_bounds(monkeypatch):
+def test_values_and_frame_are_found_within_bounds():
     """In place of the simulator: pins that stay behind by friction, and that a softer gel lets farther down."""
 
     def like_a_skin(sensor, contacts, side, friction, surface_mm, ratio):
@@ -79,7 +78,6 @@ def test_values_and_frame_are_found_within_bounds(monkeypatch):
         moved[..., 1] += 0.1 * np.log(ratio) * tips[:, 0] * contacts.tip[:, 1, 2][:, None]
         return moved, fine
 
-    monkeypatch.setattr(alignment, "displacements", like_a_skin)
     truth = replace(SHIPPED, friction=0.4)
     contacts = _contacts()
     moved, _ = like_a_skin(truth.sensor, framed(contacts, TRUE), 1, 0.4, 0.0, truth.values.skin_to_gel)
@@ -88,7 +86,7 @@ def test_values_and_frame_are_found_within_bounds(monkeypatch):
     names = ("friction", "skin_to_gel")
     for wrong, bound in ((1.5, False), (20.0, True)):  # the second is farther off than a refit may go
         start = with_value(with_value(truth, "friction", 0.4 * wrong), "skin_to_gel", 2 * truth.values.skin_to_gel)
-        matter = Matter(seen, contacts, 1, start.values, start.sensor)
+        matter = Matter(seen, contacts, 1, start.values, start.sensor, like_a_skin)
         known, frames = refit([matter], start, [Frame(*TRUE)], names)
         assert known.friction == pytest.approx(0.8 if bound else 0.4, rel=0.05)
         assert bound or known.values.skin_to_gel == pytest.approx(truth.values.skin_to_gel, rel=0.1)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.comparison import _summaries
+from jaxunshear.calibration.comparison import summaries_of
 from jaxunshear.calibration.labels import motions
 from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.rendering import render
@@ -124,7 +124,9 @@ def test_missing_pins_move_no_ring(images):
 def test_what_is_not_followed_is_left_out_of_all(images, recwarn):
     seen = observe(images, TACTIP_331)
     contacts = motions(np.tile(np.arange(6.0), (2, 1)) + np.eye(6)[:2], np.ones((2, 6)))
-    reported = {row.name: row.values for row in _summaries(Group("one", seen, contacts), seen, np.array([True, False]))}
+    reported = {
+        row.name: row.values for row in summaries_of(Group("one", seen, contacts), seen, np.array([True, False]))
+    }
     assert all(np.isnan(values[1]) for values in reported.values())
     assert reported["white share of pins"][0] > 0.05 and reported["pins found"][0] == 331
     assert not recwarn.list

@@ -21,11 +21,6 @@ POSENET = PoseNet(size=32, widths=(4, 5, 6, 7, 8), hidden=9)
 SMALL = UnshearNet(size=32, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
 
 
-@pytest.fixture(autouse=True)
-def short(monkeypatch):
-    monkeypatch.setattr(bench_networks, "ROUND_S", 0.0)
-
-
 @pytest.mark.parametrize("net", [SMALL, dataclasses.replace(SMALL, disentangled=False)])
 @pytest.mark.parametrize("training", [True, False])
 def test_multiplications_are_those_of_plain_convolutions(net, training):
@@ -54,9 +49,9 @@ def test_posenet_s_multiplications_are_those_of_its_layers():
 @pytest.mark.parametrize(
     "bench",
     [
-        pytest.param(lambda: bench_networks.bench_train(32, 2, 1), marks=pytest.mark.long),
-        lambda: bench_networks.bench_infer(32, 2, 1),
-        lambda: bench_networks.bench_stream(32, 1),
+        pytest.param(lambda: bench_networks.bench_train(32, 2, (1, 0.0)), marks=pytest.mark.long),
+        lambda: bench_networks.bench_infer(32, 2, (1, 0.0)),
+        lambda: bench_networks.bench_stream(32, (1, 0.0)),
     ],
     ids=["train", "infer", "stream"],
 )
@@ -82,7 +77,7 @@ def test_what_is_not_installed_has_not_failed():
         raise RuntimeError("no")
 
     sides = iter([("jaxunshear", lambda: lambda: None), ("pytorch", absent), ("pytorch, other", broken)])
-    said = bench_networks.table(bench_networks._compared(sides, 32, 1, 1, 1))
+    said = bench_networks.table(bench_networks._compared(sides, 32, 1, 1, (1, 0.0)))
     assert "torch is not installed" in said and said.count("FAILED") == 1 and "FAILED: RuntimeError: no" in said
 
 

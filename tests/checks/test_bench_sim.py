@@ -33,22 +33,18 @@ FIELDS = {
     ),
     *("rms_px", "p95_px", "rms_mm", "p95_mm", "iterations", "converged", "nodes", "plan_ms", "failed", "against"),
 }
-SMALL = Effort(compared=2, timed=2, slow=1, repeats=1)
 LOOSE = replace(LEVELS["auto"], tolerance=0.3)
 
 
-@pytest.fixture(autouse=True)
-def shallow(monkeypatch):
-    """Contacts and a truth that cost little: 1 mm deep on the small dome, against float64."""
+def shallow(kind: str, count: int) -> Scenes:
+    found = paper_scenes(kind, count)
+    found.pose[:, 3] = 1.0
+    return found
 
-    def scenes(kind: str, count: int, seed: int = 0) -> Scenes:
-        found = paper_scenes(kind, count, seed)
-        found.pose[:, 3] = 1.0
-        return found
 
-    exact = replace(LEVELS["auto"], tolerance=0.01, precision="float64")
-    monkeypatch.setattr(bench_sim, "paper_scenes", scenes)
-    monkeypatch.setitem(LEVELS, "reference", exact)
+# contacts and a truth that cost little: 1 mm deep on the small dome, against float64
+EXACT = replace(LEVELS["auto"], tolerance=0.01, precision="float64")
+SMALL = Effort(compared=2, timed=2, slow=1, repeats=1, scenes=shallow, truth=EXACT)
 
 
 @pytest.fixture(autouse=True)

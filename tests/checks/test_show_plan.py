@@ -19,7 +19,6 @@ SMALL = replace(HALF_SIZE, name="small")
 @pytest.fixture(autouse=True)
 def small_dome(monkeypatch):
     monkeypatch.setitem(sensors.SENSORS, "small", SMALL)
-    monkeypatch.setattr(module, "REPEATS", 1)
 
 
 def by_name(shown) -> dict:
@@ -53,14 +52,13 @@ def test_a_level_that_leaves_nothing_out():
     assert not any(row.get("matters") for row in shown.rows) and "not left out at this level" in shown.text
 
 
-def test_groups_hold_every_scene_once(monkeypatch):
+def test_groups_hold_every_scene_once():
     def shallow(kind: str, count: int) -> Scenes:
         found = paper_scenes(kind, count)
         found.pose[:, 3] = 1.0
         return found
 
-    monkeypatch.setattr(module, "paper_scenes", shallow)
-    shown = show_grouping(3, sensor="small")
+    shown = show_grouping(3, sensor="small", scenes=shallow)
     for kind in ("slide", "tap"):
         assert sum(row["scenes"] for row in shown.rows if row["kind"] == kind and not row["omission"]) == 3
     assert any(row["omission"] == "grouping" for row in shown.rows)

@@ -1,6 +1,7 @@
 """The judge of networks at their extremes: what it passes, and that it does not pass what is wrong."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -15,12 +16,17 @@ from jaxunshear.errors import UserError
 from jaxunshear.metrics import images as metrics
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.training import checkpoint, losses
+from jaxunshear.training.guard import check_state
 
 FINE = judge.Found({"values": np.ones(3)})
 LINE = "training x stopped: supervised not finite at step 7, of batch 6; the checkpoint of step 4 is kept"
 NAN = steps_case(
     "NaN", SHALLOW, change=network_trainings._nan, expects=(judge.STOPPED,), words=network_trainings._words()
 )
+
+
+def guarded(*guards) -> judge.NetworkCase:
+    return replace(NAN, run=partial(NAN.run, guards=guards))
 
 
 def network_cases() -> list[judge.NetworkCase]:
@@ -164,40 +170,45 @@ def test_a_nan_stops_a_training_and_the_row_says_what_is_kept():
     assert row.said.startswith("training FOLDER stopped")
 
 
-def test_a_training_that_does_not_see_is_caught(monkeypatch):
+def test_a_training_that_does_not_see_is_caught():
     """Without its two looks the case that must stop ends with numbers that are not finite."""
     floats = lambda step, terms, batch, folder: {name: float(value) for name, value in terms.items()}  # noqa: E731
-    monkeypatch.setattr(network_steps, "check_terms", floats)
-    row = judge.examine(NAN)  # the state's look comes too late to name the step
+    row = judge.examine(guarded(floats, check_state))  # the state's look comes too late to name the step
     assert not row.holds and row.outcome.startswith("stopped by a line without 'step 7")
-    monkeypatch.setattr(network_steps, "check_state", lambda *_: None)
-    row = judge.examine(NAN)
+    row = judge.examine(guarded(floats, lambda *_: None))
     assert not row.holds and row.outcome == "not finite"
 
 
-def test_a_loss_that_is_nan_is_caught(monkeypatch, compiled_anew):
-    monkeypatch.setattr(losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - 1))
-    row = judge.examine(steps_case("usual", SHALLOW))
-    assert not row.holds and row.outcome == "stopped, though it can be computed" and "supervised" in row.said
-    assert not judge.examine(named("network losses, images all black")).holds
+USUAL = steps_case("usual", SHALLOW)
 
 
-def test_the_slope_of_a_root_at_zero_is_caught(monkeypatch):
-    """Finite values with a gradient that is not."""
-    monkeypatch.setattr(losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3))))
-    row = judge.examine(named("network losses, equal images"))
-    assert not row.holds and row.outcome == "not finite" and "supervised.1" in row.said
+@pytest.mark.parametrize(
+    ("less", "case", "outcome", "said"),
+    [
+        (1, USUAL, "stopped, though it can be computed", "supervised"),
+        (1, named("network losses, images all black"), "not finite", "supervised"),
+        (0, named("network losses, equal images"), "not finite", "supervised.1"),  # the slope alone
+    ],
+    ids=["training", "black", "equal"],
+)
+def test_a_root_of_what_is_not_positive_is_caught(monkeypatch, compiled_anew, less, case, outcome, said):
+    monkeypatch.setattr(losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - less))
+    row = judge.examine(case)
+    assert not row.holds and row.outcome == outcome and said in row.said
 
 
-def test_a_power_of_what_is_negative_is_caught(monkeypatch, compiled_anew):
-    monkeypatch.setattr(metrics, "_power", lambda x, weight: x**weight)
-    assert judge.examine(named("network ms_ssim, inverted")).outcome == "not finite"
-
-
-def test_a_score_that_hides_a_nan_is_caught(monkeypatch, compiled_anew):
-    monkeypatch.setattr(metrics, "_power", lambda x, weight: jnp.where(x > 0, jnp.where(x > 0, x, 1) ** weight, 0))
-    row = judge.examine(named("network ms_ssim, a NaN"))
-    assert not row.holds and row.outcome == "hides a NaN"
+@pytest.mark.parametrize(
+    ("power", "name", "outcome"),
+    [
+        (lambda x, weight: x**weight, "inverted", "not finite"),
+        (lambda x, weight: jnp.where(x > 0, jnp.where(x > 0, x, 1) ** weight, 0), "a NaN", "hides a NaN"),
+    ],
+    ids=["of what is negative", "that hides a NaN"],
+)
+def test_a_wrong_power_is_caught(monkeypatch, compiled_anew, power, name, outcome):
+    monkeypatch.setattr(metrics, "_power", power)
+    row = judge.examine(named(f"network ms_ssim, {name}"))
+    assert not row.holds and row.outcome == outcome
 
 
 @pytest.mark.parametrize("part", ["codes 0:", "that cannot be", "network losses", "network ssim", "network ms_ssim"])
@@ -206,24 +217,22 @@ def test_cases_that_take_seconds_hold(part):
     assert rows and not stability.failed(rows), stability.table(rows)
 
 
-def test_narrow_numbers_are_compared_with_wide_ones(monkeypatch):
-    images = [np.random.default_rng(0).random((4, 8, 8, 1)), np.random.default_rng(1).random((4, 8, 8, 1))]
-    monkeypatch.setattr(network_values, "learnt", lambda net: {"scale": np.float32([1 / 3])})
-    monkeypatch.setattr(network_values, "images_of", lambda batch: images[0].astype(np.float32))
+def test_narrow_numbers_are_compared_with_wide_ones():
+    images = np.random.default_rng(0).random((4, 8, 8, 1)).astype(np.float32)
+    given, names = ({"scale": np.float32([1 / 3])}, images), ("unsheared", "sheared")
 
-    def reported(net, variables, given):
-        return {"unsheared": given * variables["scale"], "sheared": given}
+    def reported(variables, images):
+        return {"unsheared": images * variables["scale"], "sheared": images}
 
-    monkeypatch.setattr(network_values, "infer", reported)
+    def precision(run, kind):
+        return network_values.precision(run, given, names, kind, 1.0)
+
     for kind, least, most in ((jnp.bfloat16, 1e-4, 5e-3), (jnp.float64, 1e-9, 1e-6)):
-        found = network_values._precision(SHALLOW, kind, 1.0)
+        found = precision(reported, kind)
         assert least < found.error < most and not found.wrong
-    monkeypatch.setattr(
-        network_values, "infer", lambda net, variables, given: reported(net, variables, jnp.float32(given))
-    )
-    assert "nothing was cast" in network_values._precision(SHALLOW, jnp.float32, 1.0).wrong
-    monkeypatch.setattr(network_values, "infer", lambda net, variables, given: reported(net, variables, 0 * given))
-    assert "nothing was compared" in network_values._precision(SHALLOW, jnp.bfloat16, 1.0).wrong
+    assert "nothing was cast" in precision(reported, jnp.float32).wrong
+    dark = lambda variables, images: reported(variables, 0 * images)  # noqa: E731
+    assert "nothing was compared" in precision(dark, jnp.bfloat16).wrong
 
 
 def test_images_are_what_their_names_say():

@@ -1,7 +1,6 @@
 """Closed forms, orders and laws: the cheap checks here, all of them in the test that is marked long."""
 
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -39,8 +38,8 @@ def test_half_space(check, body):
     assert any(row.bar is not None for row in rows)
 
 
-def test_without_tamaas_a_row_says_so(body, monkeypatch):
-    monkeypatch.setitem(sys.modules, "tamaas", None)
+def test_without_tamaas_a_row_says_so(body, absent):
+    absent("tamaas")
     (row,) = periodic.against_tamaas(body)
     assert row.bar is None and "pip install" in row.note
 

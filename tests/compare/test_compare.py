@@ -10,7 +10,7 @@ import jax
 import numpy as np
 import pytest
 
-from jaxunshear.compare.contacts import _unsheared, contacts
+from jaxunshear.compare.contacts import contacts, unsheared_by
 from jaxunshear.compare.figures import figures
 from jaxunshear.compare.runs import OWN, Run, notes, read_runs, settings_apart
 from jaxunshear.evaluation.evaluate import every_score
@@ -169,7 +169,7 @@ def test_another_runs_network_is_given_the_references_images(tmp_path):
     run = Run("second", folder, measured, {}, {}, None)
     sheared = (np.random.default_rng(0).random((3, 32, 32)) < 0.3).astype(np.uint8) * np.uint8(255)
     expected = unshear(net, variables, sheared[..., None].astype(np.float32) / 255)
-    found = _unsheared(run, run._replace(name="first"), sheared)
+    found = unsheared_by(run, run._replace(name="first"), sheared)
     assert np.abs(found - 255 * np.clip(np.asarray(expected)[..., 0], 0, 1)).max() < 1 and found.std() > 5
 
 

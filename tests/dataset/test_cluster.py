@@ -39,8 +39,9 @@ def test_calls_are_done_here_in_their_order():
 
 def test_nothing_to_do_starts_no_cluster(monkeypatch):
     pytest.importorskip("ray")
-    monkeypatch.setattr(cluster, "_connect", lambda address: pytest.fail("a cluster was started"))
+    monkeypatch.delenv("RAY_USAGE_STATS_ENABLED", raising=False)
     assert list(cluster.over_ray(None, 1)([])) == []
+    assert "RAY_USAGE_STATS_ENABLED" not in os.environ  # which it sets before it starts one
 
 
 @pytest.mark.parametrize(
@@ -59,8 +60,8 @@ def test_what_cannot_be_is_refused_in_one_line(command, tmp_path, name, words, l
     assert not list(tmp_path.iterdir())
 
 
-def test_without_ray_data_says_how_to_get_it(command, monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+def test_without_ray_data_says_how_to_get_it(command, absent):
+    absent("ray")
     answer = command("data", TINY, "--engine", "ray")
     assert answer.code == 2 and "--engine ray needs Ray: pip install" in answer.err and "[ray]" in answer.err
 
@@ -134,10 +135,9 @@ def wait_for(reached, process: subprocess.Popen) -> None:
 
 def test_the_error_of_a_call_is_raised_here_as_it_was(monkeypatch):
     ray = pytest.importorskip("ray")
-    fault = ray.exceptions.RayTaskError("_after", "", UserError("the disk is full"))
-    monkeypatch.setattr(ray, "get", lambda reference: (_ for _ in ()).throw(fault))
+    crash = ray.exceptions.WorkerCrashedError()
+    faults = [ray.exceptions.RayTaskError("_after", "", UserError("the disk is full")), crash]
+    monkeypatch.setattr(ray, "get", lambda reference: (_ for _ in ()).throw(faults.pop(0)))
     with pytest.raises(UserError, match="the disk is full"):
         cluster._made(None)
-    fault = ray.exceptions.WorkerCrashedError()
-    monkeypatch.setattr(ray, "get", lambda reference: (_ for _ in ()).throw(fault))
     assert cluster._made(None) == cluster.Died("its Ray worker died too often: WorkerCrashedError")

@@ -16,6 +16,7 @@ from jaxunshear.dataset.recordings import read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image import preprocess
 from jaxunshear.image.grey import to_grey
+from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.settings.image import Preprocess
 
 PREPROCESS = Preprocess(size=64)
@@ -158,16 +159,14 @@ def test_links_that_lead_back_are_not_followed(tmp_path):
 
 
 def test_a_ready_frame_takes_no_arithmetic(tmp_path, monkeypatch):
-    """As it lies on disk, within the mask; the long way, which is not to be taken, says the same."""
+    """As it lies on disk, within the mask; the long way, which wider numbers take, says the same."""
     root = older(tmp_path / "set")
     ready = replace(PREPROCESS, size=96)
     recordings = read_recordings(root, ready)
-    monkeypatch.setattr(preprocess, "white_pixels", lambda raw: None)
-    long = [image for _, _, image in recordings.frames()]
-    monkeypatch.undo()
     view = recordings.common_view()
-    monkeypatch.setattr(preprocess, "_both_sides", None)
-    monkeypatch.setattr(preprocess, "to_grey", None)
+    long = [prepare_frame(ready, read_image(file).astype(np.uint16), view) for file in recordings.files]
+    for arithmetic in ("_both_sides", "to_grey"):
+        monkeypatch.setattr(preprocess, arithmetic, None)
     np.testing.assert_array_equal([image for _, _, image in recordings.frames(view)], long)
     assert 0 < np.mean(long) < 255
 

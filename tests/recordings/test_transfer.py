@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 
 from jaxunshear.applications import transfer
-from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, _between
+from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, between
 from jaxunshear.applications.transfer import aligned_with, score_transfer, scored
+from jaxunshear.dataset.recorded import everything
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.unseen import table
 from jaxunshear.image.understood import expected_of
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.scene.pins import pin_lattice
 from jaxunshear.settings import targets
-from jaxunshear.settings.data import PairedData, PoseData, Ranges
+from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
@@ -71,22 +72,30 @@ def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])  # rows turn by +degrees
     here = 50 + 0.8 * (known - 64) @ turn
     motion = RNG.normal(size=(2, *known.shape))
-    there, back, by = _between(here, known)
+    there, back, by = between(here, known)
     np.testing.assert_allclose(there(here + 0.8 * motion @ turn), known + motion, atol=1e-9)
     np.testing.assert_allclose(back(known + motion), here + 0.8 * motion @ turn, atol=1e-9)
     assert by == pytest.approx(degrees, abs=1e-9)  # an edge that a network sees at 0 lies at `degrees` in the image
 
 
-def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path, monkeypatch):
+def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     """A stand-in reads the true pose of taps, a worse one of slides, and half of that error once unsheared."""
     folder = made.edge(tmp_path / "edge", 60, 40)
+    preprocess = Preprocess(size=made.SIZE)
+    contacts = everything(Recorded(str(folder), str(folder), preprocess=preprocess))
+
+    def batches(size):
+        """Taps, then slides: their poses (B, 6), the last of them again where they are too few, and how far off their poses are read."""
+        for slid in (False, True):
+            here = contacts.pose[contacts.slid == slid]
+            for start in range(0, len(here), size):
+                yield here[np.minimum(np.arange(start, start + size), len(here) - 1)], float(slid)
+
+    asked = batches(transfer.BATCH)
 
     def answers(images):
-        start, here = answers.row, answers.labels
-        rows = np.resize(np.arange(start, min(start + len(images), len(here))), len(images))
-        answers.row += len(images)
-        pose = here[rows]
-        off = np.where(answers.slid, 1.0, 0.0)
+        assert len(images) == transfer.BATCH
+        pose, off = next(asked)
 
         def read(error):
             angle = -(pose[:, 5] + 10 * error) + 40
@@ -101,18 +110,9 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path, monkeyp
         return Answers(None, poses, np.ones(len(images), bool), {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
 
     expected = expected_of(made.rest_px(), made.SIZE)
-    preprocess = Preprocess(size=made.SIZE)
-    monkeypatch.setattr(
-        transfer, "perceiver", lambda *_: Perceiver(preprocess, None, (), lambda seen: seen, answers, expected)
-    )
-    read = transfer._read
-
-    def with_labels(experiment, model, settings, contacts, kind):
-        answers.row, answers.labels, answers.slid = 0, contacts.pose, kind == "slides"
-        return read(experiment, model, settings, contacts, kind)
-
-    monkeypatch.setattr(transfer, "_read", with_labels)
-    results = score_transfer(Experiment("small", "none"), tmp_path / "weights", folder, "a command")
+    network = Perceiver(preprocess, None, (), lambda seen: seen, answers, expected)
+    results = score_transfer(Experiment("small", "none"), tmp_path / "weights", folder, "a command", network)
+    assert next(asked, None) is None
     mae = results.pose_mae
     assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)
     assert mae["sheared"] == pytest.approx({"y_mm": 1, "z_mm": 0, "Rz_deg": 10}, abs=1e-3)

@@ -159,7 +159,7 @@ def test_rows_of_a_sweep_have_folders_of_their_own(tmp_path):
         assert logged(tmp_path / "events" / "wide" / f"base_seed-{seed}" / "disentangled") == expected([line(10, seed)])
 
 
-def test_refusals_are_one_line(tmp_path, command, monkeypatch):
+def test_refusals_are_one_line(tmp_path, command, absent):
     write(tmp_path / "demo", [line(10)])
     (tmp_path / "empty").mkdir()
     for words, reason in (
@@ -169,6 +169,6 @@ def test_refusals_are_one_line(tmp_path, command, monkeypatch):
     ):
         answer = command("logs", *words)
         assert (answer.code, answer.err.count("\n")) == (2, 1) and reason in answer.err, answer.err
-    monkeypatch.setitem(__import__("sys").modules, "tensorboardX", None)
+    absent("tensorboardX")
     answer = command("logs", tmp_path / "demo", "--tensorboard", tmp_path / "out")
     assert answer.code == 2 and "jaxunshear[tensorboard]" in answer.err and not (tmp_path / "out").exists()

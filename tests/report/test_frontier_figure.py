@@ -5,7 +5,7 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
-from jaxunshear.report.frontier_figure import ERRORS, _panel, efficient, frontier, frontier_figure, points
+from jaxunshear.report.frontier_figure import ERRORS, efficient, frontier, frontier_figure, panel, points
 from jaxunshear.results.stored import record_of
 from jaxunshear.results.sweep import SweepResult
 
@@ -118,7 +118,7 @@ def test_what_is_not_ranked_is_drawn_hollow_and_not_joined():
     made = summary(THREE)
     made["cells"][3]["settings"]["paired.slides"] = "8"
     axes = Figure().subplots()
-    _panel(axes, record(made), "pose/disentangled/edge_mm", "train_seconds", {label: label for label, *_ in THREE})
+    panel(axes, record(made), "pose/disentangled/edge_mm", "train_seconds", {label: label for label, *_ in THREE})
     assert axes.lines[0].get_xdata().tolist() == [10, 100]
     colours = {text.get_text(): to_hex(text.get_bbox_patch().get_facecolor()) for text in axes.texts}
     assert colours["large"] == "#ffffff" and len(colours) == 4

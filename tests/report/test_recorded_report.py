@@ -16,7 +16,7 @@ from jaxunshear.fit import BASE
 from jaxunshear.report.report import write_report
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import record_of
-from jaxunshear.run import _print_summary
+from jaxunshear.run import print_summary
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.targets import of_labels
 from jaxunshear.storage import plain
@@ -276,7 +276,7 @@ def test_a_montage_that_should_be_there_is_missed(tmp_path):
 
 def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     results = make_run(tmp_path)
-    _print_summary(record_of(results, Results, "it", "again"), tmp_path)
+    print_summary(record_of(results, Results, "it", "again"), tmp_path)
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) < 12
     assert lines[0].split() == ["error", *SCALE]
@@ -284,7 +284,7 @@ def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     assert rows["unsheared"] == [f"{value:.3f}" for value in results["pose_mae"]["unsheared"].values()]
     assert rows["recovery"] == [f"{value:.2f}" for value in results["pose_recovery"]["unsheared"].values()]
     assert "0.683 as felt, 0.979 unsheared" in lines[-2] and lines[-1] == f"results: {tmp_path / 'results.json'}"
-    _print_summary(record_of(make_run_of_taps(tmp_path), Results, "it", "again"), tmp_path)
+    print_summary(record_of(make_run_of_taps(tmp_path), Results, "it", "again"), tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == 4
 
 

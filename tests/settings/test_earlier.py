@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.run import _keep_settings
+from jaxunshear.run import run_stages
 from jaxunshear.settings.configs import describe
 from jaxunshear.settings.data import Recorded, RecordedTaps
 from jaxunshear.settings.earlier import LATER, is_later, without_later
@@ -51,12 +51,13 @@ def test_what_was_always_there_may_not_lack(name):
 
 
 def test_an_earlier_run_goes_on(tmp_path):
-    write_json(tmp_path / "experiment.json", without_later(to_json(NOW)))
-    (tmp_path / "disentangled").mkdir()
-    _keep_settings(NOW, tmp_path)
-    assert from_json(read_json(tmp_path / "experiment.json")) == NOW
+    folder = tmp_path / NOW.name
+    write_json(folder / "experiment.json", without_later(to_json(NOW)))
+    (folder / "disentangled").mkdir()
+    run_stages(NOW, (), tmp_path, tmp_path, "none")
+    assert from_json(read_json(folder / "experiment.json")) == NOW
     with pytest.raises(UserError, match=r"another train_pins\.tap_weight"):
-        _keep_settings(replaced(NOW, "train_pins.tap_weight", 0.5), tmp_path)
+        run_stages(replaced(NOW, "train_pins.tap_weight", 0.5), (), tmp_path, tmp_path, "none")
 
 
 def test_an_earlier_training_is_the_same_training(tmp_path):

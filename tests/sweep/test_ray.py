@@ -16,8 +16,8 @@ from jaxunshear.sweep import engines
 from jaxunshear.sweep.summary import reproducible
 
 
-def test_without_ray_it_says_how_to_get_it(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+def test_without_ray_it_says_how_to_get_it(absent):
+    absent("ray")
     with pytest.raises(UserError, match=r"--engine ray needs Ray: pip install .*\[ray\]"):
         engines.ray_engine(None, 1)
 

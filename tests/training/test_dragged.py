@@ -45,24 +45,25 @@ def stored():
     return RecordedSet(settings, Stored())
 
 
-@pytest.fixture
-def simulator(monkeypatch):
+class Simulator:
     """Every pin moves with the slide, and by the friction; the first contact of a file does not converge."""
-    asked = []
 
-    def shear(view, pose, moves, friction):
-        asked.append(len(pose))
+    def __init__(self):
+        self.asked = []
+
+    def __call__(self, pose, moves, friction):
+        self.asked.append(len(pose))
         fine = np.arange(len(pose)) > 0
         return np.tile((friction[:, None] * moves[:, :2])[:, None], (1, PINS, 1)).astype(np.float32), fine
 
-    monkeypatch.setattr(dragged, "view_of", lambda *given: None)
-    monkeypatch.setattr(dragged, "shear", shear)
-    monkeypatch.setattr(dragged, "CHUNK", 3)
-    return asked
+
+@pytest.fixture
+def simulator():
+    return Simulator()
 
 
 def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
-    reader = stored.pairs((), drag=dragged.drag_of(stored, TACTIP_331, tmp_path))
+    reader = stored.pairs((), drag=dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3))
     # 6 of 8 taps are sure and labelled, in two files whose first contacts do not converge
     assert reader.length("train") == 4 * dragged.DRAWN
     pairs = next(reader.split("train", 100))
@@ -75,18 +76,20 @@ def test_each_slide_has_its_own_tap(stored, simulator, tmp_path):
     assert pairs["sheared"].shape == pairs["canonical"].shape == (16, SIZE, SIZE, 1)
     assert (pairs["sheared"] != pairs["canonical"]).any(axis=(1, 2, 3)).all()
     assert "canonical" not in next(
-        stored.pairs((), images=False, drag=dragged.drag_of(stored, TACTIP_331, tmp_path)).split("train", 1)
+        stored.pairs((), images=False, drag=dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)).split(
+            "train", 1
+        )
     )
 
 
 def test_slides_are_simulated_once_and_go_on_after_a_kill(stored, simulator, tmp_path):
-    first = dragged.drag_of(stored, TACTIP_331, tmp_path)("train")
-    assert simulator == [3, 3, 3, 3]  # two files of training, two of validation
+    first = dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)("train")
+    assert simulator.asked == [3, 3, 3, 3]  # two files of training, two of validation
     (files,) = {path.parent for path in tmp_path.rglob("train/00001.npz")}
     (files / "00001.npz").unlink()
-    again = dragged.drag_of(stored, TACTIP_331, tmp_path)("train")
-    assert simulator[4:] == [3]
+    again = dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)("train")
+    assert simulator.asked[4:] == [3]
     for name, values in first.items():
         np.testing.assert_array_equal(values, again[name])
-    other = dragged.drag_of(stored, TACTIP_331, tmp_path)("validation")
+    other = dragged.drag_of(stored, TACTIP_331, tmp_path, simulator, 3)("validation")
     assert not np.array_equal(first["move"], other["move"])

@@ -33,13 +33,6 @@ def batch(count=16):
     return {name: jnp.asarray(value, jnp.float32) for name, value in named.items()}
 
 
-@pytest.fixture
-def steady(monkeypatch):
-    """A camera that stands still."""
-    monkeypatch.setattr(drawing, "TURNED_DEG", 0.0)
-    monkeypatch.setattr(drawing, "SHIFTED", 0.0)
-
-
 def wrapped(degrees):
     return np.abs((np.asarray(degrees) + 180) % 360 - 180)
 
@@ -63,8 +56,8 @@ def test_the_edges_direction_turns_with_the_pins(jit):
     assert np.sqrt(np.mean((turned["canonical_pins"] - expected) ** 2)) < 0.1 * size
 
 
-def test_a_slide_drags_further_or_less_and_its_tap_stays_one(steady):
-    given, draw = batch(), drawing_of(REST, 1.0)
+def test_a_slide_drags_further_or_less_and_its_tap_stays_one():
+    given, draw = batch(), drawing_of(REST, 1.0, turned_deg=0.0, shifted=0.0)
     length = lambda b: np.linalg.norm(np.asarray(b["sheared_pins"] - b["canonical_pins"]), axis=(1, 2))  # noqa: E731
     times = np.concatenate([length(draw(given, jax.random.key(i))) / length(given) for i in range(20)])
     assert times.min() > 0.9 * FOLLOW[0] and times.max() < 1.1 * FOLLOW[1] and np.ptp(times) > 1

@@ -16,7 +16,7 @@ from jaxunshear.model.unshearing import unshear
 from jaxunshear.settings.networks import UNet
 from jaxunshear.settings.training import labelled
 from jaxunshear.training import losses
-from jaxunshear.training.tasks import _watched, unshear_task
+from jaxunshear.training.tasks import unshear_task, watched
 
 sys.path.insert(0, str(Path(__file__).parent))
 import small
@@ -75,7 +75,7 @@ def test_a_perfect_image_has_no_gradient(teacher):
     """An image whose every pixel is right is where the term ends, whatever the teacher makes of it."""
     canonical = jnp.asarray(small.dots(5, 3), jnp.float32) / 255
 
-    gradient = jax.grad(lambda image: jnp.sum(_watched(teacher, small.TARGETS, "tap", image, canonical, {})))
+    gradient = jax.grad(lambda image: jnp.sum(watched(teacher, small.TARGETS, "tap", image, canonical, {})))
     np.testing.assert_array_equal(gradient(canonical), 0)
     assert float(jnp.abs(gradient(canonical[::-1])).max()) > 0
 
