@@ -13,11 +13,10 @@ from dataclasses import replace
 
 import parted
 
-from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.configs import PAIRED, POSE
 from jaxunshear.settings.sweep import Sweep
 
 BASE = parted.sweep.base
-SEEN = {"camera": replace(BASE.paired.camera, frame_px=256), "preprocess": Preprocess(size=256)}
 ROWS = {
     "E convolves": (),
     "E is dense": (("pins.convolved", ()),),
@@ -30,8 +29,8 @@ sweep = Sweep(
         BASE,
         name="end_to_end",
         networks=(*BASE.networks, "posenet_sheared"),
-        paired=replace(BASE.paired, poses=3200, **SEEN),
-        pose=replace(BASE.pose, poses=6400, **SEEN),
+        paired=PAIRED["end_to_end"],
+        pose=POSE["end_to_end"],
         unshear=replace(BASE.unshear, size=256),
         posenet=replace(BASE.posenet, size=256),
         pins=replace(BASE.pins, convolved=(16, 32, 64), noise_px=0.14),  # by which pins found in these images are off

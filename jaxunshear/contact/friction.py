@@ -163,9 +163,8 @@ def _levelled(system: System, frame: Array | None, points: Array) -> Array:
     """Points (B, N, 3) of the sensor frame in the level frame, whose lowest point of the dome lies at z = 0."""
     if frame is None:
         return points
-    centre = jnp.stack([jnp.zeros_like(system.centre_mm), jnp.zeros_like(system.centre_mm), system.centre_mm])[
-        None, None
-    ]
+    zero = jnp.zeros_like(system.centre_mm)
+    centre = jnp.stack([zero, zero, system.centre_mm])[None, None]
     return rotate(frame, points - centre) + centre
 
 

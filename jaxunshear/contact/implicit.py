@@ -83,9 +83,8 @@ def slopes(
     slips = ~sticks & ((pull > limit) | (mu == 0))
     along = tangential / jnp.where(pull > 0, pull, 1)[..., None]
     share = jnp.where(slips, limit / jnp.where(pull > 0, pull, 1), 1)
-    outer = along[..., :, None] * along[..., None, :]
-    unit = jnp.eye(2, dtype=moved.dtype)[None, None]
-    disk = share[..., None, None] * (unit - jnp.where(slips[..., None, None], outer, 0))
+    outer = jnp.where(slips[..., None, None], along[..., :, None] * along[..., None, :], 0)
+    disk = share[..., None, None] * (jnp.eye(2, dtype=moved.dtype)[None, None] - outer)
     zero, one = jnp.zeros_like(normal), jnp.ones_like(normal)
     by_normal = jnp.where(slips, mu, 0)[..., None] * along
     bottom = jnp.stack([zero, zero, one], -1)[..., None, :]

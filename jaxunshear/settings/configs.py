@@ -48,6 +48,7 @@ PAIRED = {
     "standard": PairedData(config="standard", poses=1200, **FITTED),
     "skin": PairedData(config="skin", poses=750, **SKIN),
     "parted": PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
+    "end_to_end": PairedData(config="end_to_end", poses=3200, slides=4, poses_a_slide=4, **FITTED_256),
     "twisted": PairedData(
         config="twisted", poses=200, slides=4, poses_a_slide=4, ranges=Ranges(twist_deg=5.0), **FITTED
     ),
@@ -81,6 +82,7 @@ POSE = {
     "standard": PoseData(config="standard", poses=3000, **FITTED),
     "skin": PoseData(config="skin", poses=1000, **SKIN),
     "parted": PoseData(config="parted", poses=1600, **FITTED),
+    "end_to_end": PoseData(config="end_to_end", poses=6400, **FITTED_256),
     "tilted": PoseData(config="tilted", poses=1200, ranges=TILTED, **FITTED),
     "paper_short": PoseData(
         config="paper_short",

@@ -137,7 +137,7 @@ def test_friction_is_the_materials(paired):
         ({"seed": -1}, "seed = -1"),
         (
             {"config": "huge"},
-            "config 'huge'.*tiny, demo, calibrated, standard, skin, parted, twisted, tilted, paper",
+            "config 'huge'.*tiny, demo, calibrated, standard, skin, parted, end_to_end, twisted, tilted, paper",
         ),
         ({"ranges": Ranges(depth_min_mm=0.0)}, "depth_min_mm = 0"),
         ({"ranges": Ranges(depth_min_mm=3, depth_max_mm=2)}, "depth_max_mm = 2"),
@@ -151,8 +151,8 @@ def test_impossible_settings_are_refused_by_name(change, line):
 def test_changed_settings_have_a_name_of_their_own():
     for known in (PAIRED, POSE):
         assert [config_name(settings, sensor_of(name)) for name, settings in known.items()] == list(known)
-    names = ["tiny", "demo", "calibrated", "standard", "skin", "parted", "twisted", "tilted", "paper_short"]
-    assert list(PAIRED) == [*names, "paper", "paper_tenth"]
+    names = ["tiny", "demo", "calibrated", "standard", "skin", "parted", "end_to_end", "twisted", "tilted"]
+    assert list(PAIRED) == [*names, "paper_short", "paper", "paper_tenth"]
     assert set(PAIRED) - set(POSE) == {"twisted"}  # a tap does not twist
     changed = dataclasses.replace(PairedData(), poses=7)
     names = {config_name(changed), config_name(changed, TACTIP_127), config_name(PairedData(), TACTIP_127)}
