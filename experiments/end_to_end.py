@@ -6,7 +6,7 @@ The parted network of `parted.py`, four times its poses, for images of 256 px. I
 found ones are, and is also scored on pins that are found in images with noise and drift, each image by itself (test `found`).
 `posenet_sheared` learns poses of the same slides directly: it shows how much of the pose a slide still holds for such a network.
 
-Expected: docs/results/end_to_end.json; an hour on two cores, a quarter of it for 60,000 contacts.
+Expected: docs/results/end_to_end.json; 70 minutes on two cores, other work beside, after 60,000 contacts have been simulated.
 """
 
 from dataclasses import replace
