@@ -81,7 +81,7 @@ def images(net=NET):
 
 
 def pins(turned=0.0, convolved=()):
-    net, reader = PinUnshear(**PINS, convolved=convolved), PinPoseNet(**PINS, turned=turned, convolved=convolved)
+    net, reader = PinUnshear(**PINS, convolved=convolved), PinPoseNet(**PINS, turned=turned)
     reads = Part(reader, drawn_of_pins(reader, posenet.outputs_of(TARGETS)))
     return Parts(Part(net, drawn_of_pins(net)), reads, TARGETS, "unsheared", REST, SIZE)
 
@@ -95,7 +95,6 @@ CASES = {
     "pins": pins,
     "pins, turned": lambda: pins(0.5),
     "pins, convolved": lambda: pins(convolved=(4, 6, 5)),
-    "pins, convolved and turned": lambda: pins(0.5, (4, 6)),
 }
 
 

@@ -36,15 +36,13 @@ def grid_of(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
 
 
 class GridTrunk(nn.Module):
-    """Convolutions over the grid, the second and later ones to half the side, each normalised over its channels; then a dense layer,
-    which is also given what stands behind the motions of all pins."""
+    """Convolutions over the grid, the second and later ones to half the side, each normalised over its channels; then a dense layer."""
 
     net: PinNet
 
     @nn.compact
     def __call__(self, motions: Array, grid: Array) -> Array:
         count, side, he = len(motions), math.isqrt(grid.shape[1]), nn.initializers.he_normal()
-        motions, behind = jnp.split(motions, [2 * len(grid)], axis=1)
         laid = jnp.einsum("bpi,pg->bgi", motions.reshape(count, -1, 2), grid)
         inside = jnp.any(grid != 0, axis=0).astype(laid.dtype)
         inside = jnp.broadcast_to(inside[None, :, None], (count, len(inside), 1))
@@ -52,5 +50,4 @@ class GridTrunk(nn.Module):
         for number, channels in enumerate(self.net.convolved):
             stride = 2 if number else 1
             x = nn.gelu(nn.LayerNorm()(nn.Conv(channels, (3, 3), stride, kernel_init=he)(x)))
-        x = jnp.concatenate([x.reshape(count, -1), behind], -1)
-        return nn.gelu(nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=he)(x)))
+        return nn.gelu(nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=he)(x.reshape(count, -1))))

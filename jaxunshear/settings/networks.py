@@ -70,7 +70,7 @@ class PinNet:
 
     hidden: int = 256  # units a dense layer
     layers: int = 3  # dense layers
-    # channels of convolutions over a grid across the pins, then one dense layer, in E and PoseNets; (): dense layers alone
+    # channels of E's convolutions over a grid across the pins, then one dense layer; (): dense layers alone
     convolved: tuple[int, ...] = ()
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
     # share of the examples that are turned about the sensor's axis: of recorded ones posenet_sheared's; of simulated ones all networks',
@@ -92,7 +92,7 @@ class PinNet:
         yield 0 <= self.turned <= 1, "turned", "use a share from 0 to 1"
 
 
-PIN_CODES = ("pose_code", "shear_code", "apart", "shear_noise")  # what PinUnshear alone reads
+PIN_CODES = ("convolved", "pose_code", "shear_code", "apart", "shear_noise")  # what PinUnshear alone reads
 
 
 def without_pin_codes(net: PinNet) -> PinNet:

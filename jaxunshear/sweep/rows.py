@@ -116,8 +116,6 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(
             part, train_pins=without_pair_losses(part.train_pins), pins=without_pin_codes(part.pins)
         )
-    if network == RENDERER:  # all that it reads is a pose
-        part = dataclasses.replace(part, pins=dataclasses.replace(part.pins, convolved=()))
     if isinstance(part.pose, PoseData) and network in OF_TAPS:  # these learn from taps alone
         part = dataclasses.replace(part, paired=plain.paired)
     if isinstance(part.paired, Recorded) and network in OF_TAPS:

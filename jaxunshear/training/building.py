@@ -76,11 +76,7 @@ def _over_pins(
     plain = asdict(without_pin_codes(without_turns(experiment.pins)))
     sure = ("sure",) if recorded_of(experiment) else ()  # simulated pins are all known
     if network == RENDERER:
-        return pin_tasks.renderer_task(PinRenderer(**plain | {"convolved": ()}), training, *known), (
-            "pins",
-            *sure,
-            *labels,
-        )
+        return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
     if network in POSENETS:
         turned = experiment.pins.turned if network not in OF_TAPS and recorded_of(experiment) else 0.0
         turns = _turns(examples) if turned else None

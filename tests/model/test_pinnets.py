@@ -88,20 +88,6 @@ def test_an_encoder_that_convolves_has_no_dense_trunk_and_sees_every_pin():
     assert jnp.all(jnp.any(slopes != 0, axis=-1))
 
 
-@pytest.mark.parametrize("convolved", [(), (4, 6)])
-def test_a_posenet_sees_every_pin_and_how_far_they_were_turned(convolved):
-    net, variables = made(PinPoseNet, 3, convolved=convolved, turned=0.5)
-    assert set(variables["params"]) == {"GridTrunk_0" if convolved else "Trunk_0", "Dense_0"}
-    slopes = jax.jit(jax.grad(lambda pins: jnp.sum(pinnets.predict(net, variables, pins))))(moved())
-    assert jnp.all(jnp.any(slopes != 0, axis=-1))
-    assert jnp.any(pinnets.predict(net, variables, moved(), 1.0) != pinnets.predict(net, variables, moved()))
-
-
-def test_a_renderer_never_convolves():
-    _, variables = made(PinRenderer, 4, convolved=(4, 6))
-    assert set(variables["params"]) == {"Trunk_0", "Dense_0"} and "grid" not in variables["batch_stats"]
-
-
 def test_distance_is_in_units_of_the_spread_and_skips_what_is_not_seen():
     _, variables = made(PinUnshear)
     target = moved()

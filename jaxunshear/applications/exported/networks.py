@@ -23,10 +23,12 @@ def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Variables, se
     """Sheared images or pins -> canonical ones."""
     params = variables["params"]
     if isinstance(net, PinUnshear):
-        z_p = _dense(graph, params["pose"], _of_motions(graph, net, variables, params["E"], seen))
-        return _places(
-            graph, variables, _dense(graph, params["DC"]["Dense_0"], _trunk(graph, net, params["DC"]["Trunk_0"], z_p))
+        motions = _motions(graph, variables, seen)
+        encoder = (
+            _grid_trunk(graph, net, variables, motions) if net.convolved else _trunk(graph, net, params["E"], motions)
         )
+        z_p = _dense(graph, params["pose"], encoder)
+        return _places(graph, variables, _trunk_dense(graph, net, params["DC"], z_p))
     x, layers = seen, _Layers(graph, variables)
     for name in ("First_0", *(f"Down_{i}" for i in range(len(net.widths) - 1))):
         x = layers.convolution(x, ("E", name), **QUARTER)
@@ -43,12 +45,7 @@ def predict(graph: Graph, net: PoseNet | PinPoseNet, variables: Variables, seen:
     """Images or pins -> outputs (B, K), see `posenet`."""
     params = variables["params"]
     if isinstance(net, PinPoseNet):
-        trunk = params["GridTrunk_0" if net.convolved else "Trunk_0"]
-        first = trunk["Dense_0"]
-        if net.turned:  # as cosine and sine: there is none, and (1, 0) goes into the bias
-            unturned = {"kernel": first["kernel"][:-2], "bias": first["bias"] + first["kernel"][-2]}
-            trunk = trunk | {"Dense_0": unturned}
-        return _dense(graph, params["Dense_0"], _of_motions(graph, net, variables, trunk, seen))
+        return _trunk_dense(graph, net, params, _motions(graph, variables, seen))
     layers = _Layers(graph, variables)
     x = layers.convolution(layers.convolution(seen, ("First_0",), **QUARTER), ("Down_0",), **QUARTER)
     for names in (("Same_1", "Same_0"), ("Same_2",)):  # Flax counts an outer call before the inner one
@@ -127,22 +124,15 @@ def _dense(graph: Graph, params: Variables, x: str) -> str:
     return graph.add("Gemm", x, _single(params["kernel"]), _single(params["bias"]))
 
 
-def _of_motions(graph: Graph, net: PinUnshear | PinPoseNet, variables: Variables, trunk: Variables, pins: str) -> str:
-    """What a trunk makes of pins."""
-    motions = _motions(graph, variables, pins)
-    if net.convolved:
-        return _grid_trunk(graph, net, trunk, _single(variables["batch_stats"]["grid"]), motions)
-    return _trunk(graph, net, trunk, motions)
-
-
 def _trunk(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
     for i in range(net.layers):
         x = _normalised(graph, params[f"LayerNorm_{i}"], _dense(graph, params[f"Dense_{i}"], x))
     return x
 
 
-def _grid_trunk(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, grid: np.ndarray, motions: str) -> str:
+def _grid_trunk(graph: Graph, net: PinUnshear, variables: Variables, motions: str) -> str:
     """`pin_grid.GridTrunk`, channels first but where they are normalised."""
+    params, grid = variables["params"]["E"], _single(variables["batch_stats"]["grid"])
     side = math.isqrt(grid.shape[1])
     by_axis = graph.add("Transpose", graph.add("Reshape", motions, np.array([-1, len(grid), 2])), perm=(0, 2, 1))
     laid = graph.add("Reshape", graph.add("MatMul", by_axis, grid), np.array([-1, 2, side, side]))
@@ -177,6 +167,16 @@ def _gelu(graph: Graph, x: str) -> str:
     inner = graph.add("Mul", graph.add("Add", x, cubed), np.float32(np.sqrt(2 / np.pi)))
     weight = graph.add("Add", graph.add("Tanh", inner), np.float32(1))
     return graph.add("Mul", graph.add("Mul", x, np.float32(0.5)), weight)
+
+
+def _trunk_dense(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str) -> str:
+    """`pinnets.Dense`. Where the network is also given a turn, as cosine and sine, there is none: (1, 0) goes into the bias."""
+    trunk, last = params["Trunk_0"], params["Dense_0"]
+    if isinstance(net, PinPoseNet) and net.turned:
+        first = trunk["Dense_0"]
+        unturned = {"kernel": first["kernel"][:-2], "bias": first["bias"] + first["kernel"][-2]}
+        trunk = trunk | {"Dense_0": unturned}
+    return _dense(graph, last, _trunk(graph, net, trunk, x))
 
 
 def _motions(graph: Graph, variables: Variables, pins: str) -> str:
