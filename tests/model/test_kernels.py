@@ -44,7 +44,7 @@ def put_to_use(net, variables, images):
 def everything(net, way, dtype):
     """Variables, outputs in training and in use, statistics, gradients of all parameters."""
     with kernels.using(way):
-        variables = jax.tree.map(lambda x: x.astype(dtype), fresh(net, jax.random.key(0)))
+        variables = jax.tree.map(lambda x: x.astype(dtype), jax.jit(lambda key: fresh(net, key))(jax.random.key(0)))
         images = jax.random.bernoulli(jax.random.key(1), 0.3, (3, 32, 32, 1)).astype(dtype)
 
         def loss(params):

@@ -1,5 +1,7 @@
 """Networks over pins: shapes, what reaches what, pins that are not seen."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +15,10 @@ SMALL = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
 REST = np.random.default_rng(0).uniform(10, 100, (19, 2)).astype(np.float32)
 
 
+@functools.cache
 def made(kind, outputs=0, **changes):
     net = kind(**SMALL | changes)
-    return net, pinnets.init(net, REST, 1.5, jax.random.key(0), outputs)
+    return net, jax.jit(lambda key: pinnets.init(net, REST, 1.5, key, outputs))(jax.random.key(0))
 
 
 def moved(seed=1, count=3):

@@ -29,7 +29,8 @@ WEIGHTS = (1.0, 1.0, 4.0, 1.0, 1.0)  # of x, yaw, edge distance and both outputs
 
 @pytest.fixture(scope="module")
 def teacher():
-    fresh = posenet.init(small.POSENET, posenet.outputs_of(small.TARGETS), jax.random.key(9))
+    outputs = posenet.outputs_of(small.TARGETS)
+    fresh = jax.jit(lambda key: posenet.init(small.POSENET, outputs, key))(jax.random.key(9))
     # fresh ones answer 0.5 whatever they see
     wide = jax.tree.map(lambda leaf: 20 * leaf if leaf.ndim > 1 else leaf, fresh["params"])
     return partial(posenet.predict, small.POSENET, fresh | {"params": wide})
@@ -50,7 +51,7 @@ def with_poses(batch):
 
 def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
     task, batch = unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
-    variables = task.init(jax.random.key(0))
+    variables = jax.jit(task.init)(jax.random.key(0))
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
     named = jax.jit(task.validate)(variables, batch)
     unsheared = jax.jit(unshearnet.unshear, static_argnums=0)
@@ -63,7 +64,7 @@ def test_the_term_is_the_distance_of_what_the_teacher_reads(teacher):
 
 def test_its_gradient_reaches_what_makes_the_image_and_nothing_else(teacher):
     task, batch = unshear_task(small.NET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
-    gradient = gradient_of(task, task.init(jax.random.key(0)), batch, "pose")
+    gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "pose")
     largest = {
         name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part)) for name, part in gradient.items()
     }
@@ -85,18 +86,19 @@ def test_without_weight_the_teacher_is_never_asked():
         raise AssertionError("asked")
 
     task = unshear_task(small.NET, small.TRAINING, asked)
-    variables = task.init(jax.random.key(0))
+    variables = jax.jit(task.init)(jax.random.key(0))
     assert "pose" not in jax.eval_shape(task.terms, variables, small.pair(3, 4), jax.random.key(2))[0]
     assert "pose" not in jax.eval_shape(task.validate, variables, small.pair(3, 4))
 
 
 def test_a_u_net_can_be_taught_too(teacher):
     task, batch = unshear_task(UNET, WATCHED, teacher, small.TARGETS), small.pair(3, 4)
-    variables = task.init(jax.random.key(0))
-    image = unet.unshear(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    variables, read = jax.jit(task.init)(jax.random.key(0)), jax.jit(teacher)
+    unsheared = jax.jit(unet.unshear, static_argnums=0)
+    image = unsheared(UNET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     canonical = jnp.asarray(batch["canonical"], jnp.float32) / 255
-    expected = losses.pose(teacher(image), teacher(canonical), WEIGHTS)
-    np.testing.assert_allclose(task.validate(variables, batch)["pose"], expected, rtol=1e-5)
+    expected = losses.pose(read(image), read(canonical), WEIGHTS)
+    np.testing.assert_allclose(jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5)
 
 
 def test_a_weight_without_a_teacher_is_refused():
@@ -107,11 +109,11 @@ def test_a_weight_without_a_teacher_is_refused():
 @pytest.mark.parametrize("net", [small.NET, pytest.param(UNET, marks=pytest.mark.long)], ids=["unshear", "unet"])
 def test_against_labels_the_tap_does_not_enter(teacher, net):
     task, batch = unshear_task(net, AGAINST_LABELS, teacher, small.TARGETS), with_poses(small.pair(3, 4))
-    variables = task.init(jax.random.key(0))
-    image = unshear(net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    variables = jax.jit(task.init)(jax.random.key(0))
+    image = jax.jit(unshear, static_argnums=0)(net, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
     targets = posenet.pose_targets(batch, small.TARGETS)
-    expected = losses.pose(teacher(image), targets, WEIGHTS)
-    np.testing.assert_allclose(task.validate(variables, batch)["pose"], expected, rtol=1e-5)
+    expected = losses.pose(jax.jit(teacher)(image), targets, WEIGHTS)
+    np.testing.assert_allclose(jax.jit(task.validate)(variables, batch)["pose"], expected, rtol=1e-5)
     terms = jax.jit(task.terms)
     trained, other = (
         terms(variables, given, jax.random.key(2))[0]
@@ -153,7 +155,7 @@ def test_labels_are_read_only_where_a_loss_asks_for_them(training, reported):
 )
 def test_labels_teach_what_makes_the_pose_code_and_nothing_else(net):
     task, batch = unshear_task(net, LABELLED, targets=small.TARGETS), with_poses(small.pair(3, 4))
-    gradient = gradient_of(task, task.init(jax.random.key(0)), batch, "label")
+    gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "label")
     largest = {
         name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part)) for name, part in gradient.items()
     }
@@ -164,9 +166,11 @@ def test_labels_teach_what_makes_the_pose_code_and_nothing_else(net):
 
 def test_the_label_term_is_posenets_loss_of_what_the_head_reads():
     task, batch = unshear_task(small.NET, LABELLED, targets=small.TARGETS), with_poses(small.pair(3, 4))
-    variables = task.init(jax.random.key(0))
-    named = task.validate(variables, batch)
-    z_p, _ = unshearnet.encode(small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255)
+    variables = jax.jit(task.init)(jax.random.key(0))
+    named = jax.jit(task.validate)(variables, batch)
+    z_p, _ = jax.jit(unshearnet.encode, static_argnums=0)(
+        small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255
+    )
     assert z_p.shape[1:] == unshearnet.code_shape(small.NET)
     outputs = pose_head.predict(variables["params"]["head"], z_p)
     targets = posenet.pose_targets(batch, small.TARGETS)
@@ -178,7 +182,8 @@ def test_the_label_term_is_posenets_loss_of_what_the_head_reads():
 
 def test_a_head_changes_nothing_of_the_network_it_starts_beside():
     plain, labelled = (
-        unshear_task(small.NET, t, targets=small.TARGETS).init(jax.random.key(0)) for t in (small.TRAINING, LABELLED)
+        jax.jit(unshear_task(small.NET, t, targets=small.TARGETS).init)(jax.random.key(0))
+        for t in (small.TRAINING, LABELLED)
     )
     assert set(labelled["params"]) == {*plain["params"], "head"}
     kept = {name: labelled["params"][name] for name in plain["params"]}
@@ -187,7 +192,7 @@ def test_a_head_changes_nothing_of_the_network_it_starts_beside():
 
 def test_without_weight_there_is_no_head_and_no_label_is_read():
     task = unshear_task(small.NET, small.TRAINING, targets=small.TARGETS)
-    variables = task.init(jax.random.key(0))
+    variables = jax.jit(task.init)(jax.random.key(0))
     assert "label" not in jax.eval_shape(task.terms, variables, small.pair(3, 4), jax.random.key(2))[0]
     assert "label" not in jax.eval_shape(task.validate, variables, small.pair(3, 4))
 

@@ -30,13 +30,18 @@ def flax_norm_relu(x, scale, bias):
 
 
 def agree(ours, reference, arguments):
-    for f in (ours, jax.jit(ours)):
-        expected, pull_expected = jax.vjp(reference, *arguments)
-        got, pull = jax.vjp(f, *arguments)
+    """Values and gradients, with and without jit."""
+    dy = jnp.asarray(np.random.default_rng(1).normal(size=arguments[0].shape), jnp.float32)
+
+    def both(f):
+        values, pull = jax.vjp(f, *arguments)
+        return values, pull(dy)
+
+    expected, slopes_expected = jax.jit(lambda: both(reference))()
+    for got, slopes in (both(ours), jax.jit(lambda: both(ours))()):
         np.testing.assert_allclose(got, expected, atol=2e-5)
-        dy = jnp.asarray(np.random.default_rng(1).normal(size=expected.shape), jnp.float32)
-        for gradient, gradient_expected in zip(pull(dy), pull_expected(dy), strict=True):
-            np.testing.assert_allclose(gradient, gradient_expected, atol=3e-4)
+        for slope, slope_expected in zip(slopes, slopes_expected, strict=True):
+            np.testing.assert_allclose(slope, slope_expected, atol=3e-4)
 
 
 @pytest.mark.parametrize(
@@ -75,19 +80,22 @@ def test_compiled_passes_are_xla_s(source, target):
         dy = norm.relayout(inputs((3, rows, columns, channels))[0][::-1], "plain", target)
         at = {"source": source, "target": target}
         mean, constant, tilt = shift + 1, factor - 1, shift * factor
-        pairs = [
-            (norm._moments_by_xla(x, source=source), native.moments(x, source=source)),
-            (norm._affine_relu_by_xla(x, factor, shift, **at), native.affine_relu(x, factor, shift, **at)),
-            (
-                norm._slopes_by_xla(x, dy, factor, shift, mean, **at),
-                native.slopes(x, dy, factor, shift, mean, **at),
-            ),
-            (
-                norm._gradient_by_xla(x, dy, factor, shift, mean, constant, tilt, **at),
-                native.gradient(x, dy, factor, shift, mean, constant, tilt, **at),
-            ),
-        ]
-        for expected, got in pairs:
+
+        def passes(x, dy, factor, shift, mean, constant, tilt, at=at):
+            return [
+                (norm._moments_by_xla(x, source=source), native.moments(x, source=source)),
+                (norm._affine_relu_by_xla(x, factor, shift, **at), native.affine_relu(x, factor, shift, **at)),
+                (
+                    norm._slopes_by_xla(x, dy, factor, shift, mean, **at),
+                    native.slopes(x, dy, factor, shift, mean, **at),
+                ),
+                (
+                    norm._gradient_by_xla(x, dy, factor, shift, mean, constant, tilt, **at),
+                    native.gradient(x, dy, factor, shift, mean, constant, tilt, **at),
+                ),
+            ]
+
+        for expected, got in jax.jit(passes)(x, dy, factor, shift, mean, constant, tilt):
             for one, other in zip(jax.tree.leaves(expected), jax.tree.leaves(got), strict=True):
                 scale = float(jnp.abs(one).max())
                 np.testing.assert_allclose(other, one, atol=2e-6 * scale * (rows * columns) ** 0.5, rtol=0)
@@ -120,7 +128,7 @@ def test_second_derivatives_are_those_of_flax():
 
     def slope(f):
         inner = jax.grad(lambda x, scale: jnp.sum(jnp.sin(f(x, scale, bias))))
-        return jax.grad(lambda x, scale: jnp.sum(inner(x, scale) ** 2), (0, 1))(x, scale)
+        return jax.jit(jax.grad(lambda x, scale: jnp.sum(inner(x, scale) ** 2), (0, 1)))(x, scale)
 
     ours = slope(lambda *given: norm.norm_relu(*given, "plain", "plain")[0])
     for got, expected in zip(ours, slope(flax_norm_relu), strict=True):
@@ -175,9 +183,9 @@ def test_running_statistics_follow_the_batch(source, channels):
     np.testing.assert_array_equal(variables["batch_stats"]["mean"], 0)  # init leaves them alone
     scale = variables["params"]["scale"]
     _, mean, variance = norm.norm_relu(x, scale, jnp.zeros_like(scale), source, "plain")
+    follow = jax.jit(lambda variables: module.apply(variables, x, True, mutable=["batch_stats"])[1])
     for _ in range(200):
-        _, updates = module.apply(variables, x, True, mutable=["batch_stats"])
-        variables = variables | updates
+        variables = variables | follow(variables)
     np.testing.assert_allclose(variables["batch_stats"]["mean"], mean, rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(variables["batch_stats"]["var"], variance, rtol=1e-4)
     trained, _ = module.apply(variables, x, True, mutable=["batch_stats"])
