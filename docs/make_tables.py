@@ -246,24 +246,29 @@ def exported_speed() -> str:
 def transfer() -> str:
     """Errors on recordings of the weights that learnt in simulation alone, by their own PoseNet and by a ridge that learnt recorded taps:
     means of the trainings, each with its least and most."""
-    runs = [{name: row["value"] for name, row in run.items()} for run in _runs("skin", "skin")]
+    runs, dense = (
+        [{name: row["value"] for name, row in run.items()} for run in _runs("skin", begins)]
+        for begins in ("skin", "dense")
+    )
     readers = ("pose_mae", "readers.pins")
     lines = [
         "| learnt in simulation; reads recorded | its PoseNet: y, mm | Rz, deg | a ridge on recorded taps: y, mm | Rz, deg |",
         "|---|---|---|---|---|",
     ]
     kinds = {"taps": "tap", "slides as recorded": "sheared", "**slides unsheared**": "unsheared"}
-    for shown, kind in kinds.items():
-        values = [
-            ([run[f"{reader}.{kind}.{q}"] for run in runs], digits) for reader in readers for q, digits in COLUMNS
-        ]
-        lines.append(_line(shown, [_of_values(each, digits) for each, digits in values]))
+
+    def line(shown: str, kind: str, runs: list[dict[str, float]]) -> str:
+        values = [([run[f"{reader}.{kind}.{q}"] for run in runs], d) for reader in readers for q, d in COLUMNS]
+        return _line(shown, [_of_values(each, digits) for each, digits in values])
+
+    lines += [line(shown, kind, runs) for shown, kind in kinds.items()]
     undone = []
     for reader in readers:
         for q, _ in COLUMNS:
             tap, sheared, after = ([run[f"{reader}.{kind}.{q}"] for run in runs] for kind in kinds.values())
             undone.append(_of_values([(s - u) / (s - t) for t, s, u in zip(tap, sheared, after, strict=True)], 2))
-    return "\n".join([*lines, _line("recovery: the share of the slide's damage undone", undone)])
+    lines.append(_line("recovery: the share of the slide's damage undone", undone))
+    return "\n".join([*lines, line("for comparison: unsheared by dense layers", "unsheared", dense)])
 
 
 def refit() -> str:

@@ -6,7 +6,7 @@
 Over pins: of an edge and of three shapes, touched by the fitted sensor, drawn as other sensors, cameras and days would show them
 (`--pins.turned`). The weights `skin`, which `unshear`, `pose` and `stream` take where none are named, come from it.
 
-Expected on two cores: 8 minutes to simulate, 5 to train; docs/results/skin.json for its score on recordings of a real edge.
+Expected on two cores: 8 minutes to simulate, 9 to train on one of them; docs/results/skin.json for its score on recordings of a real edge.
 """
 
 from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
@@ -22,6 +22,6 @@ experiment = Experiment(
     paired=PAIRED["skin"],
     pose=POSE["skin"],
     unshear=UnshearNet(input="pins"),
-    pins=PinNet(noise_px=0.3, turned=1.0),
+    pins=PinNet(convolved=(24, 48, 96), noise_px=0.3, turned=1.0),
     train_pins=PINS,
 )
