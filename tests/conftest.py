@@ -26,7 +26,7 @@ if version("jaxlib").startswith("0.10."):  # later ones do not know the flag; ol
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ.setdefault("XLA_FLAGS", FLAGS)
 os.environ.setdefault("MPLBACKEND", "Agg")
-# JAX keeps much of what it compiled; to search it for what nobody needs took a thirtieth of the time.
+# JAX keeps much of what it compiled; to search it for what nobody needs took 7 % of the time.
 gc.set_threshold(50_000, 20, 100)
 
 from tests import shapes  # noqa: E402
