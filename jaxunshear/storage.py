@@ -13,13 +13,17 @@ import io
 import json
 import os
 import tempfile
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from jaxunshear.errors import UserError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 Json = dict[str, Any]  # an object whose keys are a command's own, as rows of its tables are
 
@@ -77,7 +81,27 @@ def disk_is_full(error: BaseException | None) -> bool:
     return False
 
 
-BROKEN_NPZ = (OSError, ValueError, EOFError, KeyError, RuntimeError, zlib.error, zipfile.BadZipFile)  # of np.load
+# Of `read_npz`.
+BROKEN_NPZ = (
+    OSError,
+    ValueError,
+    EOFError,
+    KeyError,
+    RuntimeError,
+    zlib.error,
+    zipfile.BadZipFile,
+    tokenize.TokenError,
+)
+
+
+def read_npz(file: Path | BinaryIO) -> "dict[str, np.ndarray]":
+    """All arrays by name. np.load trusts a header before it has compared the checksum, so that a damaged one may be another array;
+    here it is compared first. Raises one of BROKEN_NPZ."""
+    import numpy as np
+
+    with zipfile.ZipFile(file) as members:
+        stored = {name.removesuffix(".npy"): members.read(name) for name in members.namelist()}
+    return {name: np.load(io.BytesIO(array)) for name, array in stored.items()}
 
 
 def check_new_file(path: Path | None, option: str = "--json") -> None:

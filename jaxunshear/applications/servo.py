@@ -35,7 +35,7 @@ from jaxunshear.settings.configs import VERSION
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.stimuli import Outline, Touched
-from jaxunshear.storage import BROKEN_NPZ, write_bytes
+from jaxunshear.storage import BROKEN_NPZ, read_npz, write_bytes
 
 LOST_MM = 8.0  # from the edge: farther than any network has seen
 WINDOW_MM = 3.0  # along the outline, in which a sensor is searched for after a step
@@ -262,8 +262,7 @@ def _moved(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
 def stored_walks(file: Path) -> tuple[Course, Walks]:
     """What `follow_contour` kept in a file. Raises `UserError` where it is damaged."""
     try:
-        with np.load(file) as stored:
-            kept = dict(stored)
+        kept = read_npz(file)
         asked = json.loads(str(kept.pop("course")))
         touched = asked["stimulus"]
         own = {

@@ -26,12 +26,13 @@ from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
+from jaxunshear.training.ahead import ahead
 from jaxunshear.training.loop import run_once
 from jaxunshear.training.pin_tasks import pin_unshear_task
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Task, unshear_task
 
-ROUNDS = 15
+ROUNDS = 30
 EXAMPLES, SLIDES = 2000, 4  # slides, and how many share a pose
 COLUMNS = ("name", "batch", "ms_there", "ms_drawn", "ratio", "ratio_p95", "compile_s")
 
@@ -79,8 +80,9 @@ def _poses() -> Batch:
 def _measured(case: Case, rounds: int) -> Json:
     training = case.training
     fields = tuple(name for name in case.stored if name not in ("stimulus", "pose_id"))
-    stream = Reader(lambda split: case.stored, case.size).train_batches(training.batch, 0, training.shift, fields)(0)
-    there = jax.device_put(next(stream))
+    reader = Reader(lambda split: case.stored, case.size)
+    stream = ahead(reader.train_batches(training.batch, 0, training.shift, fields)(0), jax.device_put)
+    there = next(stream)
     optimiser = optimiser_of(training, 1000, 100)
     first = jax.jit(lambda key: fresh(case.task.init(key), optimiser), compiler_options=run_once())
     state = [first(jax.random.key(0))]
@@ -90,12 +92,12 @@ def _measured(case: Case, rounds: int) -> Json:
     programs: list[jax.stages.Compiled] = []
     compile_s = seconds(lambda: programs.append(lowered.compile()))
 
-    def turn(batches: Iterator[Mapping[str, np.ndarray | jax.Array]]) -> None:
-        """As training does it: the next batch is read while the step runs, and steps are waited for one behind."""
+    def turn(batches: Iterator[Mapping[str, jax.Array]]) -> None:
+        """As training does it: steps are waited for one behind."""
         batch, before = next(batches), None
         for _ in range(case.steps):
             state[0], metrics = programs[0](state[0], batch)
-            batch = jax.device_put(next(batches))
+            batch = next(batches)
             jax.block_until_ready(before)
             before = metrics
         jax.block_until_ready(before)

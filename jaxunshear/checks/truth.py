@@ -18,15 +18,14 @@ from jaxunshear.metrics.machine import versions
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import BROKEN_NPZ, cache_folder, write_bytes
+from jaxunshear.storage import BROKEN_NPZ, cache_folder, read_npz, write_bytes
 
 
 def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> np.ndarray:
     """(B, P, 3) mm. Raises `UserError` where a contact does not converge: nothing can be measured against it."""
     path = cache_folder() / f"pins-{_key(sensor, names, scenes, level)}.npz"
     try:
-        with np.load(path) as stored:
-            pins = stored["pins"]
+        pins = read_npz(path)["pins"]
         if pins.shape == (len(scenes), sensor.pins, 3) and np.isfinite(pins).all():
             return pins
     except BROKEN_NPZ:

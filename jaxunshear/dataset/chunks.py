@@ -23,7 +23,7 @@ from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import BROKEN_NPZ, write_bytes
+from jaxunshear.storage import BROKEN_NPZ, read_npz, write_bytes
 
 RENDER = 16  # images rendered at once: one shape to compile, little memory
 
@@ -111,8 +111,7 @@ def _chunk(
 
 def load_chunk(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path) as file:
-            return dict(file)
+        return read_npz(path)
     except BROKEN_NPZ as error:
         raise UserError(f"chunk {path} cannot be read ({error}): delete it and run the same command again") from error
 

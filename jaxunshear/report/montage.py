@@ -12,7 +12,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, pictures, words
 from jaxunshear.results.run import Results
-from jaxunshear.storage import BROKEN_NPZ
+from jaxunshear.storage import BROKEN_NPZ, read_npz
 
 WIDE = 22  # letters that do not fit above an image
 Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
@@ -29,8 +29,7 @@ class Terms(NamedTuple):
 def read(path: Path) -> Shown:
     """Raises `UserError` where montage.npz is missing or damaged."""
     try:
-        with np.load(path) as file:
-            shown = dict(file)
+        shown = read_npz(path)
         judged = shown_kind(shown)
         needed = ("stimulus", "pose", "move", "tap", "sheared", f"ms_ssim_{judged}", "ms_ssim_sheared")
         return {name: shown[name] for name in needed} | shown

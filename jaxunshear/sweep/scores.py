@@ -10,7 +10,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.results.run import Notes
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.settings.stimuli import stimulus_names
-from jaxunshear.storage import BROKEN_NPZ, os_error
+from jaxunshear.storage import BROKEN_NPZ, os_error, read_npz
 
 SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 
@@ -46,8 +46,7 @@ def read_tests(folder: Path, remedy: str) -> dict[str, dict[str, np.ndarray]]:
 
 def _read(path: Path, remedy: str) -> dict[str, np.ndarray]:
     try:
-        with np.load(path) as scores:
-            return dict(scores)
+        return read_npz(path)
     except OSError as error:
         raise os_error(path, error, "read") from error
     except BROKEN_NPZ as error:

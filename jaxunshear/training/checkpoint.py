@@ -153,8 +153,7 @@ def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = (
 
 def _read_weights(path: Path) -> dict[str, np.ndarray]:
     try:
-        with np.load(path) as file:
-            arrays = dict(file)
+        arrays = storage.read_npz(path)
         intact = str(arrays.pop(DIGEST)) == _digest(arrays)
     except storage.BROKEN_NPZ as error:
         storage.blame_the_machine(path, error)

@@ -35,6 +35,7 @@ from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
+from jaxunshear.training.ahead import ahead
 from jaxunshear.training.devices import Devices, devices_for
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
@@ -105,7 +106,8 @@ def train(
     _write_log(folder, reached.history)
     step = make_step(task, training, optimiser, key_steps)
     with native.taking("xla") if devices.mesh else contextlib.nullcontext():  # what is compiled cannot be split
-        state = _run(step, state, reached, length, task, training, batches, validation, folder, devices)
+        with contextlib.closing(ahead(iter(batches(reached.step)), devices.with_batch)) as stream:
+            state = _run(step, state, reached, length, task, training, stream, validation, folder, devices)
         parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
         return _ended(task, parameters, reached, length, folder, devices)
 
@@ -138,14 +140,13 @@ def _run(
     length: _Length,
     task: Task,
     training: Training,
-    batches: Batches,
+    stream: Iterator[Batch],
     validation: Validation,
     folder: Path,
     devices: Devices,
 ) -> State:
     """All steps that are left, with their checkpoints. Returns the last state; `reached` goes along."""
-    stream = iter(batches(reached.step))
-    state, batch = devices.with_state(state), devices.with_batch(next(stream))
+    state, batch = devices.with_state(state), next(stream)
     began = time.perf_counter()
     compiled = jax.jit(step, donate_argnums=0, out_shardings=devices.on_each).lower(state, batch).compile()
     validate, measure = jax.jit(task.validate), jax.jit(kernel_sizes)
@@ -158,7 +159,7 @@ def _run(
             state, metrics = compiled(state, batch)
             waiting.append((done, metrics, batch))
             if done < length.steps:
-                batch = devices.with_batch(next(stream))  # read while the step runs
+                batch = next(stream)
             at_checkpoint = done % training.validate_every == 0 or done == length.steps
             while len(waiting) > (0 if at_checkpoint else 1):
                 ready = waiting.pop(0)

@@ -194,16 +194,18 @@ def _images(folder: Path) -> Act:
 
 
 def _cache(folder: Path, size: Size) -> Row:
-    """The response of a dome: made again where its file is damaged, so the same."""
+    """The response of a coarse dome: made again where its file is damaged, so the same."""
     from jaxunshear.contact.dome import dome
+    from jaxunshear.settings.reach import spaced
     from jaxunshear.settings.sensor import TACTIP_127
 
+    coarse = spaced(TACTIP_127, 3.0)
     with shim.environment("JAXUNSHEAR_CACHE", str(folder)):
-        dome(TACTIP_127)
+        dome(coarse)
         files = sorted(folder.glob("dome-*.bin"))
 
         def act() -> object:
-            return bits(vars(dome(TACTIP_127)))
+            return bits(vars(dome(coarse)))
 
         row = _flip("cache of the simulator", "all that simulate", files, act, size)
     return row
