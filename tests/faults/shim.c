@@ -1,12 +1,15 @@
 /* Loaded before the C library (LD_PRELOAD): lets the Nth write under a folder, and all that follow, fail or kill the process.
 
    A write is what changes a file system: open to write, write, fsync, rename, mkdir. Armed by fault_arm(), or from the start by
-   FAULT_UNDER, FAULT_NTH and FAULT_ERRNO (0: SIGKILL) in the environment. */
+   FAULT_UNDER, FAULT_NTH and FAULT_ERRNO (0: SIGKILL) in the environment.
+
+   With FAULT_MEMORY=N there, the Nth large block of memory that is asked for, and all that follow, are refused. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
 #include <limits.h>
+#include <malloc.h>
 #include <signal.h>
 #include <stdarg.h>
 #include <stdio.h>
@@ -20,6 +23,7 @@
 static char under[PATH_MAX];
 static long nth, seen;
 static int number;
+static long refused_from, blocks;
 
 void fault_arm(const char *folder, long n, int error) {
     snprintf(under, sizeof under, "%s", folder);
@@ -32,6 +36,7 @@ long fault_seen(void) { return __atomic_load_n(&seen, __ATOMIC_SEQ_CST); }
 __attribute__((constructor)) static void from_environment(void) {
     const char *folder = getenv("FAULT_UNDER"), *n = getenv("FAULT_NTH"), *error = getenv("FAULT_ERRNO");
     if (folder && n && error) fault_arm(folder, atol(n), atoi(error));
+    if (getenv("FAULT_MEMORY")) refused_from = atol(getenv("FAULT_MEMORY"));
 }
 
 static int fails(const char *path) {
@@ -125,4 +130,31 @@ int mkdir(const char *path, mode_t mode) {
 int mkdirat(int at, const char *path, mode_t mode) {
     REAL(mkdirat);
     return fails_at(at, path) ? -1 : real(at, path, mode);
+}
+
+#define LARGE (1 << 16)
+
+static int refused(size_t size) {
+    return refused_from && size >= LARGE && __atomic_add_fetch(&blocks, 1, __ATOMIC_SEQ_CST) >= refused_from;
+}
+
+extern void *__libc_malloc(size_t), *__libc_calloc(size_t, size_t), *__libc_realloc(void *, size_t), *__libc_memalign(size_t, size_t);
+
+#define ALLOCATES(head, size, call)     \
+    head {                              \
+        if (!refused(size)) return call; \
+        errno = ENOMEM;                 \
+        return NULL;                    \
+    }
+ALLOCATES(void *malloc(size_t size), size, __libc_malloc(size))
+ALLOCATES(void *calloc(size_t count, size_t size), count * size, __libc_calloc(count, size))
+ALLOCATES(void *realloc(void *block, size_t size), size, __libc_realloc(block, size))
+ALLOCATES(void *memalign(size_t alignment, size_t size), size, __libc_memalign(alignment, size))
+ALLOCATES(void *aligned_alloc(size_t alignment, size_t size), size, __libc_memalign(alignment, size))
+
+int posix_memalign(void **block, size_t alignment, size_t size) {
+    if (refused(size)) return ENOMEM;
+    void *found = __libc_memalign(alignment, size);
+    if (found) *block = found;
+    return found ? 0 : ENOMEM;
 }

@@ -38,6 +38,11 @@ def killing(library: Path, under: Path, nth: int) -> dict[str, str]:
     return {"LD_PRELOAD": str(library), "FAULT_UNDER": str(under), "FAULT_NTH": str(nth), "FAULT_ERRNO": "0"}
 
 
+def starving(library: Path, nth: int) -> dict[str, str]:
+    """The environment of a process that gets no large block of memory from its `nth` on."""
+    return {"LD_PRELOAD": str(library), "FAULT_MEMORY": str(nth)}
+
+
 @contextlib.contextmanager
 def environment(name: str, value: str) -> Iterator[None]:
     """A variable of the environment, for a while."""
