@@ -18,6 +18,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "strangers": ("recordings", "seed"),
     "data": (),
     "input": (),
+    "explore": (),
 }
 
 
@@ -29,8 +30,8 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
             raise UserError(f"--{option}: bench {arguments.what} has no use for it; it takes {known}")
     if arguments.batch is not None and arguments.batch < 1:
         raise UserError(f"--batch {arguments.batch}: use at least 1")
-    if arguments.what in ("data", "input"):
-        return _run_data(arguments.what, keep)
+    if arguments.what in ("data", "input", "explore"):
+        return _run_plain(arguments.what, keep)
     if arguments.what != "sim":
         return _run_networks(arguments, keep)
     from jaxunshear.checks import bench_figure, bench_sim
@@ -44,12 +45,19 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
     return 0
 
 
-def _run_data(what: str, keep: Keep) -> int:
-    from jaxunshear.checks import bench_data, bench_input
+def _run_plain(what: str, keep: Keep) -> int:
+    """Of those that take no option."""
+    from jaxunshear.checks import bench_data, bench_explore, bench_input
     from jaxunshear.table import plain_table
 
-    rows = bench_data.bench_data() if what == "data" else bench_input.bench_input()
-    print(plain_table(rows, bench_data.COLUMNS if what == "data" else bench_input.COLUMNS))
+    kinds: dict[str, tuple[Callable[[], list[Json]], tuple[str, ...]]] = {
+        "data": (bench_data.bench_data, bench_data.COLUMNS),
+        "input": (bench_input.bench_input, bench_input.COLUMNS),
+        "explore": (bench_explore.bench_explore, bench_explore.COLUMNS),
+    }
+    measure, columns = kinds[what]
+    rows = measure()
+    print(plain_table(rows, columns))
     keep(rows)
     return 0
 
