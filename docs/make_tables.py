@@ -73,6 +73,15 @@ def waiting() -> str:
     return "\n".join(lines)
 
 
+def touched() -> str:
+    """Pictures of `explore`: how long they take."""
+    lines = ["| stimulus | pictures | refused | ms, median | ms, 95 % | ms, most |", "|---|---|---|---|---|---|"]
+    for row in json.loads((RESULTS / "bench_explore.json").read_text())["rows"]:
+        times = [f"{row[name]:.0f}" for name in ("ms", "ms_p95", "most_ms")]
+        lines.append(_line(row["name"], [str(row["pictures"]), str(row["refused"]), *times]))
+    return "\n".join(lines)
+
+
 def real_skin() -> str:
     """Errors over pins and over images, each with its 95 % interval over seeds and contacts."""
     inputs = [_cells(name)[0].metrics for name in ("recorded_pins", "recorded_images")]
@@ -719,6 +728,7 @@ TABLES = {
     ),
     "docs/cluster.md": (sizing,),
     "docs/robot.md": (exported_speed,),
+    "docs/explore.md": (touched,),
     "docs/speed.md": (waiting,),
     "docs/faults.md": (faults,),
     "docs/limits.md": (few_pairs, twisted, tilted),

@@ -26,7 +26,7 @@ from jaxunshear.scene.paths import DEPTH, YAW, Paths, path_of
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.scene.stimuli import stimulus_of
 from jaxunshear.settings.outlines import touched as named
-from jaxunshear.settings.sensor import Sensor, sensor_named
+from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import Json
 
 REPEATS, BUDGET_S = 3, 2.0  # warm runs: fewer where they take long
@@ -70,10 +70,10 @@ def show_plan(
     tilt: Sequence[float] = (0.0, 0.0),
     friction: float | None = None,
     level: str = "auto",
-    sensor: str = "tactip331",
+    sensor: Sensor = TACTIP_331,
 ) -> Shown:
     """One contact that ends at pose (x, y, yaw, depth) after a slide and a turn; friction None: the stimulus' own."""
-    touched, whose = stimulus_of(named(stimulus)), sensor_named(sensor)
+    touched = stimulus_of(named(stimulus))
     points = np.zeros((3, 6))
     points[:, :4], points[:, 4:] = pose, tilt
     points[:2, :2] -= move
@@ -82,13 +82,13 @@ def show_plan(
     mu = touched.friction if friction is None else friction
     paths = Paths(np.array([0]), np.array([float(mu)]), points[None])
     how = level_named(level)
-    check_paths(whose, 1, paths)
-    work = _Work(whose, (touched,), sample((touched,)), paths)
-    systems.dome(whose)
+    check_paths(sensor, 1, paths)
+    work = _Work(sensor, (touched,), sample((touched,)), paths)
+    systems.dome(sensor)
     with Progress("plan", len(OMISSIONS) + 1, unit="omissions") as progress:
         rows = _omissions(work, how, (*OMISSIONS, TOGETHER), progress)
     batch = work.plan(how)[0]
-    count, contacts = len(systems.dome(whose).nodes), work.solve(how)
+    count, contacts = len(systems.dome(sensor).nodes), work.solve(how)
     needs = {
         "omission": "",
         "level": level,
@@ -103,25 +103,25 @@ def show_plan(
         "residual_mm": float(contacts.residual_mm[0]),
         "iterations": int(contacts.iterations[0]),
     }
-    title = f"{touched.name}, friction {mu:g}, level {level}, {whose.name}"
+    title = f"{touched.name}, friction {mu:g}, level {level}, {sensor.name}"
     return Shown([needs, *rows], "\n".join([title, *_needs(needs), "", *_table(rows)]))
 
 
 def show_grouping(
     count: int,
     level: str = "auto",
-    sensor: str = "tactip331",
+    sensor: Sensor = TACTIP_331,
     scenes: Callable[[str, int], Scenes] = paper_scenes,
 ) -> Shown:
     """How `count` random slides and as many taps (of the paper) share batches, and what sharing by need saves."""
     if count < 1:
         raise UserError(f"--scenes {count}: show at least 1")
-    whose, how = sensor_named(sensor), level_named(level)
+    how = level_named(level)
     obstacles = sample(tuple(stimulus_of(name) for name in NAMES))
     rows: list[Json] = []
     lines = []
     for kind in KINDS:
-        work = _Work(whose, NAMES, obstacles, path_of(scenes(kind, count)))
+        work = _Work(sensor, NAMES, obstacles, path_of(scenes(kind, count)))
         batches = work.plan(how)
         alone = [len(work._replace(paths=work.paths.take(np.array([i]))).plan(how)[0].nodes) for i in range(count)]
         lines += [

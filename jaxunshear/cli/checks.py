@@ -155,15 +155,16 @@ def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
 
 def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.checks import show_plan
+    from jaxunshear.settings.sensor import sensor_named
 
-    given = vars(arguments)
+    given, sensor = vars(arguments), sensor_named(arguments.sensor)
     if arguments.scenes is not None:
         for option in (*_CONTACT, "friction"):
             if given[option] is not None:
                 raise UserError(
                     f"--{option}: plan --scenes draws its own contacts; it takes --level, --sensor and --json"
                 )
-        shown = show_plan.show_grouping(arguments.scenes, arguments.level, arguments.sensor)
+        shown = show_plan.show_grouping(arguments.scenes, arguments.level, sensor)
     else:
         one = {option: usual if given[option] is None else given[option] for option, usual in _CONTACT.items()}
         shown = show_plan.show_plan(
@@ -174,7 +175,7 @@ def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
             _numbers(one["tilt"], 2, "--tilt"),
             arguments.friction,
             arguments.level,
-            arguments.sensor,
+            sensor,
         )
     print(shown.text)
     keep(shown.rows)

@@ -11,14 +11,8 @@ from jaxunshear.checks.show_plan import show_grouping, show_plan
 from jaxunshear.contact.level import OMISSIONS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.settings import sensor as sensors
 
 SMALL = replace(HALF_SIZE, name="small")
-
-
-@pytest.fixture(autouse=True)
-def small_dome(monkeypatch):
-    monkeypatch.setitem(sensors.SENSORS, "small", SMALL)
 
 
 def by_name(shown) -> dict:
@@ -26,7 +20,7 @@ def by_name(shown) -> dict:
 
 
 def test_a_slide():
-    shown = show_plan("disk", (-6, 0, 10, 1.0), move=(0.4, 0.0), sensor="small")
+    shown = show_plan("disk", (-6, 0, 10, 1.0), move=(0.4, 0.0), sensor=SMALL)
     rows = by_name(shown)
     assert set(rows) == {"", module.TOGETHER, *OMISSIONS}
     needs = rows[""]
@@ -37,18 +31,18 @@ def test_a_slide():
 
 
 def test_nothing_is_touched():
-    rows = by_name(show_plan("disk", (40.0, 0, 0, 1.0), sensor="small"))
+    rows = by_name(show_plan("disk", (40.0, 0, 0, 1.0), sensor=SMALL))
     assert not rows[""]["touching"] and rows[""]["nodes"] == 0 and rows["untouched"]["matters"]
     assert rows["untouched"]["max_px"] == pytest.approx(0, abs=1e-4)
 
 
 def test_no_friction():
-    rows = by_name(show_plan("disk", (-6, 0, 0, 0.8), move=(0.4, 0), friction=0.0, sensor="small"))
+    rows = by_name(show_plan("disk", (-6, 0, 0, 0.8), move=(0.4, 0), friction=0.0, sensor=SMALL))
     assert not rows[""]["friction"] and rows["friction"]["matters"] and rows["friction"]["rms_px"] < 0.1
 
 
 def test_a_level_that_leaves_nothing_out():
-    shown = show_plan("disk", (-6, 0, 0, 0.8), level="default", sensor="small")
+    shown = show_plan("disk", (-6, 0, 0, 0.8), level="default", sensor=SMALL)
     assert not any(row.get("matters") for row in shown.rows) and "not left out at this level" in shown.text
 
 
@@ -58,7 +52,7 @@ def test_groups_hold_every_scene_once():
         found.pose[:, 3] = 1.0
         return found
 
-    shown = show_grouping(3, sensor="small", scenes=shallow)
+    shown = show_grouping(3, sensor=SMALL, scenes=shallow)
     for kind in ("slide", "tap"):
         assert sum(row["scenes"] for row in shown.rows if row["kind"] == kind and not row["omission"]) == 3
     assert any(row["omission"] == "grouping" for row in shown.rows)
@@ -68,7 +62,6 @@ def test_groups_hold_every_scene_once():
     ("arguments", "said"),
     [
         ({"stimulus": "pyramid"}, "pyramid"),
-        ({"sensor": "finger"}, "finger"),
         ({"level": "best"}, "best"),
         ({"pose": (0, 0, 0, float("nan"))}, "not finite"),
         ({"pose": (0, 0, 0, 50)}, "depth 50"),
