@@ -11,8 +11,11 @@ INTERRUPTED = 130
 def run() -> int:
     """One command, in a process of its own."""
     restart_with_large_pages()
-    from jaxunshear.cli import main
-
+    try:
+        from jaxunshear.cli import main
+    except MemoryError:
+        print("jaxunshear: error: out of memory before there was anything to do", file=sys.stderr)
+        return 2
     code = main()
     if (
         code == INTERRUPTED

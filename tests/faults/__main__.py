@@ -15,7 +15,7 @@ from pathlib import Path
 from tests.faults import shim
 from tests.faults.outcome import Row, Size
 
-PARTS = ("corruption", "writes", "fuzz", "kills", "others")
+PARTS = ("corruption", "writes", "fuzz", "kills", "memory", "others")
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Two processes in one folder; memory that is refused; a file system that is full, or read-only, in earnest; files from another year."""
+"""Two processes in one folder; a file system that is full, or read-only, in earnest; files from another year."""
 
 import os
 import random
@@ -10,14 +10,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from tests.faults import shim
 from tests.faults.jobs import Job, fresh, jobs
-from tests.faults.kills import LATE, ended, started
+from tests.faults.kills import ended, started
 from tests.faults.outcome import Row, Size, commanded
 from tests.faults.places import Places
 
 DECADE = 10 * 365 * 86_400.0
-BLOCKS = 1000  # of memory, at most, that a process gets before it is refused more
 KIB = (16, 1024)  # room that is left in a file system that is too small
 
 
@@ -27,8 +25,6 @@ def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
     for name in ("data", "train"):
         yield _two(made[name], size, scratch / "work")
         yield _moved(made[name], size, scratch / "work")
-    for name in ("data", "train", "release", "stream"):
-        yield _starved(made[name], size, scratch / "work")
     if not _mount(scratch / "small", f"size={KIB[1]}k"):
         print("no right to mount a tmpfs: its rows are left out", file=sys.stderr)
         return
@@ -38,7 +34,7 @@ def rows(places: Places, size: Size, scratch: Path) -> Iterator[Row]:
         yield _mounted(made[name], size, scratch / "small", "ro", "a read-only file system")
 
 
-def _right(job: Job, place: Path) -> object:
+def right_of(job: Job, place: Path) -> object:
     """What a command makes in a fresh place, and leaves there."""
     fresh(job, place)
     commanded(*job.words(place))
@@ -47,7 +43,7 @@ def _right(job: Job, place: Path) -> object:
 
 def _two(job: Job, size: Size, work: Path) -> Row:
     row = Row("two processes in one folder", job.name, size.seed)
-    began, draw, right = time.monotonic(), random.Random(size.seed), _right(job, work)
+    began, draw, right = time.monotonic(), random.Random(size.seed), right_of(job, work)
     for _ in size.places(size.moments):
         fresh(job, work)
         first, later = started(job, work, {}), draw.uniform(0, 3)
@@ -69,36 +65,12 @@ def _two(job: Job, size: Size, work: Path) -> Row:
 def _moved(job: Job, size: Size, work: Path) -> Row:
     """The clock was set back, or forward, by years, between one command and the same again."""
     row = Row("the clock moved by years", job.name, size.seed)
-    began, draw, right = time.monotonic(), random.Random(size.seed), _right(job, work)
+    began, draw, right = time.monotonic(), random.Random(size.seed), right_of(job, work)
     for _ in size.places(size.moments):
         for file in work.rglob("*"):
             os.utime(file, (moved := time.time() + draw.uniform(-DECADE, DECADE), moved))
         commanded(*job.words(work))
         row.count("harmless" if job.found(work) == right else "silent", "files of other years")
-    row.seconds = time.monotonic() - began
-    return row
-
-
-def _starved(job: Job, size: Size, work: Path) -> Row:
-    """All large blocks of memory are refused from some moment on. C++ code ends by a signal then, as by a kill."""
-    row = Row("memory refused", job.name, size.seed)
-    began, draw, right = time.monotonic(), random.Random(size.seed), _right(job, work)
-    for _ in size.places(LATE * size.moments):
-        if row.cases >= size.moments:
-            break
-        nth = int(BLOCKS ** draw.random())
-        fresh(job, work)
-        code, said = ended(started(job, work, shim.starving(Path(os.environ["FAULTS"]), nth)))
-        where = f"at block {nth}: exit code {code}: {said[-200:]}"
-        if code == 0:  # it needed fewer
-            continue
-        again, _ = ended(started(job, work, {}))
-        if again or job.found(work) != right:
-            row.count("lost" if again else "silent", where)
-        elif code == 2 and said.count("jaxunshear: error: ") == 1:
-            row.count("refused")
-        else:
-            row.count("harmless" if code < 0 else "lost", where)
     row.seconds = time.monotonic() - began
     return row
 
@@ -113,7 +85,7 @@ def _mounted(job: Job, size: Size, place: Path, option: str, fault: str) -> Row:
         _mount(place, "size=1g")
         try:
             if not number:
-                right = _right(job, place / "work")
+                right = right_of(job, place / "work")
                 continue
             fresh(job, place / "work")
             _remount(place, option.format(shutil.disk_usage(place).used // 1024 + room))

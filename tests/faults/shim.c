@@ -132,7 +132,7 @@ int mkdirat(int at, const char *path, mode_t mode) {
     return fails_at(at, path) ? -1 : real(at, path, mode);
 }
 
-#define LARGE (1 << 16)
+#define LARGE (1 << 18)
 
 static int refused(size_t size) {
     return refused_from && size >= LARGE && __atomic_add_fetch(&blocks, 1, __ATOMIC_SEQ_CST) >= refused_from;
