@@ -33,6 +33,14 @@ def checksums(folder: Path) -> dict[str, str]:
     return {path.name: sha256(path) for path in sorted(folder.iterdir())}
 
 
+def test_a_library_that_came_in_parts_is_one_line():
+    """TFDS logs what its import raises, and gives a module without its parts."""
+    parts = "import sys, types; sys.modules['tensorflow_datasets'] = types.ModuleType('tensorflow_datasets')"
+    words = [sys.executable, "-c", f"{parts}; import jaxunshear.dataset.builders.stored"]
+    said = subprocess.run(words, check=False, capture_output=True, text=True).stderr
+    assert said.splitlines()[-1].startswith("jaxunshear.errors.UserError: tensorflow_datasets could not be imported")
+
+
 @pytest.mark.parametrize("name", CONFIGS)
 def test_standard_sets_are_known_to_tfds_by_name(name, engine, tmp_path, monkeypatch):
     (tmp_path / "temporary").mkdir()

@@ -28,6 +28,11 @@ from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import checksum, write_json
 
+if not hasattr(tfds, "core"):  # TFDS logs what its own import raised, and goes on without its parts
+    raise UserError(
+        "tensorflow_datasets could not be imported; its own lines above say why: a lack of memory, or a broken install"
+    )
+
 HOMEPAGE = "https://arxiv.org/abs/2109.03615"  # the paper whose data these sets imitate
 
 
