@@ -32,7 +32,7 @@ from jaxunshear.training.pin_tasks import pin_unshear_task
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Task, unshear_task
 
-ROUNDS = 30
+ROUNDS = 60
 EXAMPLES, SLIDES = 2000, 4  # slides, and how many share a pose
 COLUMNS = ("name", "batch", "ms_there", "ms_drawn", "ratio", "ratio_p95", "compile_s")
 
