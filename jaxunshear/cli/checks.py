@@ -61,7 +61,7 @@ def add_parsers(commands: Commands) -> None:
         "what",
         choices=("sim", "train", "infer", "needs", "pins", "stream", "strangers", "data", "input", "explore"),
         help="the simulator, the networks, parts left out, pins of images, a robot's perception, images of no sensor of ours, the "
-        "making of a data set, whether training waits for its examples, or a picture of the page for hands",
+        "making of a data set, whether training waits for its examples, or pictures of `explore`",
     )
     parser.add_argument("--level", choices=tuple(LEVELS), help="sim: only rows of this level")
     parser.add_argument(
