@@ -64,11 +64,12 @@ def sizing() -> str:
 def waiting() -> str:
     """Steps of training whose examples are there, and whose examples are read and drawn as they go."""
     lines = [
-        "| networks over | batch | ms a step, examples there | read and drawn | ratio, median (95 % of turns) |",
-        "|---|---|---|---|---|",
+        "| networks over | batch | ms a step, examples there | read and drawn | ratio, median [its interval] | 95 % of turns |",
+        "|---|---|---|---|---|---|",
     ]
     for row in json.loads((RESULTS / "bench_input.json").read_text())["rows"]:
-        times = (f"{row['ms_there']:.1f}", f"{row['ms_drawn']:.1f}", f"{row['ratio']:.2f} ({row['ratio_p95']:.2f})")
+        times = [f"{row[name]:.1f}" for name in ("ms_there", "ms_drawn")]
+        times += [f"{row['ratio']:.3f} [{row['ratio_low']:.3f}, {row['ratio_high']:.3f}]", f"{row['ratio_p95']:.2f}"]
         lines.append(_line(row["name"], [str(row["batch"]), *times]))
     return "\n".join(lines)
 

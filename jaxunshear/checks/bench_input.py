@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from scipy.stats import bootstrap
 
 from jaxunshear.checks.clock import seconds
 from jaxunshear.dataset.chunks import pack
@@ -32,9 +33,10 @@ from jaxunshear.training.pin_tasks import pin_unshear_task
 from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Task, unshear_task
 
-ROUNDS = 60
+SECONDS = 60.0  # of each way
+LEAST_ROUNDS = 2
 EXAMPLES, SLIDES = 2000, 4  # slides, and how many share a pose
-COLUMNS = ("name", "batch", "ms_there", "ms_drawn", "ratio", "ratio_p95", "compile_s")
+COLUMNS = ("name", "batch", "ms_there", "ms_drawn", "ratio", "ratio_low", "ratio_high", "ratio_p95", "compile_s")
 
 
 class Case(NamedTuple):
@@ -43,17 +45,18 @@ class Case(NamedTuple):
     training: Training
     stored: Batch  # all training examples, as a set holds them
     size: int  # px
-    steps: int  # a turn: about a second of a core
+    steps: int  # a turn: a third of a second of two cores
 
 
-def bench_input(rounds: int = ROUNDS, widths: tuple[int, ...] = UnshearNet().widths) -> list[Json]:
-    """A row a kind of network: ms a step with a batch that is there and with one that is drawn; their ratio, median and 95 % of turns."""
+def bench_input(of_each: float = SECONDS, widths: tuple[int, ...] = UnshearNet().widths) -> list[Json]:
+    """A row a kind of network, of turns of `of_each` s in all a way: ms a step with a batch that is there and with one that is
+    drawn; their ratio, median with its 95 % bootstrap interval, and 95 % of turns."""
     keep_freed_memory()
     cases = [_images(widths), _pins()]
     with Progress("bench input", len(cases), unit="cases") as progress:
         rows = []
         for case in cases:
-            rows.append(_measured(case, rounds))
+            rows.append(_measured(case, of_each))
             progress.advance(1)
     return rows
 
@@ -77,7 +80,7 @@ def _poses() -> Batch:
     return {"stimulus": np.zeros(EXAMPLES, int), "pose_id": np.arange(EXAMPLES) // SLIDES}
 
 
-def _measured(case: Case, rounds: int) -> Json:
+def _measured(case: Case, of_each: float) -> Json:
     training = case.training
     fields = tuple(name for name in case.stored if name not in ("stimulus", "pose_id"))
     reader = Reader(lambda split: case.stored, case.size)
@@ -104,10 +107,12 @@ def _measured(case: Case, rounds: int) -> Json:
 
     turn(stream)
     turn(itertools.repeat(there))
+    rounds = max(LEAST_ROUNDS, round(of_each / seconds(lambda: turn(itertools.repeat(there)))))
     spent = np.array(
         [[seconds(lambda: turn(itertools.repeat(there))), seconds(lambda: turn(stream))] for _ in range(rounds)]
     )
     ratio = spent[:, 1] / spent[:, 0]
+    spread = bootstrap((ratio,), np.median, method="percentile", rng=0).confidence_interval
     ms_there, ms_drawn = 1e3 * np.median(spent, axis=0) / case.steps
     return {
         "name": case.name,
@@ -115,6 +120,8 @@ def _measured(case: Case, rounds: int) -> Json:
         "ms_there": float(ms_there),
         "ms_drawn": float(ms_drawn),
         "ratio": float(np.median(ratio)),
+        "ratio_low": float(spread.low),
+        "ratio_high": float(spread.high),
         "ratio_p95": float(np.percentile(ratio, 95)),
         "compile_s": compile_s,
     }

@@ -71,7 +71,7 @@ class FactorialReader(SetReader):
             yield self.take(name, rows, fields or tuple(self.rows(name)))
 
     def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
-        return self._with_partners(name, super().take(name, rows, _stored(fields)), fields, rows, 0)
+        return self._with_partners(name, super().take(name, rows, _stored(fields)), fields, rows)
 
     def train_batches(
         self, batch: int, seed: int, shift: float, fields: Sequence[str] | None = None
@@ -85,14 +85,18 @@ class FactorialReader(SetReader):
 
         return from_step
 
+    def partners(self, split: str, rows: np.ndarray, *step: int) -> tuple[np.ndarray, np.ndarray]:
+        """The rows (B,) that `OTHER` and `SWAPPED` are of: in evaluation, or for a training's seed and step."""
+        return self.shared(split).partners(rows, np.random.default_rng(step or 0))
+
     def _load(self, split: str) -> Batch:
         rows = super()._load(split)
         return rows | {"row": np.arange(len(rows["pose_id"]))}
 
-    def _with_partners(self, split: str, batch: Batch, fields: Sequence[str], rows: np.ndarray, *seed: int) -> Batch:
+    def _with_partners(self, split: str, batch: Batch, fields: Sequence[str], rows: np.ndarray, *step: int) -> Batch:
         found = {name: batch[name] for name in fields if name in batch}
         if OTHER in fields or SWAPPED in fields:
-            other, swapped = self.shared(split).partners(rows, np.random.default_rng(seed))
+            other, swapped = self.partners(split, rows, *step)
             pins = self.rows(split)[FEEDS]
             found |= {name: pins[row] for name, row in ((OTHER, other), (SWAPPED, swapped)) if name in fields}
         return found

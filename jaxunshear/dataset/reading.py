@@ -172,8 +172,8 @@ def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
         return np.random.default_rng((seed, number)).permutation(count)
 
     def rows(step: int) -> np.ndarray:
-        places = np.arange(step * batch, (step + 1) * batch)
-        return np.array([epoch(place // count)[place % count] for place in places])
+        numbers, places = np.divmod(np.arange(step * batch, (step + 1) * batch), count)
+        return np.concatenate([epoch(at)[places[numbers == at]] for at in range(numbers[0], numbers[-1] + 1)])
 
     return rows
 

@@ -13,6 +13,7 @@ from jax import Array
 
 from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader
 from jaxunshear.dataset.reading import Reader
+from jaxunshear.evaluation.slide import slipping
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
 from jaxunshear.model import pinnets
 from jaxunshear.model.parts import Net, Variables
@@ -25,6 +26,7 @@ from jaxunshear.training.examples import open_examples
 
 MOST = 2000  # slides, evenly chosen
 SEED = 0
+EXCHANGED, OWN = "exchanged", "both of its own"
 
 
 class Exchanged(NamedTuple):
@@ -57,26 +59,41 @@ def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchange
 
 def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     """How far, px (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and slide; None
-    where poses share no slides, or the network reads images."""
+    where poses share no slides, or the network reads images.
+
+    `by slip`: the same where the contact that the shear code was read from still sticks somewhere, and where all of it slips, which
+    hides how far the slide went.
+    """
     if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
         return None
     count = reader.length("test")
     rows = np.linspace(0, count - 1, min(MOST, count)).round().astype(int)
     batch = reader.take("test", rows, (FEEDS, OTHER, SWAPPED, "stimulus", "pose_id"))
+    source = reader.take("test", reader.partners("test", rows)[0], ("stuck", "slipping"))
     own, other, wanted = (batch[name] for name in (FEEDS, OTHER, SWAPPED))
-    changed = np.any(own != wanted, axis=(1, 2))
 
     @jax.jit
     def drawn(weights: pinnets.Variables, own: Array, other: Array, wanted: Array) -> dict[str, Array]:
         codes: list[Any] = [pinnets.encode(net, weights, pins) for pins in (own, other, wanted)]
-        pairs = {"exchanged": (0, 1), "both of its own": (2, 2), "shear code not exchanged": (0, 0)}
+        pairs = {EXCHANGED: (0, 1), OWN: (2, 2), "shear code not exchanged": (0, 0)}
         return {n: pinnets.decode_sheared(net, weights, codes[p][0], codes[s][1]) for n, (p, s) in pairs.items()}
 
     found = drawn(variables, own, other, wanted)
-    poses = numbered_poses(batch["stimulus"], batch["pose_id"])[changed]
-    squares = {n: np.sum(np.square(np.asarray(pins) - wanted), -1).mean(axis=1)[changed] for n, pins in found.items()}
-    means = redrawn_means(squares, poses, SEED)
-    rms = {name: float(np.sqrt(value.mean())) for name, value in squares.items()}
-    drawn_rows = {name: {"rms_px": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms}
-    ratios = np.sqrt(means["exchanged"] / means["both of its own"])
-    return {"drawn": drawn_rows, "ratio": rms["exchanged"] / rms["both of its own"], "ratio interval": interval(ratios)}
+    poses = numbered_poses(batch["stimulus"], batch["pose_id"])
+    squares = {n: np.sum(np.square(np.asarray(pins) - wanted), -1).mean(axis=1) for n, pins in found.items()}
+    slipped = slipping(source["stuck"], source["slipping"])
+    changed = np.any(own != wanted, axis=(1, 2))
+    parts = {"sticking": changed & ~slipped, "slipped": changed & slipped}
+    by_slip = [{"part": part, **_errors(squares, poses, inside)} for part, inside in parts.items() if inside.any()]
+    return _errors(squares, poses, changed) | {"by slip": by_slip}
+
+
+def _errors(squares: dict[str, np.ndarray], poses: np.ndarray, inside: np.ndarray) -> Json:
+    """Of squared errors px^2 (N,) those `inside` (N,)."""
+    squares = {name: values[inside] for name, values in squares.items()}
+    means = redrawn_means(squares, poses[inside], SEED)
+    rms = {name: float(np.sqrt(values.mean())) for name, values in squares.items()}
+    drawn = {name: {"rms_px": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms}
+    ratios = np.sqrt(means[EXCHANGED] / means[OWN])
+    ratio = {"ratio": rms[EXCHANGED] / rms[OWN], "ratio interval": interval(ratios)}
+    return {"slides": int(inside.sum()), "drawn": drawn, **ratio}

@@ -139,8 +139,9 @@ def _slide(
 
 def for_sweep(results: Json) -> list[Json]:
     """Rows of a sweep's ablation."""
-    drawn = (results["exchanged"] or {"drawn": {}})["drawn"]
-    rows = [{"name": f"DS, codes {name}", "rms_px": row["rms_px"]} for name, row in drawn.items()]
+    rows = []
+    for part, errors in _exchanged(results):
+        rows += [{"name": f"DS, codes {name}{part}", "rms_px": row["rms_px"]} for name, row in errors["drawn"].items()]
     rows += [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
     read = ({"name": f"{row['name']}, {row['part']}"} | {n: row[n] for n in SLIDE} for row in results["slide"])
     return [*rows, *read]
@@ -158,11 +159,11 @@ def table(results: Json) -> str:
         lines.append(
             f"{row['name']}: HSIC {row['hsic']:.4f} of 1, p = {row['p']:.3f} of independence, {row['poses']} poses"
         )
-    for name, row in (results["exchanged"] or {"drawn": {}})["drawn"].items():
-        low, high = row["interval"]
-        lines.append(
-            f"DS, codes {name}: {row['rms_px']:.3f} [{low:.3f}, {high:.3f}] px from the contact of that pose and that slide"
-        )
+    for part, errors in _exchanged(results):
+        for name, row in errors["drawn"].items():
+            low, high = row["interval"]
+            text = f"{row['rms_px']:.3f} [{low:.3f}, {high:.3f}] px from the contact of that pose and that slide"
+            lines.append(f"DS, codes {name}{part}: {text}")
     for row in results["slide"]:
         mae, coverage = (
             "{:.3g} [{:.3g}, {:.3g}]".format(row[name], *row[f"{name} interval"]) for name in ("mae", "coverage")
@@ -171,6 +172,12 @@ def table(results: Json) -> str:
             f"{row['name']} from both codes, {row['part']} ({row['slides']}): error {mae}; 95 % intervals hold {coverage}"
         )
     return "\n".join([*lines, results["metric"]])
+
+
+def _exchanged(results: Json) -> list[tuple[str, Json]]:
+    """What DS draws of exchanged codes, all of it and its parts, each with what its name ends in."""
+    errors = results["exchanged"]
+    return [("", errors), *((f", {part['part']}", part) for part in errors["by slip"])] if errors else []
 
 
 def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: int) -> Batch:

@@ -40,18 +40,21 @@ EXPERIMENT = Experiment(
 
 
 def simulate(sensor, names, scenes):
-    """Pins that move by x and y of the pose and by the slide as the sensor feels it, each its own way."""
+    """Pins that move by x and y of the pose and by the slide as the sensor feels it, each its own way. Long slides slip."""
     rng = np.random.default_rng(0)
     given = np.concatenate([scenes.pose[:, :2] / 5, 3 * turned(scenes.move, -scenes.pose[:, 2]) / 2.5], axis=1)
     tips = (given @ rng.normal(size=(4, 2 * sensor.pins))).reshape(len(scenes), sensor.pins, 2)
     converged = np.arange(len(scenes)) != (DROPPED if len(scenes) > DROPPED else -1)
     count = np.zeros(len(scenes), int)
+    slips = np.linalg.norm(scenes.move, axis=1) > 1.5
     return SimpleNamespace(
         pins=np.concatenate([tips, tips[..., :1]], axis=-1).astype(np.float32),
         residual_mm=np.zeros(len(scenes), np.float32),
         converged=converged,
         retried=np.zeros(len(scenes), bool),
-        **dict.fromkeys(("iterations", "stuck", "slipping", "free"), count),
+        stuck=1 - slips,
+        slipping=count + slips,
+        **dict.fromkeys(("iterations", "free"), count),
     )
 
 
@@ -113,7 +116,7 @@ def test_ceiling_and_floor_are_where_they_must_be(found):
 
 def test_the_slide_is_read_with_an_interval(found):
     assert [(row["name"], row["part"]) for row in found["slide"]] == [
-        (f"slide_{axis}_mm", part) for axis in "xy" for part in ("all", "sticking")
+        (f"slide_{axis}_mm", part) for axis in "xy" for part in ("all", "sticking", "slipped")
     ]
     assert all(0 <= row["coverage"] <= 1 and row["half_width"] > 0 for row in found["slide"])
     assert "95 % intervals hold" in leakage.table(found)
@@ -125,6 +128,12 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
     assert found["exchanged"]["ratio"] == pytest.approx(
         drawn["exchanged"]["rms_px"] / drawn["both of its own"]["rms_px"]
     )
+    parts = found["exchanged"]["by slip"]
+    assert [part["part"] for part in parts] == ["sticking", "slipped"]
+    assert sum(part["slides"] for part in parts) == found["exchanged"]["slides"]
+    for name, row in drawn.items():
+        squares = [part["slides"] * part["drawn"][name]["rms_px"] ** 2 for part in parts]
+        assert sum(squares) == pytest.approx(found["exchanged"]["slides"] * row["rms_px"] ** 2)
     exchanged = exchange.exchanged(EXPERIMENT, folder / "runs" / "toy", folder / "data")
     assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SENSOR.pins, 2)
     # the toy's law: what two slides differ in at one pose they differ in at another
@@ -138,6 +147,7 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
 def test_a_sweep_gets_the_figures_and_can_ask_for_the_leaks_alone(found, folder):
     names = {row["name"] for row in leakage.for_sweep(found)}
     assert {"pose from z_s (mlp)", "slide from z_p (linear)", "DS, codes exchanged", "slide_x_mm, all"} <= names
+    assert {"DS, codes exchanged, sticking", "DS, codes both of its own, slipped"} <= names
     fewer = leakage.leakage(EXPERIMENT, folder / "runs" / "toy", folder / "data", "none", leaks_alone=True)
     assert {row["name"] for row in fewer["rows"]} == {"pose from z_s", "slide from z_p"}
     full = {(row["name"], row["probe"]): row["r2"] for row in found["rows"]}
