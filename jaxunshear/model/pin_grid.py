@@ -5,19 +5,23 @@
 """
 
 import math
+from collections.abc import Callable
 
 import flax.linen as nn
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jax.typing import ArrayLike
 from jaxtyping import Float
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
+from jaxunshear.model import kernels
+from jaxunshear.model.fast import patches
 from jaxunshear.settings.networks import PinNet
 
 AROUND = 30  # pins that the motion at a place is interpolated from
+CONVOLUTIONS: tuple[Callable[..., Array], ...] = (lax.conv_general_dilated, patches.convolution)  # plain and fast
 INSIDE = 1.2  # pin spacings from the nearest pin: a place is still among them
 
 
@@ -47,7 +51,9 @@ class GridTrunk(nn.Module):
         inside = jnp.any(grid != 0, axis=0).astype(laid.dtype)
         inside = jnp.broadcast_to(inside[None, :, None], (count, len(inside), 1))
         x = jnp.concatenate([laid, inside], -1).reshape(count, side, side, 3)
+        way = kernels.pick(*CONVOLUTIONS)
         for number, channels in enumerate(self.net.convolved):
             stride = 2 if number else 1
-            x = nn.gelu(nn.LayerNorm()(nn.Conv(channels, (3, 3), stride, kernel_init=he)(x)))
+            convolve = nn.Conv(channels, (3, 3), stride, kernel_init=he, conv_general_dilated=way)
+            x = nn.gelu(nn.LayerNorm()(convolve(x)))
         return nn.gelu(nn.LayerNorm()(nn.Dense(self.net.hidden, kernel_init=he)(x.reshape(count, -1))))
