@@ -1,11 +1,14 @@
 """`jaxunshear logs`: training logs for TensorBoard."""
 
 import argparse
+import time
+from functools import partial
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands
 
 COMMANDS = ("logs",)
+EVERY_S = 2.0  # between two readings of a log that is followed
 
 
 def add_parsers(commands: Commands) -> None:
@@ -27,5 +30,5 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     jax.config.update("jax_platforms", "cpu")  # a training may hold the accelerator
     from jaxunshear.report.events import write_events
 
-    write_events(arguments.runs, arguments.tensorboard, arguments.follow)
+    write_events(arguments.runs, arguments.tensorboard, partial(time.sleep, EVERY_S) if arguments.follow else None)
     return 0

@@ -8,7 +8,6 @@ Steps are never there twice: what this module wrote before is deleted and writte
 
 import contextlib
 import io
-import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -32,12 +31,17 @@ from jaxunshear.training.step import learning_rate
 EXTRA = "pip install 'jaxunshear[tensorboard]'"
 OURS = ".jaxunshear"  # how the names of our files end
 GROUPS = ("train", "validation", "kernels")  # of a line of log.jsonl
-EVERY_S = 2.0  # between two readings of a log that is followed
 Line = Json
 
 
-def write_events(folders: Sequence[Path], out: Path, follow: bool, log: Callable[[str], None] = print) -> None:
-    """Writes the logs of runs, and of all rows of sweeps, below `out`; `follow`: goes on until all of them are evaluated.
+def write_events(
+    folders: Sequence[Path],
+    out: Path,
+    follow: Callable[[], object] | None,
+    log: Callable[[str], None] = print,
+) -> None:
+    """Writes the logs of runs, and of all rows of sweeps, below `out`; with `follow`, which waits a while, until all of them are
+    evaluated.
 
     Raises UserError where tensorboardX is not installed, or a folder is of no run.
     """
@@ -54,9 +58,9 @@ def write_events(folders: Sequence[Path], out: Path, follow: bool, log: Callable
                     stack.callback(streams[source].close)
                 if source in streams:
                     streams[source].update()
-            if done or not follow:
+            if done or follow is None:
                 break
-            time.sleep(EVERY_S)
+            follow()
     logs = [len(stream.lines) for source, stream in streams.items() if not is_run(source)]
     log(f"{sum(logs)} validations of {len(logs)} networks: {out}")
 

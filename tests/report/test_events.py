@@ -99,7 +99,7 @@ def test_the_montage_is_there_once_a_run_is_evaluated(made_up_run, tmp_path):
     run, _ = made_up_run
     experiment = to_json(Experiment(name="made up", claim="none"))
     (run / "experiment.json").write_text(json.dumps(experiment))
-    write_events([run], tmp_path / "events", False, print)
+    write_events([run], tmp_path / "events", None, print)
     found = [value for event in read(tmp_path / "events" / run.name) for value in event.summary.value]
     (image,) = (value.image for value in found if value.tag == "montage")
     results = stored.read(run / "results.json", Results, "again")
@@ -113,15 +113,15 @@ def test_written_again_no_step_is_there_twice(tmp_path):
     folder = tmp_path / "events" / "demo" / "disentangled"
     for held in (lines[:2], lines, [*lines[:1], line(20, 0.5)]):  # the last: gone back to a checkpoint
         write(tmp_path / "demo", held)
-        write_events([tmp_path / "demo"], tmp_path / "events", False, print)
+        write_events([tmp_path / "demo"], tmp_path / "events", None, print)
         assert logged(folder) == expected(held)
         assert len(list(folder.iterdir())) == 1
     (folder / "events.out.tfevents.1.other").write_bytes(b"")
-    write_events([tmp_path / "demo"], tmp_path / "events", False, print)
+    write_events([tmp_path / "demo"], tmp_path / "events", None, print)
     assert len(list(folder.iterdir())) == 2  # what others wrote stays
 
 
-def test_a_growing_log_is_followed_to_its_end(tmp_path, monkeypatch):
+def test_a_growing_log_is_followed_to_its_end(tmp_path):
     run, out = tmp_path / "demo", tmp_path / "events"
     states = [
         [],
@@ -134,7 +134,7 @@ def test_a_growing_log_is_followed_to_its_end(tmp_path, monkeypatch):
     write(run, states[0])
     done = threading.Event()
 
-    def wait(_):  # between two readings: the run goes on, is killed after step 20, and continues from step 10
+    def wait():  # between two readings: the run goes on, is killed after step 20, and continues from step 10
         if states:
             write(run, states.pop(0))
         else:
@@ -142,8 +142,7 @@ def test_a_growing_log_is_followed_to_its_end(tmp_path, monkeypatch):
             (run / "results.json").write_text("{}")
             done.set()
 
-    monkeypatch.setattr(events.time, "sleep", wait)
-    write_events([run], out, True, print)
+    write_events([run], out, wait, print)
     assert done.is_set()
     assert logged(out / "demo" / "disentangled") == expected([line(10), line(20, 0.5), line(30)])
     assert logged(out / "demo" / "posenet") == expected([line(5)])
@@ -154,7 +153,7 @@ def test_a_growing_log_is_followed_to_its_end(tmp_path, monkeypatch):
 def test_rows_of_a_sweep_have_folders_of_their_own(tmp_path):
     for seed in (0, 1):
         write(tmp_path / "wide" / "rows" / f"base_seed-{seed}", [line(10, seed)])
-    write_events([tmp_path / "wide"], tmp_path / "events", False, print)
+    write_events([tmp_path / "wide"], tmp_path / "events", None, print)
     for seed in (0, 1):
         assert logged(tmp_path / "events" / "wide" / f"base_seed-{seed}" / "disentangled") == expected([line(10, seed)])
 
