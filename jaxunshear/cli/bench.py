@@ -18,6 +18,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "strangers": ("recordings", "seed"),
     "data": (),
     "input": (),
+    "pinnets": (),
     "explore": (),
 }
 
@@ -30,7 +31,7 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
             raise UserError(f"--{option}: bench {arguments.what} has no use for it; it takes {known}")
     if arguments.batch is not None and arguments.batch < 1:
         raise UserError(f"--batch {arguments.batch}: use at least 1")
-    if arguments.what in ("data", "input", "explore"):
+    if not taken:
         return _run_plain(arguments.what, keep)
     if arguments.what != "sim":
         return _run_networks(arguments, keep)
@@ -47,12 +48,13 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
 
 def _run_plain(what: str, keep: Keep) -> int:
     """Of those that take no option."""
-    from jaxunshear.checks import bench_data, bench_explore, bench_input
+    from jaxunshear.checks import bench_data, bench_explore, bench_input, bench_pin_networks
     from jaxunshear.table import plain_table
 
     kinds: dict[str, tuple[Callable[[], list[Json]], tuple[str, ...]]] = {
         "data": (bench_data.bench_data, bench_data.COLUMNS),
         "input": (bench_input.bench_input, bench_input.COLUMNS),
+        "pinnets": (bench_pin_networks.bench_pin_networks, bench_pin_networks.COLUMNS),
         "explore": (bench_explore.bench_explore, bench_explore.COLUMNS),
     }
     measure, columns = kinds[what]

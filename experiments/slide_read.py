@@ -1,0 +1,32 @@
+"""Claim: while some of the skin still sticks, both codes together say how far a slide went to 0.15 mm, and how far it turned to 1 deg.
+
+    jaxunshear sweep experiments/slide_read.py
+
+The networks of `parted.py`, with its losses and with the paper's, learn from slides that turn by up to 5 deg on their way. Where all of the
+skin slips, how far a slide went does not show in its image; the figures are given for both kinds apart.
+
+Expected: docs/results/slide_read.json; 20 minutes on two cores.
+"""
+
+from dataclasses import replace
+
+import parted
+
+from jaxunshear.settings.sweep import Sweep
+
+BASE = parted.sweep.base
+ROWS = {name: parted.ROWS[name] for name in ("parted", "the paper's losses")}
+
+sweep = Sweep(
+    name="slide_read",
+    claim="How far a slide went, and turned, is read from the codes while some of the skin sticks.",
+    base=replace(
+        BASE,
+        name="slide_read",
+        paired=replace(BASE.paired, ranges=replace(BASE.paired.ranges, twist_deg=5.0)),
+    ),
+    rows=tuple(ROWS.values()),
+    labels=tuple(ROWS),
+    seeds=(0, 1, 2),
+    ablation=True,
+)
