@@ -7,6 +7,7 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
+from jaxunshear.evaluation.exchange import EXCHANGED, OWN
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.results.stored import read
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
@@ -45,6 +46,7 @@ READINGS = {
     "lambda 10": "1e-3, of a kernel's mean; and lambda 10",
 }
 GRID = (("ms_ssim/disentangled", 3), ("pose/disentangled/edge_mm", 2))
+PARTS = {"all": "all", "sticking": "not all of the skin slips", "slipped": "all of it slips"}
 PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
 
 
@@ -71,6 +73,15 @@ def waiting() -> str:
         times = [f"{row[name]:.1f}" for name in ("ms_there", "ms_drawn")]
         times += [f"{row['ratio']:.3f} [{row['ratio_low']:.3f}, {row['ratio_high']:.3f}]", f"{row['ratio_p95']:.2f}"]
         lines.append(_line(row["name"], [str(row["batch"]), *times]))
+    return "\n".join(lines)
+
+
+def pin_networks() -> str:
+    """Networks over pins: how long a step and a frame take, and how much longer with plain layers."""
+    lines = ["| E | what | batch | ms, median | ms, 95 % | plain layers, times as long |", "|---|---|---|---|---|---|"]
+    for row in json.loads((RESULTS / "bench_pinnets.json").read_text())["rows"]:
+        times = [f"{row[name]:.2f}" for name in ("ms", "ms_p95", "plain_over_fast")]
+        lines.append(_line(row["name"], [row["what"], str(row["batch"]), *times]))
     return "\n".join(lines)
 
 
@@ -553,25 +564,21 @@ def joint() -> str:
     return "\n".join(lines)
 
 
-def parted_slide() -> str:
+def slide_read() -> str:
     """Error and coverage of the slide read from both codes, by whether it has slipped: means of the seeds with least and most."""
-    runs = json.loads((RESULTS / "parted_leakage.json").read_text())["runs"]
-    learnt = {
-        name: [run for shown, run in runs.items() if shown.startswith(f"{name}, seed")]
-        for name in ("parted", "the paper's losses")
-    }
+    names = ("slide_x_mm", "slide_y_mm", "slide_twist_deg")
     lines = [
-        "| codes of | slides | error in x, mm | error in y, mm | 95 % intervals hold, x | y |",
-        "|---|---|---|---|---|---|",
+        "| codes of | slides | error in x, mm | y, mm | twist, deg | 95 % intervals hold, x | y | twist |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    parts = {"all": "all", "sticking": "not all of the skin slips", "slipped": "all of it slips"}
-    for name, trained in learnt.items():
-        for part, shown in parts.items():
-            rows = [[r for r in run["slide"] if r["part"] == part] for run in trained]
+    for cell in _cells("slide_read"):
+        for part, shown in PARTS.items():
             cells = [
-                _of_values([row[axis][field] for row in rows], 2) for field in ("mae", "coverage") for axis in (0, 1)
+                _of_values(list(cell.ablation[f"{name}, {part}/{field}"].per_seed.values()), 2)
+                for field in ("mae", "coverage")
+                for name in names
             ]
-            lines.append(_line(name, [f"{shown} ({rows[0][0]['slides']:,})", *cells]))
+            lines.append(_line(cell.label, [shown, *cells]))
     return "\n".join(lines)
 
 
@@ -602,21 +609,24 @@ def end_to_end() -> str:
 
 
 def end_to_end_codes() -> str:
-    """What each code leaks, and what DS draws of exchanged codes over what it draws of a contact's own, by seed."""
-    lines = [
-        "| | pose from z_s (a leak) | slide from z_p (a leak) | DS, codes exchanged, px | of its own, px | exchanged over own |",
-        "|---|---|---|---|---|---|",
-    ]
+    """What each code leaks, by seed."""
+    lines = ["| | pose from z_s (a leak) | slide from z_p (a leak) |", "|---|---|---|"]
     for cell in _cells("end_to_end"):
-        leaks = [
-            list(cell.ablation[f"{name} (mlp)/r2"].per_seed.values()) for name in ("pose from z_s", "slide from z_p")
-        ]
-        drawn = [
-            list(cell.ablation[f"DS, codes {name}/rms_px"].per_seed.values())
-            for name in ("exchanged", "both of its own")
-        ]
-        over = [exchanged / own for exchanged, own in zip(*drawn, strict=True)]
-        lines.append(_line(cell.label, [_of_values(values, 2) for values in (*leaks, *drawn, over)]))
+        leaks = [cell.ablation[f"{name} (mlp)/r2"] for name in ("pose from z_s", "slide from z_p")]
+        lines.append(_line(cell.label, [_of_values(list(leak.per_seed.values()), 2) for leak in leaks]))
+    return "\n".join(lines)
+
+
+def end_to_end_exchanged() -> str:
+    """What DS draws of exchanged codes over what it draws of a contact's own, by seed, and by whether the shear code's slide slipped."""
+    lines = ["| | shear code of | DS, codes exchanged, px | of its own, px | exchanged over own |", "|---|---|---|---|---|"]
+    for cell in _cells("end_to_end"):
+        for part, shown in PARTS.items():
+            names = [f"DS, codes {name}{'' if part == 'all' else f', {part}'}" for name in (EXCHANGED, OWN)]
+            if f"{names[0]}/rms_px" in cell.ablation:  # earlier rows are not parted
+                drawn = [list(cell.ablation[f"{name}/rms_px"].per_seed.values()) for name in names]
+                over = [exchanged / own for exchanged, own in zip(*drawn, strict=True)]
+                lines.append(_line(cell.label, [shown, *(_of_values(values, 2) for values in (*drawn, over))]))
     return "\n".join(lines)
 
 
@@ -711,7 +721,8 @@ TABLES = {
         parted_pins,
         end_to_end,
         end_to_end_codes,
-        parted_slide,
+        end_to_end_exchanged,
+        slide_read,
         joint,
         parted_skin,
         parted_skin_slide,
@@ -730,7 +741,7 @@ TABLES = {
     "docs/cluster.md": (sizing,),
     "docs/robot.md": (exported_speed,),
     "docs/explore.md": (touched,),
-    "docs/speed.md": (waiting,),
+    "docs/speed.md": (waiting, pin_networks),
     "docs/faults.md": (faults,),
     "docs/limits.md": (few_pairs, twisted, tilted),
 }

@@ -298,12 +298,25 @@ def test_a_robot_s_program_in_python(run_dir, tmp_path):
     np.testing.assert_allclose([list(line["pose"].values()) for line in lines], pose, atol=1e-3)
 
 
-def test_a_robot_s_program_in_c_compiles(tmp_path):
+def test_a_robot_s_program_in_c(run_dir, tmp_path):
     compiler = shutil.which("g++") or shutil.which("clang++")
     if compiler is None:
         pytest.skip("there is no C++ compiler")
-    check = [compiler, "-std=c++17", "-Wall", "-fsyntax-only", "-x", "c++"]
+    command = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", "-x", "c++"]
     (tmp_path / "headers.cpp").write_text("#include <onnxruntime_cxx_api.h>\n")
-    if subprocess.run([*check, tmp_path / "headers.cpp"], capture_output=True).returncode:
+    if subprocess.run([*command, "-fsyntax-only", tmp_path / "headers.cpp"], capture_output=True).returncode:
         pytest.skip("ONNX Runtime's C++ headers are not installed: name their folder in CPLUS_INCLUDE_PATH")
-    subprocess.run([*check, ROOT / "examples" / "robot.cpp"], check=True)
+    (library,) = (Path(onnxruntime.__file__).parent / "capi").glob("libonnxruntime.so.*")  # Python's own
+    for name in ("libonnxruntime.so", "libonnxruntime.so.1"):
+        (tmp_path / name).symlink_to(library)
+    linked = ["-L", tmp_path, "-lonnxruntime", f"-Wl,-rpath,{tmp_path}", "-o", tmp_path / "robot"]
+    subprocess.run([*command, ROOT / "examples" / "robot.cpp", *linked], check=True)
+    out = tmp_path / "touch.onnx"
+    assert main(["export", str(run_dir), "--out", str(out), "--batch", "1"]) == 0
+    images = 255 * np.random.default_rng(0).integers(0, 2, (3, SIZE, SIZE), np.uint8)
+    ran = subprocess.run([tmp_path / "robot", out], input=images.tobytes(), capture_output=True, check=True, timeout=60)
+    words = [line.split() for line in ran.stdout.decode().splitlines()]
+    session = onnxruntime.InferenceSession(out)
+    poses = np.concatenate([session.run(["pose"], {"image": image[None]})[0] for image in images])
+    assert [line[::2] for line in words] == 3 * [[target.name for target in TARGETS]]
+    np.testing.assert_allclose(np.array([line[1::2] for line in words], float), poses, atol=1e-3)

@@ -59,7 +59,7 @@ def add_parsers(commands: Commands) -> None:
     parser = command("bench", "sim: folder for the figure")
     parser.add_argument(
         "what",
-        choices=("sim", "train", "infer", "needs", "pins", "stream", "strangers", "data", "input", "explore"),
+        choices=tuple(bench.OPTIONS),
         help="the simulator, the networks, parts left out, pins of images, a robot's perception, images of no sensor of ours, the "
         "making of a data set, whether training waits for its examples, or pictures of `explore`",
     )
