@@ -23,6 +23,7 @@ sweep = Sweep(
     base=replace(
         BASE,
         name="slide_read",
+        pins=replace(BASE.pins, shear_code=3),  # a slide with a turn has three numbers; two in z_s leave the turn out
         paired=replace(BASE.paired, ranges=replace(BASE.paired.ranges, twist_deg=5.0)),
     ),
     rows=tuple(ROWS.values()),
