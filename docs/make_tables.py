@@ -619,7 +619,10 @@ def end_to_end_codes() -> str:
 
 def end_to_end_exchanged() -> str:
     """What DS draws of exchanged codes over what it draws of a contact's own, by seed, and by whether the shear code's slide slipped."""
-    lines = ["| | shear code of | DS, codes exchanged, px | of its own, px | exchanged over own |", "|---|---|---|---|---|"]
+    lines = [
+        "| | shear code of | DS, codes exchanged, px | of its own, px | exchanged over own |",
+        "|---|---|---|---|---|",
+    ]
     for cell in _cells("end_to_end"):
         for part, shown in PARTS.items():
             names = [f"DS, codes {name}{'' if part == 'all' else f', {part}'}" for name in (EXCHANGED, OWN)]
