@@ -6,7 +6,7 @@ codes of the paper's losses alone, and parted ones do not hold it.
 The networks of `parted.py`, with its losses and with the paper's, learn from slides that turn by up to 5 deg on their way. Where all of the
 skin slips, how far a slide went does not show in its image; the figures are given for both kinds apart.
 
-Expected: docs/results/slide_read.json; 20 minutes on two cores.
+Expected: docs/results/slide_read.json; a quarter of an hour on two cores.
 """
 
 from dataclasses import replace
