@@ -46,6 +46,7 @@ READINGS = {
     "lambda 10": "1e-3, of a kernel's mean; and lambda 10",
 }
 GRID = (("ms_ssim/disentangled", 3), ("pose/disentangled/edge_mm", 2))
+FOUND = {"tactip331-flush": "flush", "tactip331-fitted": "fitted", "tactip331": "levers"}
 PARTS = {"all": "all", "sticking": "not all of the skin slips", "slipped": "all of it slips"}
 PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nearest tap, weighted by the gap"}
 
@@ -82,6 +83,24 @@ def pin_networks() -> str:
     for row in json.loads((RESULTS / "bench_pinnets.json").read_text())["rows"]:
         times = [f"{row[name]:.2f}" for name in ("ms", "ms_p95", "plain_over_fast")]
         lines.append(_line(row["name"], [row["what"], str(row["batch"]), *times]))
+    return "\n".join(lines)
+
+
+def found_pins() -> str:
+    """Pins of simulated frames: how surely, how exactly and how fast they are found."""
+    lines = [
+        "| sensor, kind | px | sure | wrong | error, px rms | ms a frame, median (95 %) |",
+        "|---|---|---|---|---|---|",
+    ]
+    rows = json.loads((RESULTS / "bench_pins.json").read_text())["rows"]
+    for size in (256, 128):
+        for sensor, shown in FOUND.items():
+            for row in rows:
+                if (row["sensor"], row["size"]) == (sensor, size):
+                    cells = (f"{row['sure']:.1%}", str(row["wrong"]), f"{row['rms_px']:.3f}")
+                    lines.append(
+                        _line(f"{shown}, {row['kind']}", [str(size), *cells, f"{row['ms']:.1f} ({row['ms_p95']:.0f})"])
+                    )
     return "\n".join(lines)
 
 
@@ -718,7 +737,7 @@ TABLES = {
     "README.md": (real_skin, demo, standard_first),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides, transfer),
     "docs/calibration.md": (refit,),
-    "docs/applications.md": (geometry, servo, servo_pins, objects, perception),
+    "docs/applications.md": (found_pins, geometry, servo, servo_pins, objects, perception),
     "docs/codes.md": (
         parted,
         parted_pins,
