@@ -93,14 +93,10 @@ def found_pins() -> str:
         "|---|---|---|---|---|---|",
     ]
     rows = json.loads((RESULTS / "bench_pins.json").read_text())["rows"]
-    for size in (256, 128):
-        for sensor, shown in FOUND.items():
-            for row in rows:
-                if (row["sensor"], row["size"]) == (sensor, size):
-                    cells = (f"{row['sure']:.1%}", str(row["wrong"]), f"{row['rms_px']:.3f}")
-                    lines.append(
-                        _line(f"{shown}, {row['kind']}", [str(size), *cells, f"{row['ms']:.1f} ({row['ms_p95']:.0f})"])
-                    )
+    for row in sorted(rows, key=lambda row: (-row["size"], list(FOUND).index(row["sensor"]))):
+        cells = (f"{row['sure']:.1%}", str(row["wrong"]), f"{row['rms_px']:.3f}")
+        spent = f"{row['ms']:.1f} ({row['ms_p95']:.0f})"
+        lines.append(_line(f"{FOUND[row['sensor']]}, {row['kind']}", [str(row["size"]), *cells, spent]))
     return "\n".join(lines)
 
 

@@ -1,5 +1,5 @@
 """Claim: from images end to end, over pins, unsheared edges are read within 1.2 times a tap's own errors where the encoder convolves and
-true poses teach a little; without either they are not.
+true poses teach a little; without these poses they are not.
 
     jaxunshear sweep experiments/end_to_end.py
 

@@ -25,7 +25,7 @@ sweep = Sweep(
     base=replace(
         BASE,
         name="slide_read",
-        pins=replace(BASE.pins, shear_code=3),  # a slide with a turn has three numbers; two in z_s leave the turn out
+        pins=replace(BASE.pins, shear_code=3),  # a slide with a turn has three numbers
     ),
     rows=tuple(ROWS.values()),
     labels=tuple(ROWS),
