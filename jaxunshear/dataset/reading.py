@@ -24,7 +24,9 @@ from jaxunshear.dataset.chunks import pack, unpack
 from jaxunshear.dataset.making import read_metadata
 from jaxunshear.dataset.siblings import siblings_of
 from jaxunshear.errors import UserError, first_line
+from jaxunshear.scene.scene import turned
 from jaxunshear.settings.configs import MANIFEST, Settings, set_folder, set_name
+from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import blame_the_machine, read_object
@@ -134,7 +136,8 @@ class SetReader(Reader):
     def _load(self, split: str) -> Batch:
         count = self.length(split)
         try:
-            return _read_rows(self.folder, split, count, _check_shards(self.folder, split))
+            rows = _read_rows(self.folder, split, count, _check_shards(self.folder, split))
+            return rows | {"felt": felt(rows["move"], rows["pose"])} if isinstance(self.settings, PairedData) else rows
         except UserError:
             raise
         except Exception as error:  # whatever a damaged file makes of itself
@@ -142,6 +145,11 @@ class SetReader(Reader):
             raise UserError(
                 f"the data set in {self.folder} is damaged ({first_line(error)}): {_remedy(self.folder)}"
             ) from error
+
+
+def felt(move: np.ndarray, pose: np.ndarray) -> np.ndarray:
+    """Slides (N, 2) mm, or (N, 3) with their turn, deg, as the sensor at `pose` (N, 4) or (N, 6) feels them: in its own frame."""
+    return np.concatenate([turned(move[:, :2], -pose[:, 2]), move[:, 2:]], axis=1).astype(np.float32)
 
 
 def shifted(examples: Batch, offsets: np.ndarray) -> Batch:

@@ -24,7 +24,7 @@ from jaxunshear.settings.configs import RECORDED_SET
 from jaxunshear.settings.data import RENDERED, Recorded
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.settings.targets import Targets, of_labels, slides_of
+from jaxunshear.settings.targets import Targets, moves_of, of_labels, slides_of
 from jaxunshear.storage import Json
 
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
@@ -105,6 +105,10 @@ class RecordedSet:
                         f"target '{asked[0]}': {unknown} {split} slides have a pose but no label of their slide"
                     )
         return of_labels(wanted, labels["pose"], labels["move"])
+
+    def slide_targets(self) -> Targets:
+        """What training slides vary of their move."""
+        return moves_of(self._slides("train")["move"])
 
     def count(self, kind: str, split: str) -> int:
         """Of "taps" or "slides"."""

@@ -24,14 +24,13 @@ from jaxunshear.evaluation.slide import slides_read, slipping
 from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import machine, versions
-from jaxunshear.scene.scene import turned
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.settings.targets import SIMULATED, SLIDES, STILL, Target, of_ranges
+from jaxunshear.settings.targets import SIMULATED, Target, Targets, of_ranges, true_values
 from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
-from jaxunshear.training.examples import open_examples, stored_of
+from jaxunshear.training.examples import Examples, open_examples, stored_of
 from jaxunshear.training.origin import check_origin
 
 MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen
@@ -59,12 +58,14 @@ def leakage(experiment: Experiment, run_dir: Path, data_dir: Path, command: str,
     encode = encoder_of(net, variables)
     if encode is None:
         raise UserError(f"{folder} holds no network with a shear code: there is nothing to leak from")
-    reader = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
+    examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
+    reader = examples.reader
     seen = "sheared_pins" if over_pins(experiment) else "sheared"
     learnt, tested = (
         _taken(experiment, reader, split, seen, most) for split, most in (("train", MOST_LEARNT), ("test", MOST_TESTED))
     )
-    wanted = [_wanted(experiment, batch, data_dir) for batch in (learnt, tested)]
+    pose = _pose(experiment, data_dir)
+    wanted = [{"pose": _values(pose, b), "slide": _slides(examples.slides, b)} for b in (learnt, tested)]
     groups, poses = (numbered_poses(batch["stimulus"], batch["pose_id"]) for batch in (learnt, tested))
     codes = [encode(batch[seen]) for batch in (learnt, tested)]
     others: dict[str, list[Mapping[str, np.ndarray]]] = {}
@@ -85,7 +86,7 @@ def leakage(experiment: Experiment, run_dir: Path, data_dir: Path, command: str,
         "rows": _probed(codes, others, wanted, groups, poses, leaks_alone),
         "independence": [_independence(what, code, codes[1][code], wanted[1][what], poses) for what, code in LEAKS],
         "exchanged": errors_of(net, variables, reader),
-        "slide": [] if leaks_alone else _slide(experiment, reader, seen, encode, (learnt, tested), data_dir),
+        "slide": [] if leaks_alone else _slide(experiment, examples, seen, encode, (learnt, tested)),
         "slides": {"learnt": len(groups), "tested": len(poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
         "command": command,
@@ -125,13 +126,13 @@ def _probed(
 
 
 def _slide(
-    experiment: Experiment, reader: Reader, seen: str, encode: Encode, batches: Sequence[Batch], data_dir: Path
+    experiment: Experiment, examples: Examples, seen: str, encode: Encode, batches: Sequence[Batch]
 ) -> list[Json]:
     """What both codes together say of the slide, in mm and deg, and how surely."""
     learnt, tested = batches
-    between = _taken(experiment, reader, "validation", seen, MOST_TESTED)
+    between = _taken(experiment, examples.reader, "validation", seen, MOST_TESTED)
     codes = [np.concatenate(list(encode(batch[seen]).values()), axis=1) for batch in (learnt, between, tested)]
-    wanted = [_slides(experiment, batch, data_dir) for batch in (learnt, between, tested)]
+    wanted = [_slides(examples.slides, batch) for batch in (learnt, between, tested)]
     groups, poses = (numbered_poses(batch["stimulus"], batch["pose_id"]) for batch in (learnt, tested))
     slipped = slipping(tested["stuck"], tested["slipping"]) if "stuck" in tested else None
     return slides_read(codes, wanted, groups, poses, slipped)
@@ -189,29 +190,20 @@ def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: 
     if not len(rows):
         raise UserError(f"no {split} slide has labels of its pose and its slide: there is nothing to probe for")
     rows = rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int)]
-    more = () if recorded_of(experiment) else ("edge", "stuck", "slipping")
+    more = () if recorded_of(experiment) else ("felt", "edge", "stuck", "slipping")
     return reader.take(split, rows, (seen, *LABELS, *more))
 
 
-def _wanted(experiment: Experiment, batch: Batch, data_dir: Path) -> dict[str, Known]:
-    """What there is to report of each slide: all of its pose and of its slide that the data vary."""
-    slide = _slides(experiment, batch, data_dir)
+def _pose(experiment: Experiment, data_dir: Path) -> list[Target]:
+    """All of a pose that the data vary."""
     if isinstance(experiment.paired, PairedData):
-        pose = [target for name in SIMULATED for target in _varied(name, experiment.paired.ranges)]
-    else:
-        pose = list(stored_of(experiment, data_dir).targets(()))
-    return {"pose": _values(pose, batch), "slide": slide}
+        return [target for name in SIMULATED for target in _varied(name, experiment.paired.ranges)]
+    return list(stored_of(experiment, data_dir).targets(()))
 
 
-def _slides(experiment: Experiment, batch: Batch, data_dir: Path) -> Known:
-    """The slide in mm and deg: as the sensor feels it; of recordings as it is labelled, what training slides vary of it."""
-    if isinstance(experiment.paired, PairedData):
-        felt = turned(batch["move"][:, :2], -batch["pose"][:, 2])
-        twist = {"slide_twist_deg": batch["move"][:, 2:]} if experiment.paired.ranges.twist_deg else {}
-        return {"slide_x_mm": felt[:, :1], "slide_y_mm": felt[:, 1:]} | twist
-    known = stored_of(experiment, data_dir).stored.rows("train")
-    spread = known["move"][np.isfinite(known["move"]).all(axis=1) & (known["slid"] == 1)].std(axis=0)
-    return {name: batch["move"][:, [i]] for name, (_, i) in SLIDES.items() if spread[i] > STILL}
+def _slides(slides: Targets, batch: Batch) -> Known:
+    """The slide in mm and deg: as the sensor feels it; of recordings as it is labelled."""
+    return {name: value[:, None] for name, value in true_values(slides, batch).items()}
 
 
 def _varied(name: str, ranges: Ranges) -> tuple[Target, ...]:

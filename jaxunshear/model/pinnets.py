@@ -71,8 +71,7 @@ class Codes(nn.Module):
         z = self.E(*seen)
         if not self.net.shear_code:
             return self.pose(z), None
-        z_s = self.shear(z if self.ES is None else self.ES(seen[0]))
-        return self.pose(z), jnp.tanh(z_s) if self.net.shear_noise else z_s
+        return self.pose(z), self.shear(z if self.ES is None else self.ES(seen[0]))
 
     def decode_canonical(self, z_p: Array) -> Array:
         return self.DC(z_p)
@@ -132,6 +131,7 @@ class Decoded(NamedTuple):
     sheared: Array | None
     exchanged: Array | None  # DS of the slide's pose code and the other's shear code
     disagreement: Array | None  # (B,) see `disagreement`
+    z_s: Array | None  # (B, G)
 
 
 def reconstruct(
@@ -142,28 +142,21 @@ def reconstruct(
     same_pose: Float[Array, "B P 2"] | None = None,
     same_slide: Float[Array, "B P 2"] | None = None,
 ) -> Decoded:
-    """Both decoders over sheared pins px; in training a `key` spoils pins and codes a little. `same_pose`: a tap there, or
+    """Both decoders over sheared pins px; in training a `key` spoils these a little. `same_pose`: a tap there, or
     the pins after another slide; `same_slide`: of another pose after that other slide."""
     partners = [each for each in (same_slide, same_pose) if each is not None]
     seen = jnp.concatenate([pins, *partners])
     seen = seen if key is None else spoilt(net, seen, key)
     # one by one: where trunks are apart, the partner in the slide passes E by
-    z_p, own_s = zip(*(encode(net, variables, each) for each in jnp.split(seen, 1 + len(partners))), strict=True)
+    z_p, z_s = zip(*(encode(net, variables, each) for each in jnp.split(seen, 1 + len(partners))), strict=True)
     canonical = decode_canonical(net, variables, z_p[0])
-    if own_s[0] is None:
-        return Decoded(canonical, None, None, None)
-    z_s = jnp.stack(own_s)
-    if key is not None and net.shear_noise:
-        z_s += net.shear_noise * jax.random.normal(jax.random.fold_in(key, 1), z_s.shape)
-    held = jax.lax.stop_gradient(z_p[0]) if net.apart else z_p[0]
-    sheared = decode_sheared(net, variables, held, z_s[0])
-    if same_pose is None:
-        return Decoded(canonical, sheared, None, None)
-    apart = disagreement(z_p[0], z_p[-1])
-    if same_slide is None:
-        return Decoded(canonical, sheared, None, apart)
-    exchanged = decode_sheared(net, variables, held, z_s[1])
-    return Decoded(canonical, sheared, exchanged, apart + disagreement(own_s[1], own_s[-1]))
+    apart = None if same_pose is None else disagreement(z_p[0], z_p[-1])
+    if z_s[0] is None:
+        return Decoded(canonical, None, None, apart, None)
+    held = jax.lax.stop_gradient((z_p, z_s)) if net.apart else (z_p, z_s)
+    sheared = decode_sheared(net, variables, held[0][0], held[1][0])
+    exchanged = None if same_slide is None else decode_sheared(net, variables, held[0][0], held[1][1])
+    return Decoded(canonical, sheared, exchanged, apart, z_s[0])
 
 
 def disagreement(one: Float[Array, "B F"], other: Float[Array, "B F"]) -> Float[Array, "B"]:

@@ -1,4 +1,4 @@
-"""Settings that came after others had been stored: one table for all that reads or compares stored settings. Imports nothing.
+"""Settings that came, or went, after others had been stored: for all that reads or compares stored settings. Imports nothing.
 
 A setting that is added does nothing at the value given here. So a file that lacks it is read as if that value stood in it, and the
 names of data sets, of rows and of trainings leave it out at that value: what was made before is found again.
@@ -13,15 +13,16 @@ LATER: Json = {
     "other_twists_deg": (),
     "other_tilts_deg": (),
     "apart": False,
-    "shear_noise": 0.0,
     "convolved": (),
     "swap_weight": 0.0,
     "agreement_weight": 0.0,
+    "slide_weight": 0.0,
     "paired_share": 1.0,
     "tap_weight": 0.0,
     "alike_weight": 0.0,
 }
 
+GONE: Json = {"shear_noise": 0.0}  # settings that files may still have, and what they do nothing at
 
 MOVED = {  # modules that experiment files imported
     "jaxunshear.experiment": "jaxunshear.settings.experiment",
@@ -37,12 +38,12 @@ MOVED = {  # modules that experiment files imported
 
 
 def is_later(name: str, value: object) -> bool:
-    """Whether a stored file may lack the setting of this dotted name, which has `value` today."""
-    last = name.rpartition(".")[2]
-    return last in LATER and LATER[last] == (tuple(value) if isinstance(value, list) else value)
+    """Whether a stored file may lack the setting of this dotted name, which has `value` today; or may have it, where today has none."""
+    last, known = name.rpartition(".")[2], LATER | GONE
+    return last in known and known[last] == (tuple(value) if isinstance(value, list) else value)
 
 
 def without_later(fields: Json) -> Json:
-    """Nested settings without what is LATER and does nothing."""
+    """Nested settings without what is LATER, or GONE, and does nothing."""
     kept = {name: value for name, value in fields.items() if not is_later(name, value)}
     return {name: without_later(value) if isinstance(value, dict) else value for name, value in kept.items()}

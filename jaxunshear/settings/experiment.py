@@ -31,6 +31,7 @@ PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "reconstruction_weight",
     "swap_weight",
     "agreement_weight",
+    "slide_weight",
     "paired_share",
     "tap_weight",
     "alike_weight",

@@ -78,11 +78,10 @@ class PinNet:
     turned: float = 0.0
     pose_code: int = 16  # numbers in z_p
     shear_code: int = 4  # numbers in z_s; 0 builds no shear code and no DS
-    apart: bool = False  # z_s comes from a trunk of its own, and DS, which reads z_p too, does not teach it
-    shear_noise: float = 0.0  # added to z_s of training examples, which then lies in (-1, 1); 0: a free code
+    # z_s comes from a trunk of its own, and DS teaches neither code: z_p learns from the tap alone, z_s from the slide
+    apart: bool = False
 
     def rules(self) -> Iterator[Rule]:
-        yield 0 <= self.shear_noise < 1, "shear_noise", "use a number from 0 to below 1: z_s lies in (-1, 1)"
         for field in ("hidden", "layers", "pose_code"):
             yield getattr(self, field) >= 1, field, "must be at least 1"
         yield all(channels >= 1 for channels in self.convolved), "convolved", "list positive numbers, or none"
@@ -92,7 +91,7 @@ class PinNet:
         yield 0 <= self.turned <= 1, "turned", "use a share from 0 to 1"
 
 
-PIN_CODES = ("convolved", "pose_code", "shear_code", "apart", "shear_noise")  # what PinUnshear alone reads
+PIN_CODES = ("convolved", "pose_code", "shear_code", "apart")  # what PinUnshear alone reads
 
 
 def without_pin_codes(net: PinNet) -> PinNet:

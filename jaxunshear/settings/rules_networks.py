@@ -96,13 +96,18 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
     """What learning codes that do not leak takes."""
     paired, training = experiment.paired, experiment.train_pins
     shared = isinstance(paired, PairedData) and paired.poses_a_slide > 1 and paired.slides > 1
-    for field in ("swap_weight", "agreement_weight"):
+    for field in ("swap_weight", "agreement_weight", "slide_weight"):
         yield not getattr(experiment.train, field), f"train.{field}", "is for networks over pins: leave it at 0"
         yield (
             not getattr(training, field) or (experiment.pins.shear_code > 0 and not experiment.pins.turned),
             f"train_pins.{field}",
             "takes a shear code, and pins as they are: raise pins.shear_code, leave pins.turned at 0",
         )
+    yield (
+        not experiment.pins.apart or training.slide_weight > 0,
+        "pins.apart",
+        "leaves z_s to learn from the slide alone: raise train_pins.slide_weight",
+    )
     yield (
         not training.swap_weight or shared,
         "train_pins.swap_weight",

@@ -5,7 +5,7 @@ import typing
 from typing import Any
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.earlier import LATER
+from jaxunshear.settings.earlier import GONE, LATER, is_later
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.types import Hint, describe, fits, groups, hints, origin
 from jaxunshear.storage import Json
@@ -28,6 +28,8 @@ def build(data: object, kind: Hint, source: str, name: str) -> Any:
     if groups(items) and isinstance(data, list):
         return tuple(item if isinstance(item, str) else build(item, items, source, name) for item in data)
     if kinds := groups(kind):
+        if isinstance(data, dict):
+            data = {field: value for field, value in data.items() if field not in GONE or not is_later(field, value)}
         given = set(data) if isinstance(data, dict) else set()
         own = next((each for each in kinds if _fills(given, set(hints(each)))), kinds[0])
         fields = hints(own)

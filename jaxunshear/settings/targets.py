@@ -33,6 +33,11 @@ RECORDED = {name: ("pose", i) for i, name in enumerate(("x_mm", "y_mm", "z_mm", 
 SLIDES = {
     f"slide_{name}": ("move", i) for name, (_, i) in RECORDED.items()
 }  # of recorded slides, in the labels' own frame
+FELT = {  # of simulated ones, in the sensor's frame
+    "slide_x_mm": ("felt", 0),
+    "slide_y_mm": ("felt", 1),
+    "slide_twist_deg": ("felt", 2),
+}
 # The paper's x and yaw, and two that an edge does not leave open; edge distance has the widest scale and would drown in the
 # ambiguous yaw.
 PAPER = ("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle")
@@ -105,6 +110,21 @@ def of_labels(wanted: Sequence[str], poses: np.ndarray, moves: np.ndarray | None
     low, high = labels.min(axis=0), labels.max(axis=0)
     spans = {name: (float(low[i]), float(high[i])) for i, name in enumerate(RECORDED | SLIDES)}
     return _targets(wanted, tuple(RECORDED), RECORDED | SLIDES, spans)
+
+
+def felt_of(ranges: Ranges) -> Targets:
+    """What a simulated set varies of its slides."""
+    move, twist = (-ranges.move_mm, ranges.move_mm), (-ranges.twist_deg, ranges.twist_deg)
+    return _targets((), tuple(FELT), FELT, dict(zip(FELT, (move, move, twist), strict=True)))
+
+
+def moves_of(moves: np.ndarray) -> Targets:
+    """What the labels (N, 6) mm and deg of recorded training slides vary, NaN where unknown."""
+    known = moves[np.isfinite(moves).all(axis=1)]
+    if not len(known):
+        return ()
+    ends = zip(known.min(axis=0).tolist(), known.max(axis=0).tolist(), strict=True)
+    return _targets((), tuple(SLIDES), SLIDES, dict(zip(SLIDES, ends, strict=True)))
 
 
 def slides_of(wanted: Sequence[str]) -> list[str]:

@@ -7,7 +7,7 @@ from typing import Literal
 from jaxunshear.settings.types import Rule
 
 WEIGHTS = (  # of losses and of penalties
-    *("patch_weight", "reconstruction_weight", "swap_weight", "agreement_weight"),
+    *("patch_weight", "reconstruction_weight", "swap_weight", "agreement_weight", "slide_weight"),
     *("tap_weight", "alike_weight", "pose_weight", "label_weight", "l1", "l2"),
 )
 
@@ -36,8 +36,10 @@ class Training:
     # over pins: the pose code of one slide with the shear code of another draws the contact of just that pose and slide, where poses
     # share slides (`paired.poses_a_slide`)
     swap_weight: float = 0.0
-    # over pins: equal poses have equal codes, of slide and tap alike, and so have equal slides
+    # over pins: equal poses have equal pose codes, those of two slides, or of a slide and its tap
     agreement_weight: float = 0.0
+    # over pins: the first numbers of z_s are the slide as its sensor felt it, all that the data vary of it, each over half of its range
+    slide_weight: float = 0.0
     # share of the simulated training poses, drawn by seed, whose slides have their tap; the other slides are left out
     paired_share: float = 1.0
     tap_weight: float = 0.0  # over pins: taps without a slide, those that PoseNet learns from, come out as they went in

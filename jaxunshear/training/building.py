@@ -89,7 +89,17 @@ def _over_pins(
     shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
     partners = (OTHER, SWAPPED) if shared and network == DISENTANGLED and exchanged(training) else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
-    return pin_tasks.pin_unshear_task(codes, training, *known, teacher), named
+    slides = examples.slides if training.slide_weight and network == DISENTANGLED else ()
+    if training.slide_weight and network == DISENTANGLED and not slides:
+        raise UserError(
+            "train_pins.slide_weight: no slide of this data set is known to differ from others: leave it at 0"
+        )
+    if len(slides) > codes.shear_code:
+        raise UserError(
+            f"pins.shear_code {codes.shear_code}: slides of this data set differ in {len(slides)} numbers: use {len(slides)} or more"
+        )
+    named = tuple(dict.fromkeys((*named, *fields_of(slides))))
+    return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
 
 
 def _drawn(task: Task, examples: Examples, share: float) -> Task:

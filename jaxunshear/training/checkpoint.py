@@ -183,8 +183,8 @@ def write_settings(folder: Path, settings: Json) -> None:
         return storage.write_json(path, settings)
     old, new = _flat(storage.read_object(path)), _flat(settings)
     for name in old | new:
-        lacking = name not in old and is_later(name, new[name])
-        if old.get(name) != new.get(name) and not lacking:
+        idle = (name not in old and is_later(name, new[name])) or (name not in new and is_later(name, old[name]))
+        if old.get(name) != new.get(name) and not idle:
             change = f"{name} = {old.get(name)}, now {new.get(name)}"
             raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
 

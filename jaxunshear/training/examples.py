@@ -25,7 +25,7 @@ from jaxunshear.settings.data import RENDERED, PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment, learnt_from, over_pins, recorded_of
 from jaxunshear.settings.registry import OF_TAPS, POSENET_SHEARED, RENDERER
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.targets import RECORDED, Targets, of_ranges
+from jaxunshear.settings.targets import RECORDED, Targets, felt_of, of_ranges
 from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import SUMMARY, load_best, read_net, read_targets
 
@@ -48,6 +48,7 @@ class Examples(NamedTuple):
     pins: Pins
     epoch: int  # examples that count as one epoch: where few slides are labelled, as many as if all were
     taps: Reader | None = None  # recorded ones with labels, where there are any
+    slides: Targets = ()  # what the data vary of slides
 
 
 def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir: Path) -> Examples:
@@ -66,7 +67,7 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
     if stored.settings.pairing == "simulated":
         epoch = stored.count("taps", "train")
     taps = stored.taps() if stored.count("taps", "train") else None
-    return Examples(reader, targets, pins_of(stored.frame), epoch, taps)
+    return Examples(reader, targets, pins_of(stored.frame), epoch, taps, stored.slide_targets())
 
 
 def stored_of(experiment: Experiment, data_dir: Path) -> RecordedSet:
@@ -120,7 +121,8 @@ def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples
         rest = _mean_place(reader, "canonical_pins" if isinstance(settings, PairedData) else "pins")
     radius = experiment.sensor.pin_radius_mm * size / camera.mm_across
     targets = of_ranges(experiment.targets, settings.ranges)
-    return Examples(reader, targets, Pins(rest, radius, size), reader.length("train"))
+    slides = felt_of(settings.ranges) if isinstance(settings, PairedData) else ()
+    return Examples(reader, targets, Pins(rest, radius, size), reader.length("train"), slides=slides)
 
 
 def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> SetReader:

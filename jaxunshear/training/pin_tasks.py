@@ -31,6 +31,7 @@ def pin_unshear_task(
     rest: ArrayLike,
     spread: float,
     teacher: Callable[[Array], Array] | None = None,
+    slides: Targets = (),
 ) -> Task:
     """Of PinUnshear; batches {"canonical_pins", "sheared_pins"} (B, P, 2) px, and where poses share slides {"other_pins",
     "swapped_pins"}, see `dataset.factorial`; where they don't, the pose code of a slide is to agree with its tap's alone. With {"tap_pins"}
@@ -38,7 +39,7 @@ def pin_unshear_task(
 
     `teacher` is a trained PinPoseNet, pins (B, P, 2) px -> outputs (B, K), needed for `pose_weight` alone: what it reads off the
     unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
-    the partner. Raises UserError where it is lacking.
+    the partner. Raises UserError where it is lacking. `slides` are what z_s is taught of the slide, and need their fields in the batches.
     """
     if training.pose_weight and teacher is None:
         raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
@@ -53,6 +54,8 @@ def pin_unshear_task(
             named["swap"] = pinnets.distance(found.exchanged, batch[SWAPPED], variables)
         if found.disagreement is not None:
             named["agreement"] = found.disagreement
+        if slides and found.z_s is not None:
+            named["slide"] = _slide(found.z_s, batch, slides)
         return weighed(named, batch)
 
     def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> pinnets.Decoded:
@@ -77,6 +80,7 @@ def pin_unshear_task(
 
     weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight, "pose": training.pose_weight}
     weights |= {"swap": training.swap_weight, "agreement": training.agreement_weight}
+    weights |= {"slide": training.slide_weight}
     weights |= {"tap": training.tap_weight, "alike": training.alike_weight}
     init = partial(pinnets.init, net, rest, spread)
     return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised")
@@ -87,6 +91,14 @@ def _watched(teacher: Callable[[Array], Array], targets: Targets, target: str, c
     With `target` "label", from the true one."""
     wanted = posenet.pose_targets(batch, targets) if target == "label" else teacher(batch["canonical_pins"])
     return losses.absolute_pose(teacher(canonical), wanted, posenet.output_weights(targets))
+
+
+def _slide(z_s: Array, batch: Batch, slides: Targets) -> Array:
+    """Mean squared difference (B,) of the first numbers of z_s (B, G) and the slide, over half of its range; 0 where it is not known."""
+    wanted = 2 * posenet.pose_targets(batch, slides) - 1
+    known = jnp.isfinite(wanted)
+    off = jnp.where(known, z_s[:, : wanted.shape[1]] - jnp.where(known, wanted, 0), 0)
+    return jnp.square(off).sum(1) / jnp.maximum(known.sum(1, dtype=off.dtype), 1)
 
 
 def pin_posenet_task(

@@ -9,6 +9,7 @@ import pytest
 
 from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.reading import felt
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import exchange, leakage, probes
 from jaxunshear.report.leakage_figure import leakage_figure
@@ -34,8 +35,10 @@ EXPERIMENT = Experiment(
     ),
     pose=PoseData(config="tiny", stimuli=("disk",), poses=10, preprocess=Preprocess(size=SIZE)),
     unshear=UnshearNet(size=SIZE, widths=(4, 4), input="pins"),
-    pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, apart=True, shear_noise=0.1),
-    train_pins=Training(epochs=2, batch=8, shift=0.0, patch_weight=0.0, swap_weight=1.0, agreement_weight=0.1),
+    pins=PinNet(hidden=8, layers=1, pose_code=3, shear_code=2, apart=True),
+    train_pins=Training(
+        epochs=2, batch=8, shift=0.0, patch_weight=0.0, swap_weight=1.0, agreement_weight=0.1, slide_weight=1.0
+    ),
 )
 
 
@@ -165,11 +168,23 @@ def test_what_has_no_shear_code_is_refused(tmp_path, folder):
         EXPERIMENT,
         name="plain",
         pins=dataclasses.replace(EXPERIMENT.pins, shear_code=0),
-        train_pins=dataclasses.replace(EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0),
+        train_pins=dataclasses.replace(EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, slide_weight=0.0),
     )
     run_stages(plain, ("disentangled",), tmp_path, folder / "data", "none")
     with pytest.raises(UserError, match="no network with a shear code"):
         leakage.leakage(plain, tmp_path / "plain", folder / "data", "none")
+
+
+def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
+    training = dataclasses.replace(EXPERIMENT.train_pins, epochs=12, learning_rate=1e-2)
+    longer = dataclasses.replace(EXPERIMENT, pins=dataclasses.replace(EXPERIMENT.pins, hidden=32), train_pins=training)
+    run_stages(longer, ("disentangled",), tmp_path, folder / "data", "none")
+    rows = leakage.leakage(longer, tmp_path / "toy", folder / "data", "none")["rows"]
+    said = {(row["name"], row["probe"]): row["r2"] for row in rows}
+    assert said["slide from z_s", "linear"] > 0.7 and said["pose from z_s", "linear"] < 0.1
+    short = dataclasses.replace(EXPERIMENT, pins=dataclasses.replace(EXPERIMENT.pins, shear_code=1))
+    with pytest.raises(UserError, match=r"pins\.shear_code 1: slides of this data set differ in 2 numbers: use 2 or"):
+        run_stages(short, ("disentangled",), tmp_path / "short", folder / "data", "none")
 
 
 def test_fewer_pairs_train_beside_taps(folder, tmp_path):
@@ -189,13 +204,7 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     assert model["epoch_images"] == full["epoch_images"]
 
 
-def test_the_twist_is_reported_where_slides_twist():
-    batch = {"pose": np.array([[0, 0, 90.0, 2]]), "move": np.array([[1.0, 0.0, -4.0]])}
-    reported = leakage._slides(EXPERIMENT, batch | {"move": batch["move"][:, :2]}, None)
-    ranges = dataclasses.replace(EXPERIMENT.paired.ranges, twist_deg=5.0)
-    twisted = dataclasses.replace(EXPERIMENT, paired=dataclasses.replace(EXPERIMENT.paired, ranges=ranges))
-    more = leakage._slides(twisted, batch, None)
-    assert list(more) == [*reported, "slide_twist_deg"] and more["slide_twist_deg"] == [[-4.0]]
-    for name, value in reported.items():
-        np.testing.assert_array_equal(more[name], value)
-    np.testing.assert_allclose([reported["slide_x_mm"], reported["slide_y_mm"]], [[[0]], [[-1]]], atol=1e-12)
+def test_a_slide_is_felt_in_the_frame_of_the_sensor_and_its_twist_as_it_is():
+    pose, move = np.array([[0, 0, 90.0, 2]]), np.array([[1.0, 0.0, -4.0]])
+    np.testing.assert_allclose(felt(move, pose), [[0, -1, -4]], atol=1e-6)
+    np.testing.assert_array_equal(felt(move[:, :2], pose), felt(move, pose)[:, :2])

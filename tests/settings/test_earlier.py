@@ -8,7 +8,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.run import run_stages
 from jaxunshear.settings.configs import describe
 from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.earlier import LATER, is_later, without_later
+from jaxunshear.settings.earlier import GONE, LATER, is_later, without_later
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.fields import replaced
 from jaxunshear.settings.networks import PinUnshear
@@ -40,6 +40,21 @@ def test_an_earlier_file_is_todays_experiment():
     changed = replaced(NOW, "train_pins.paired_share", 0.1)
     assert without_later(to_json(changed))["train_pins"]["paired_share"] == 0.1
     assert "twist_deg" not in describe(NOW.paired, NOW.sensor)["settings"]["ranges"]
+
+
+def test_a_setting_that_went_may_stand_in_a_file_where_it_does_nothing(tmp_path):
+    assert not GONE.keys() & {field.name for group in groups(NOW) for field in group}
+    earlier = to_json(NOW)
+    earlier["pins"]["shear_noise"] = 0.0
+    assert from_json(earlier) == NOW and without_later(earlier) == without_later(to_json(NOW))
+    write_json(tmp_path / "model.json", {"net": earlier["pins"]})
+    write_settings(tmp_path, {"net": to_json(NOW)["pins"]})
+    earlier["pins"]["shear_noise"] = 0.1
+    with pytest.raises(UserError, match="see pins, shear_noise; run"):
+        from_json(earlier)
+    write_json(tmp_path / "model.json", {"net": earlier["pins"]})
+    with pytest.raises(UserError, match=r"net\.shear_noise = 0\.1, now None"):
+        write_settings(tmp_path, {"net": to_json(NOW)["pins"]})
 
 
 @pytest.mark.parametrize("name", ["epochs", "claim"])

@@ -152,7 +152,7 @@ def test_turned_touches_keep_distance_direction_and_depth_alone():
     assert refusal("--pins.turned 1 --targets edge_mm").startswith("--pins.turned ")
 
 
-@pytest.mark.parametrize("field", ["swap_weight", "agreement_weight"])
+@pytest.mark.parametrize("field", ["swap_weight", "agreement_weight", "slide_weight"])
 def test_what_codes_that_do_not_leak_take(field):
     pins = "--unshear.input pins --networks disentangled,posenet"
     shared = f"{pins} --paired.poses_a_slide 2"
@@ -201,8 +201,7 @@ def test_exchanged_codes_take_slides_that_poses_share():
     ("words", "line"),
     [
         ("--paired.poses_a_slide 0", "a slide belongs to one pose at least"),
-        ("--unshear.input pins --pins.shear_noise 1", "z_s lies in"),
-        ("--unshear.input pins --pins.shear_noise -0.1", "z_s lies in"),
+        ("--unshear.input pins --networks disentangled --pins.apart true", "raise train_pins.slide_weight"),
     ],
 )
 def test_codes_and_slides_within_their_limits(words, line):

@@ -17,8 +17,10 @@ from jaxunshear.settings.targets import (
     RECORDED,
     SIMULATED,
     Target,
+    felt_of,
     fields_of,
     from_json,
+    moves_of,
     names_of,
     of_labels,
     of_ranges,
@@ -151,6 +153,20 @@ def test_recorded_labels_fill_the_outputs_from_end_to_end():
     turned = of_labels(("Rz_deg:range",), poses)
     wanted = np.asarray(posenet.pose_targets({"pose": poses}, turned))[:2, 0]
     np.testing.assert_allclose(wanted, [0, 1], atol=1e-2)
+
+
+def test_what_slides_vary_is_felt_by_the_sensor_or_labelled():
+    assert names_of(felt_of(Ranges())) == ("slide_x_mm", "slide_y_mm")
+    x, _, twist = felt_of(Ranges(move_mm=2, twist_deg=20))
+    assert (x.field, x.column, x.middle, x.reach, x.circle) == ("felt", 0, 0, 2, False)
+    assert (twist.name, twist.column, twist.reach) == ("slide_twist_deg", 2, 20)
+    assert felt_of(Ranges(move_mm=0)) == ()
+    moves = np.zeros((4, 6))
+    moves[:3, 0], moves[:3, 5], moves[3] = [-5, 0, 3], [0, 1, 2], np.nan
+    along, turn = moves_of(moves)
+    assert (along.name, along.field, along.column, along.middle, along.reach) == ("slide_x_mm", "move", 0, -1, 4)
+    assert (turn.name, turn.column, turn.middle, turn.reach) == ("slide_Rz_deg", 5, 1, 1)
+    assert moves_of(moves[3:]) == moves_of(moves[:0]) == ()
 
 
 def test_rows_with_an_unknown_label_give_nothing_of_ranges():

@@ -7,9 +7,10 @@ import pytest
 
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
-from jaxunshear.model.pinnets import distance, predict, unshear
+from jaxunshear.model.pinnets import distance, encode, predict, unshear
+from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
-from jaxunshear.settings.targets import of_labels
+from jaxunshear.settings.targets import felt_of, of_labels
 from jaxunshear.settings.training import Training
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
 from jaxunshear.training.pin_tasks import pin_posenet_task, pin_unshear_task, renderer_task
@@ -157,9 +158,31 @@ def test_a_renderer_and_a_posenet_learn_a_linear_skin():
         assert float(last) < 0.05 * float(first)
 
 
+def test_the_first_numbers_of_the_shear_code_are_taught_the_slide():
+    slides = felt_of(Ranges(move_mm=2.0, twist_deg=5.0))
+    net = PinUnshear(**SMALL | {"shear_code": 4}, apart=True)
+    task = pin_unshear_task(net, Training(slide_weight=3.0), TARGETS, REST, 1.0, slides=slides)
+    variables, given = task.init(KEY), batch()
+    z_s = np.asarray(encode(net, variables, given["sheared_pins"])[1])
+    given["felt"] = z_s[:, :3] * np.array([2.0, 2.0, 5.0], np.float32)
+    assert task.weights["slide"] == 3.0
+    np.testing.assert_allclose(task.validate(variables, given)["slide"], 0, atol=1e-12)
+    given["felt"] = given["felt"] + np.array([2.0, 0.0, 0.0], np.float32)  # by half of its range
+    np.testing.assert_allclose(task.validate(variables, given)["slide"], 1 / 3, rtol=1e-5)
+
+    def slide(params, given):
+        return task.validate(variables | {"params": params}, given)["slide"].sum()
+
+    slope = jax.grad(slide)(variables["params"], given)
+    assert {name for name, part in slope.items() if any(np.any(x) for x in jax.tree.leaves(part))} == {"ES", "shear"}
+    assert not np.any(slope["shear"]["kernel"][:, 3])  # a fourth number is free
+    unknown = given | {"felt": np.full_like(given["felt"], np.nan)}
+    assert all(np.all(x == 0) for x in jax.tree.leaves(jax.grad(slide)(variables["params"], unknown)))
+
+
 def test_exchanged_codes_are_taught_where_partners_are_given():
     training = Training(swap_weight=2.0, agreement_weight=0.5)
-    task = pin_unshear_task(PinUnshear(**SMALL, apart=True, shear_noise=0.1), training, TARGETS, REST, 1.0)
+    task = pin_unshear_task(PinUnshear(**SMALL, apart=True), training, TARGETS, REST, 1.0)
     variables, given = task.init(KEY), batch()
     partners = {OTHER: batch(1)["sheared_pins"], SWAPPED: batch(2)["sheared_pins"]}
     # without partners a slide's pose code is to agree with its tap's
