@@ -1,9 +1,14 @@
 """The commands that examine the simulator: names, refusals, and files of rows."""
 
 import json
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+import jaxunshear
 from jaxunshear.cli import checks, main
 
 
@@ -88,3 +93,17 @@ def test_a_file_cannot_be_the_folder_of_results(tmp_path, capsys, words):
     assert f"--out {tmp_path / 'file'} is a file: name a folder" in capsys.readouterr().err
     assert main([*words, "--out", str(tmp_path / "file" / "deeper")]) == 2
     assert f"{tmp_path / 'file'} is a file: name another folder" in capsys.readouterr().err
+
+
+def test_a_wheel_says_where_the_benchmarks_are(tmp_path):
+    """A package that lacks what the wheel lacks."""
+    package = tmp_path / "jaxunshear"
+    package.mkdir()
+    for part in Path(jaxunshear.__file__).parent.iterdir():
+        if part.name != "benchmarks":
+            (package / part.name).symlink_to(part)
+    command = [sys.executable, "-m", "jaxunshear", "check", "bench", "data"]
+    variables = os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, text=True)
+    assert done.returncode == 2 and "benchmarks come with a checkout alone" in done.stderr
+    assert "Traceback" not in done.stderr

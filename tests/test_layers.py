@@ -62,6 +62,12 @@ def test_no_two_files_import_each_other():
     assert order.index("jaxunshear.errors") < order.index("jaxunshear.cli") and len(order) == len(FILES)
 
 
+def test_benchmarks_can_be_left_out():
+    """The wheel has none: the command alone imports them."""
+    users = {module for module in FILES if any(".benchmarks" in name for name in imported(module))}
+    assert {module for module in users if ".benchmarks" not in module} == {"jaxunshear.cli.bench"}
+
+
 def test_settings_import_no_jax():
     """They are read before anything is computed, and by processes that compute nothing."""
     seen, left = set(), [module for module in FILES if step_of(module) == STEPS.index("settings")]

@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from importlib.util import find_spec
 from itertools import chain
 
 from jaxunshear.errors import UserError
@@ -29,13 +30,17 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
         if getattr(arguments, option) is not None and option not in taken:
             known = " and ".join([", ".join(f"--{name}" for name in taken), "--json"] if taken else ["--json"])
             raise UserError(f"--{option}: bench {arguments.what} has no use for it; it takes {known}")
+    if find_spec("jaxunshear.benchmarks") is None:
+        raise UserError(
+            "bench: benchmarks come with a checkout alone: clone the repository and `pip install -e .` there"
+        )
     if arguments.batch is not None and arguments.batch < 1:
         raise UserError(f"--batch {arguments.batch}: use at least 1")
     if not taken:
         return _run_plain(arguments.what, keep)
     if arguments.what != "sim":
         return _run_networks(arguments, keep)
-    from jaxunshear.checks import bench_figure, bench_sim
+    from jaxunshear.benchmarks import bench_figure, bench_sim
     from jaxunshear.storage import write_bytes
 
     rows = bench_sim.bench_sim(arguments.level, arguments.batch, keep=keep)
@@ -48,7 +53,7 @@ def run(arguments: argparse.Namespace, keep: Keep) -> int:
 
 def _run_plain(what: str, keep: Keep) -> int:
     """Of those that take no option."""
-    from jaxunshear.checks import bench_data, bench_explore, bench_input, bench_pin_networks
+    from jaxunshear.benchmarks import bench_data, bench_explore, bench_input, bench_pin_networks
     from jaxunshear.table import plain_table
 
     kinds: dict[str, tuple[Callable[[], list[Json]], tuple[str, ...]]] = {
@@ -65,7 +70,7 @@ def _run_plain(what: str, keep: Keep) -> int:
 
 
 def _run_networks(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import bench_networks
+    from jaxunshear.benchmarks import bench_networks
 
     if arguments.size is not None and arguments.size < 1:
         raise UserError(f"--size {arguments.size}: use at least 1")
@@ -86,7 +91,7 @@ def _run_networks(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _run_needs(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import bench_needs
+    from jaxunshear.benchmarks import bench_needs
 
     try:
         rows = bench_needs.bench_needs(128 if arguments.size is None else arguments.size)
@@ -98,7 +103,7 @@ def _run_needs(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _run_pins(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import bench_pins
+    from jaxunshear.benchmarks import bench_pins
     from jaxunshear.table import plain_table
 
     if arguments.size is not None and not 64 <= arguments.size <= 1024:
@@ -113,7 +118,7 @@ def _run_pins(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _run_strangers(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import confidence
+    from jaxunshear.benchmarks import confidence
     from jaxunshear.table import plain_table
 
     rows = confidence.bench(arguments.recordings or [], arguments.seed or 0)

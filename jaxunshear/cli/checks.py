@@ -131,9 +131,9 @@ def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
 
 
 def _verify(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import verify
-    from jaxunshear.checks.tables import as_dict, table
     from jaxunshear.progress import Progress
+    from jaxunshear.verification import verify
+    from jaxunshear.verification.tables import as_dict, table
 
     with Progress("verify", len(verify.CHECKS), unit="checks") as progress:
         rows = verify.verify(progress)
@@ -145,7 +145,7 @@ def _verify(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import stability
+    from jaxunshear.verification import stability
 
     rows = stability.stability(arguments.only)
     print(stability.table(rows))
@@ -154,8 +154,8 @@ def _stability(arguments: argparse.Namespace, keep: Keep) -> int:
 
 
 def _plan(arguments: argparse.Namespace, keep: Keep) -> int:
-    from jaxunshear.checks import show_plan
     from jaxunshear.settings.sensor import sensor_named
+    from jaxunshear.verification import show_plan
 
     given, sensor = vars(arguments), sensor_named(arguments.sensor)
     if arguments.scenes is not None:

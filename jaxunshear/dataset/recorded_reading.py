@@ -108,7 +108,9 @@ class RecordedSet:
 
     def slide_targets(self) -> Targets:
         """What training slides vary of their move."""
-        return moves_of(self._slides("train")["move"])
+        rows = self.stored.rows("train")
+        labelled = _share(rows["number"], self.seed) < self.settings.labelled
+        return moves_of(rows["move"][labelled & (rows["slid"] == 1)])
 
     def count(self, kind: str, split: str) -> int:
         """Of "taps" or "slides"."""

@@ -2,9 +2,9 @@
 
 import pytest
 
-from jaxunshear.checks.half_space import HalfSpace
-from jaxunshear.checks.half_space import half_space as made
-from jaxunshear.checks.verify import INCOMPRESSIBLE
+from jaxunshear.verification.half_space import HalfSpace
+from jaxunshear.verification.half_space import half_space as made
+from jaxunshear.verification.verify import INCOMPRESSIBLE
 
 
 @pytest.fixture(scope="session")

@@ -1,13 +1,10 @@
-"""The solver in float32, as it is used; closed forms and the laws of every answer stand in tests/checks/test_verify.py."""
+"""The solver in float32, as it is used; closed forms and the laws of every answer stand in tests/verification/test_verify.py."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.checks.half_space import HalfSpace, press, trace
-from jaxunshear.checks.normal import SPHERE_MM, depth
-from jaxunshear.checks.shear import FRICTION, slip_distance
 from jaxunshear.contact.frame import level_frame
 from jaxunshear.contact.friction import (
     BETWEEN_CHECKS,
@@ -20,6 +17,9 @@ from jaxunshear.contact.friction import (
 )
 from jaxunshear.contact.obstacle import Obstacles
 from jaxunshear.contact.state import contact_state
+from jaxunshear.verification.half_space import HalfSpace, press, trace
+from jaxunshear.verification.normal import SPHERE_MM, depth
+from jaxunshear.verification.shear import FRICTION, slip_distance
 
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
 RADIUS_MM = 0.45

@@ -7,9 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.checks.normal import SPHERE_MM, depth, load
-from jaxunshear.checks.shear import FRICTION as MU
-from jaxunshear.checks.shear import slip_distance
 from jaxunshear.contact.friction import RHO, System
 from jaxunshear.contact.gradient import SWITCH_MM, compliance, path_shares, pin_gradient, pin_model, pins
 from jaxunshear.contact.implicit import GOAL_MM, pin_state
@@ -20,6 +17,9 @@ from jaxunshear.contact.simulate import follow
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths
 from jaxunshear.settings.sensor import Sensor
+from jaxunshear.verification.normal import SPHERE_MM, depth, load
+from jaxunshear.verification.shear import FRICTION as MU
+from jaxunshear.verification.shear import slip_distance
 
 SMALL = Sensor(name="small", rings=2, pin_spacing_mm=2.0, dome_radius_mm=8.0)  # a dome in a second
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))

@@ -1,0 +1,166 @@
+"""Error against run time: the rows, what counts as a failure, and that the scenes are always the same."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from jaxunshear.benchmarks import bench_figure, bench_sim, rivals
+from jaxunshear.benchmarks.bench_sim import Effort, Setting
+from jaxunshear.benchmarks.bench_sim import bench_sim as bench
+from jaxunshear.contact.level import LEVELS
+from jaxunshear.errors import UserError
+from jaxunshear.scene.scene import Scenes
+from jaxunshear.settings.reach import ring_spacing, spaced
+from jaxunshear.verification.cases import HALF_SIZE
+from jaxunshear.verification.clock import laps
+from jaxunshear.verification.paper import NAMES, paper_scenes
+from jaxunshear.verification.px import pin_error
+
+FIELDS = {
+    *(
+        "name",
+        "level",
+        "kind",
+        "batch",
+        "precision",
+        "solver",
+        "mesh_mm",
+        "ms_per_state",
+        "ms_p95",
+        "ratio",
+        "compile_s",
+    ),
+    *("rms_px", "p95_px", "rms_mm", "p95_mm", "iterations", "converged", "nodes", "plan_ms", "failed", "against"),
+}
+LOOSE = replace(LEVELS["auto"], tolerance=0.3)
+
+
+def shallow(kind: str, count: int) -> Scenes:
+    found = paper_scenes(kind, count)
+    found.pose[:, 3] = 1.0
+    return found
+
+
+# contacts and a truth that cost little: 1 mm deep on the small dome, against float64
+EXACT = replace(LEVELS["auto"], tolerance=0.01, precision="float64")
+SMALL = Effort(compared=2, timed=2, slow=1, repeats=1, scenes=shallow, truth=EXACT)
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory, monkeypatch):
+    """Nothing that an earlier run left behind, but domes once."""
+    folder = tmp_path_factory.getbasetemp() / "cache"
+    monkeypatch.setenv("JAXUNSHEAR_CACHE", str(folder))
+
+
+def run(*settings: Setting) -> list[dict]:
+    return bench(sensor=HALF_SIZE, effort=SMALL, settings=settings)
+
+
+@pytest.mark.long
+def test_a_row_says_all_there_is_to_say():
+    kept = []
+    setting = Setting("auto, batch 2", "auto", LEVELS["auto"], 2)
+    rows = bench(sensor=HALF_SIZE, effort=SMALL, settings=[setting], keep=lambda rows: kept.append(len(rows)))
+    assert [row["kind"] for row in rows] == ["slide", "tap"] and kept == [1, 2]
+    for row in rows:
+        assert set(row) >= FIELDS
+        assert row["converged"] == 1 and not row["failed"] and row["nodes"] > 0
+        assert 0 < row["rms_px"] <= row["p95_px"] * 3 and row["rms_px"] < 0.5
+        assert row["ms_per_state"] > 0 and row["ratio"] > 0
+    assert "auto, batch 2" in bench_sim.table(rows)
+    assert bench_figure.work_precision(rows)[:4] == b"\x89PNG"
+
+
+@pytest.mark.long
+def test_a_solver_that_does_not_converge_fails_and_is_shown():
+    impatient = Setting(
+        "impatient", "auto", replace(LEVELS["auto"], limit=5, tolerance=1e-3), 2, "projected gradient", kinds=("slide",)
+    )
+    (row,) = run(impatient)
+    assert row["converged"] < 1 and "do not converge" in row["failed"] and "FAILED" in bench_sim.table([row])
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (ZeroDivisionError("by nothing"), "by nothing"),
+        pytest.param(MemoryError(), "MemoryError", marks=pytest.mark.long),
+    ],
+)
+def test_a_solver_that_crashes_is_a_row(monkeypatch, error, said):
+    def crash(*_):
+        raise error
+
+    monkeypatch.setitem(rivals.RIVALS, "broken", crash)
+    (row,) = run(Setting("broken", "auto", LOOSE, 2, "broken", kinds=("slide",)))
+    assert "crashed" in row["failed"] and said in row["failed"]
+    assert "crashed" in bench_sim.table([row]) and bench_figure.work_precision([row])
+
+
+@pytest.mark.parametrize(
+    "solver", ["admm with anderson", pytest.param("accelerated projected gradient", marks=pytest.mark.long)]
+)
+def test_rivals_find_the_same_contact(solver):
+    (row,) = run(
+        Setting("rival", "auto", replace(LEVELS["auto"], tolerance=0.02, limit=2000), 2, solver, kinds=("slide",))
+    )
+    assert row["converged"] == 1 and row["rms_px"] < 0.1 and not row["failed"]
+
+
+@pytest.mark.long
+def test_newton_is_right_where_its_start_is():
+    """One press of a millimetre: near enough to zero force."""
+    how = replace(LEVELS["auto"], tolerance=0.01, press_mm=0.25)
+    (row,) = run(Setting("newton", "auto", how, 2, "newton, cold", kinds=("tap",)))
+    assert row["converged"] == 1 and row["rms_px"] < 0.1 and not row["failed"]
+
+
+def test_what_is_chosen():
+    settings = bench_sim.chosen(Effort(), "auto", 64)
+    assert [(s.level, s.batch, s.solver) for s in settings] == [("auto", 64, "admm")]
+    assert {s.batch for s in bench_sim.chosen(Effort(), None, 16)} == {16}
+    everything = bench_sim.chosen(Effort(), None, None)
+    assert {"fast", "auto", "default", "reference", "unabridged"} <= {s.level for s in everything}
+    assert set(rivals.RIVALS) == {s.solver for s in everything} and len({s.name for s in everything}) == len(everything)
+    with pytest.raises(UserError, match="--level 'best'"):
+        bench_sim.chosen(Effort(), "best", None)
+    with pytest.raises(UserError, match="--batch 0"):
+        bench_sim.chosen(Effort(), None, 0)
+
+
+def test_scenes_are_the_same_again_and_few_are_the_first_of_many():
+    few, many = paper_scenes("slide", 9), paper_scenes("slide", 14)
+    assert np.array_equal(few.pose, many.pose[:9]) and np.array_equal(few.move, many.move[:9])
+    assert set(many.stimulus) == set(range(len(NAMES)))
+    taps = paper_scenes("tap", 9)
+    assert np.array_equal(taps.pose, few.pose) and not taps.move.any() and few.move.any()
+    assert not np.array_equal(paper_scenes("slide", 9, seed=1).pose, few.pose)
+    assert few.pose[:, 3].min() >= 1 and few.pose[:, 3].max() <= 6
+
+
+def test_px_are_those_of_the_image():
+    pins = np.zeros((2, HALF_SIZE.pins, 3))
+    moved = pins + np.array([0.1, 0, 0])
+    error = pin_error(HALF_SIZE, pins, moved)
+    assert error.rms_mm == pytest.approx(0.1) and error.rms_px == pytest.approx(error.max_px)
+    assert error.rms_px == pytest.approx(0.1 * 256 / 33.5, rel=0.01)  # px of the frame across its width in mm
+    assert np.isnan(pin_error(HALF_SIZE, pins, moved * np.nan).rms_px)
+
+
+def test_another_spacing_is_another_sensor():
+    coarse = spaced(HALF_SIZE, 1.5)
+    assert coarse.name != HALF_SIZE.name and ring_spacing(coarse) == pytest.approx(
+        10 * np.pi / 3 / 8
+    )  # not beyond 8 rings
+    assert ring_spacing(spaced(HALF_SIZE, 0.8)) == 0.8
+    assert spaced(HALF_SIZE, 1.0) is HALF_SIZE
+    assert ring_spacing(HALF_SIZE) == 1.0
+
+
+def test_laps_stop_when_the_budget_is_spent():
+    calls = []
+    spent = laps(lambda: calls.append(0), lambda: None, repeats=4)
+    assert len(calls) == len(spent.work) == len(spent.product) == 4
+    assert len(laps(lambda: calls.append(0), lambda: None, repeats=4, budget_s=0.0).work) == 1

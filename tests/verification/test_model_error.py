@@ -1,0 +1,54 @@
+"""What the table's figures mean; the whole comparison takes a minute and runs with the long tests."""
+
+import jax
+import numpy as np
+import pytest
+
+from jaxunshear.contact.hyperelastic import neo_hookean
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.image import Camera
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.verification.model_error import logarithmic, model_error, pin_errors
+from jaxunshear.verification.px import px_apart
+
+REST = pin_tips(TACTIP_331)
+
+
+def test_a_shift_is_measured_as_one():
+    camera = Camera()
+    px, _, largest = pin_errors(px_apart(TACTIP_331, REST + np.array([0.3, -0.4, 0.1]), REST))
+    apex = px_apart(TACTIP_331, REST[:1] + np.array([0.5, 0, 0]), REST[:1])[0]
+    assert apex == pytest.approx(0.5 * camera.frame_px / camera.mm_across, rel=1e-4)
+    assert 0.9 * apex < px <= largest < 1.2 * apex
+
+
+def test_one_pin_in_ten_shows_in_the_percentile_and_not_in_the_mean():
+    errors = np.zeros(331)
+    errors[::10] = 1.0
+    assert pin_errors(errors) == pytest.approx((np.sqrt(34 / 331), 1, 1))
+
+
+def test_the_logarithmic_law_is_the_neo_hookean_one_at_small_strain_and_turns_with_the_body():
+    generator = np.random.default_rng(0)
+    plane = np.zeros((3, 3))
+    plane[::2, ::2], plane[1, 1] = generator.normal(size=(2, 2)), generator.normal()
+    angle = 0.7
+    turn = np.array([[np.cos(angle), 0, -np.sin(angle)], [0, 1, 0], [np.sin(angle), 0, np.cos(angle)]])
+    with jax.enable_x64(True):
+        small = np.eye(3) + 1e-4 * plane
+        assert float(logarithmic(small, 1.0, 20.0)) == pytest.approx(float(neo_hookean(small, 1.0, 20.0)), rel=2e-3)
+        large = np.eye(3) + 0.2 * plane
+        same, turned = float(logarithmic(large, 1.0, 20.0)), float(logarithmic(turn @ large, 1.0, 20.0))
+        assert turned == pytest.approx(same, rel=1e-9)
+        stretched = np.diag([np.exp(0.5), np.exp(-0.25), np.exp(-0.25)])
+        assert float(logarithmic(stretched, 1.0, 20.0)) == pytest.approx(0.5**2 + 2 * 0.25**2, rel=1e-6)
+
+
+@pytest.mark.long
+def test_the_linear_dome_is_good_at_small_depth_and_worse_deeper():
+    shallow, deep = model_error(TACTIP_331, (0.5, 4.0))
+    assert shallow.converged and deep.converged
+    assert shallow.rms_px < 0.2 < deep.rms_px < deep.motion_px
+    assert deep.material_px < deep.rms_px / 4  # rotations, not the law, are what a linear dome misses
+    assert shallow.strained == 0 < deep.strained
+    assert shallow.force_ratio == pytest.approx(1, abs=0.2)

@@ -1,0 +1,262 @@
+"""The judge of networks at their extremes: what it passes, and that it does not pass what is wrong."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.metrics import images as metrics
+from jaxunshear.settings.load import load_experiment
+from jaxunshear.training import checkpoint, losses
+from jaxunshear.training.guard import check_state
+from jaxunshear.verification import network_steps, network_trainings, network_values, stability
+from jaxunshear.verification import stability_networks as judge
+from jaxunshear.verification.network_images import KINDS, as_floats, pairs, poses, spoilt, with_nan
+from jaxunshear.verification.network_trainings import SHALLOW, steps_case
+
+FINE = judge.Found({"values": np.ones(3)})
+LINE = "training x stopped: supervised not finite at step 7, of batch 6; the checkpoint of step 4 is kept"
+NAN = steps_case(
+    "NaN", SHALLOW, change=network_trainings._nan, expects=(judge.STOPPED,), words=network_trainings._words()
+)
+
+
+def guarded(*guards) -> judge.NetworkCase:
+    return replace(NAN, run=partial(NAN.run, guards=guards))
+
+
+def network_cases() -> list[judge.NetworkCase]:
+    return [*network_trainings.training_cases(), *network_values.value_cases()]
+
+
+@pytest.fixture
+def compiled_anew():
+    """For what is changed beneath compiled programs."""
+    kept = (network_steps._programs.cache_clear, metrics._ms_ssim.clear_cache)
+    for clear in kept:
+        clear()
+    yield
+    for clear in kept:
+        clear()
+
+
+def made_up(run, **more) -> judge.NetworkCase:
+    return judge.NetworkCase("network made up", run, "the line", **more)
+
+
+def refusing(line):
+    def run(folder):
+        raise UserError(line)
+
+    return run
+
+
+def named(name: str) -> judge.NetworkCase:
+    (case,) = [case for case in network_cases() if case.name == name]
+    return case
+
+
+def test_cases_are_many_and_their_names_differ():
+    names = [case.name for case in network_cases()]
+    assert len(names) >= 80 and len(set(names)) == len(names)
+    assert all(name.startswith("network ") for name in names)
+
+
+def test_only_those_asked_for_run(monkeypatch):
+    ran = []
+    cases = [made_up(lambda folder: ran.append(1) or FINE), replace(made_up(lambda folder: 1 / 0), name="another")]
+    rows = stability.stability("made up", cases)
+    assert [row.outcome for row in rows] == [judge.FINITE] and ran == [1] and rows[0].holds
+
+
+@pytest.mark.parametrize(
+    ("found", "outcome"),
+    [
+        (judge.Found({"a": {"b": [1.0, np.nan]}}), "not finite"),
+        (judge.Found({"a": jnp.array([np.inf], jnp.bfloat16)}), "not finite"),
+        (judge.Found({}), "nothing was measured"),
+        (judge.Found({"a": 1.0}, error=0.1, bar=0.05), "off by more than allowed"),
+        (judge.Found({"a": 1.0}, error=np.nan, bar=0.05), "off by more than allowed"),
+        (judge.Found({"a": 1.0}, {"b": np.ones(2)}), "hides a NaN"),
+        (judge.Found({"a": 1.0}, wrong="DS was built"), "wrong"),
+    ],
+)
+def test_what_is_wrong_does_not_pass(found, outcome):
+    row = judge.examine(made_up(lambda folder: found))
+    assert row.outcome == outcome and not row.holds and stability.failed([row]) == [row]
+    text = stability.table([row])
+    assert "FAILED: network made up" in text and "the line" in text and "--only" in text
+
+
+def test_the_array_that_is_not_finite_is_named():
+    assert judge.examine(made_up(lambda folder: judge.Found({"a": {"b": [1.0, np.nan]}}))).said == "a.b.1"
+
+
+def test_a_traceback_is_a_failure():
+    row = judge.examine(made_up(lambda folder: 1 / 0))
+    assert row.outcome == "crashed" and not row.holds and "ZeroDivisionError" in row.said
+
+
+@pytest.mark.parametrize(
+    ("expects", "line", "holds"),
+    [
+        ((judge.STOPPED,), LINE, True),
+        ((judge.FINITE, judge.STOPPED), LINE, True),
+        ((judge.FINITE,), LINE, False),
+        ((judge.STOPPED,), "stopped", False),
+        ((judge.STOPPED,), LINE.replace("batch 6", "something"), False),
+        ((judge.STOPPED,), LINE.replace("; ", "\n"), False),
+    ],
+)
+def test_a_stop_must_be_promised_and_say_where(expects, line, holds):
+    row = judge.examine(made_up(refusing(line), expects=expects, words=judge.SAYS_WHERE))
+    assert row.holds == holds and row.said == line
+
+
+def test_what_should_have_stopped_does_not_pass():
+    for expects in ((judge.STOPPED,), (judge.REFUSED,)):
+        row = judge.examine(made_up(lambda folder: FINE, expects=expects))
+        assert row.outcome == f"neither {expects[0]}" and not row.holds
+
+
+@pytest.mark.parametrize("spoil", ["not finite", "damaged"])
+def test_a_kept_checkpoint_must_be_usable(spoil):
+    def run(folder: Path):
+        kernel = jnp.full(3, np.nan if spoil == "not finite" else 1.0)
+        state = {"average": {"params": {"E": {"kernel": kernel}}}}
+        checkpoint.save(folder, 4, state, {"best_step": 4, "history": []})
+        if spoil == "damaged":
+            (folder / "checkpoints" / "00000004" / "record.json").write_text("{")
+        raise UserError(LINE)
+
+    row = judge.examine(made_up(run, expects=(judge.STOPPED,)))
+    assert row.outcome == "left a checkpoint that cannot be used" and not row.holds
+
+
+def test_the_papers_start_is_that_of_its_experiment():
+    paper = load_experiment(Path(__file__).parents[2] / "experiments" / "paper.py")
+    assert (paper.unshear, paper.posenet) == (network_trainings.PAPER_NET, network_trainings.PAPER_POSENET)
+    ours = network_trainings.PAPER
+    for field in ("optimiser", "learning_rate", "beta1", "beta2", "l1", "l2", "kernels", "averaging"):
+        assert getattr(ours, field) == getattr(paper.train, field) == getattr(paper.train_posenet, field)
+    for field in ("patch_weight", "crops", "crop_px", "reconstruction_weight"):
+        assert getattr(ours, field) == getattr(paper.train, field)
+
+
+@pytest.mark.long
+def test_kernels_that_outweigh_the_loss_are_reported():
+    heavy = judge.examine(steps_case("l1 1", SHALLOW, replace(network_trainings.TRAINING, l1=1.0)))
+    assert heavy.holds and heavy.said.startswith("l1 and l2 weigh") and "kernels shrink first" in heavy.said
+
+
+def test_steps_pass_with_their_figures():
+    row = judge.examine(steps_case("usual", SHALLOW))
+    assert row.outcome == judge.FINITE and row.holds and row.steps == network_steps.STEPS
+    assert 0 < row.loss < 1 and row.gradient > 0 and not row.said
+
+
+def test_a_network_that_learns_nothing_more_is_reported():
+    row = judge.examine(made_up(lambda folder: judge.Found({"a": 1.0}, note="the gradient is 0")))
+    assert row.holds and row.said == "the gradient is 0"
+
+
+def test_a_nan_stops_a_training_and_the_row_says_what_is_kept():
+    row = judge.examine(NAN)
+    assert row.holds and row.outcome == judge.STOPPED and row.kept == network_steps.SAVED_EVERY
+    assert row.said.startswith("training FOLDER stopped")
+
+
+def test_a_training_that_does_not_see_is_caught():
+    """Without its two looks the case that must stop ends with numbers that are not finite."""
+    floats = lambda step, terms, batch, folder: {name: float(value) for name, value in terms.items()}  # noqa: E731
+    row = judge.examine(guarded(floats, check_state))  # the state's look comes too late to name the step
+    assert not row.holds and row.outcome.startswith("stopped by a line without 'step 7")
+    row = judge.examine(guarded(floats, lambda *_: None))
+    assert not row.holds and row.outcome == "not finite"
+
+
+USUAL = steps_case("usual", SHALLOW)
+
+
+@pytest.mark.parametrize(
+    ("less", "case", "outcome", "said"),
+    [
+        (1, USUAL, "stopped, though it can be computed", "supervised"),
+        (1, named("network losses, images all black"), "not finite", "supervised"),
+        (0, named("network losses, equal images"), "not finite", "supervised.1"),  # the slope alone
+    ],
+    ids=["training", "black", "equal"],
+)
+def test_a_root_of_what_is_not_positive_is_caught(monkeypatch, compiled_anew, less, case, outcome, said):
+    monkeypatch.setattr(losses, "supervised", lambda a, b: jnp.sqrt(jnp.mean((a - b) ** 2, (1, 2, 3)) - less))
+    row = judge.examine(case)
+    assert not row.holds and row.outcome == outcome and said in row.said
+
+
+@pytest.mark.parametrize(
+    ("power", "name", "outcome"),
+    [
+        (lambda x, weight: x**weight, "inverted", "not finite"),
+        (lambda x, weight: jnp.where(x > 0, jnp.where(x > 0, x, 1) ** weight, 0), "a NaN", "hides a NaN"),
+    ],
+    ids=["of what is negative", "that hides a NaN"],
+)
+def test_a_wrong_power_is_caught(monkeypatch, compiled_anew, power, name, outcome):
+    monkeypatch.setattr(metrics, "_power", power)
+    row = judge.examine(named(f"network ms_ssim, {name}"))
+    assert not row.holds and row.outcome == outcome
+
+
+@pytest.mark.parametrize("part", ["codes 0:", "that cannot be", "network losses", "network ssim", "network ms_ssim"])
+def test_cases_that_take_seconds_hold(part):
+    rows = stability.stability(part)
+    assert rows and not stability.failed(rows), stability.table(rows)
+
+
+def test_narrow_numbers_are_compared_with_wide_ones():
+    images = np.random.default_rng(0).random((4, 8, 8, 1)).astype(np.float32)
+    given, names = ({"scale": np.float32([1 / 3])}, images), ("unsheared", "sheared")
+
+    def reported(variables, images):
+        return {"unsheared": images * variables["scale"], "sheared": images}
+
+    def precision(run, kind):
+        return network_values.precision(run, given, names, kind, 1.0)
+
+    for kind, least, most in ((jnp.bfloat16, 1e-4, 5e-3), (jnp.float64, 1e-9, 1e-6)):
+        found = precision(reported, kind)
+        assert least < found.error < most and not found.wrong
+    assert "nothing was cast" in precision(reported, jnp.float32).wrong
+    dark = lambda variables, images: reported(variables, 0 * images)  # noqa: E731
+    assert "nothing was compared" in precision(dark, jnp.bfloat16).wrong
+
+
+def test_images_are_what_their_names_say():
+    batch = pairs(3, 4, 32)
+    assert batch["canonical"].dtype == np.uint8 and set(np.unique(batch["canonical"])) == {0, 255}
+    assert (batch["canonical"] != batch["sheared"]).any((1, 2, 3)).all()
+    np.testing.assert_array_equal(batch["sheared"], pairs(3, 4, 32)["sheared"])
+    floats = spoilt(as_floats, batch)
+    assert floats["sheared"].dtype == np.float32 and set(np.unique(floats["sheared"])) == {0, 1}
+    made = {name: kind(floats["canonical"]) for name, kind in KINDS.items()}
+    constants = [np.unique(made[name]).tolist() for name in ("constant grey", "all black", "all white")]
+    assert constants == [[0.5], [0], [1]]
+    np.testing.assert_array_equal(made["inverted"], 1 - floats["canonical"])
+    assert (np.diff(made["alike"], axis=0) == 0).all()
+    apart = np.count_nonzero(np.diff(made["one pixel apart"], axis=0), axis=(1, 2, 3))
+    assert (apart == 2).all()  # each has its own pixel inverted
+    assert np.argwhere(np.isnan(with_nan(batch["canonical"]))).tolist() == [[1, 16, 16, 0]]
+    labels = poses(3, 4, 32)
+    assert labels["pose"].shape == (4, 4) and labels["edge"].shape == (4, 2) and np.isfinite(labels["pose"]).all()
+
+
+@pytest.mark.parametrize(("found", "code"), [(FINE, 0), (judge.Found({"a": np.nan}), 1)])
+def test_the_command_ends_with_1_where_a_promise_is_broken(monkeypatch, command, found, code):
+    row = judge.examine(made_up(lambda folder: found))
+    monkeypatch.setattr(stability, "stability", lambda only: [row])
+    answer = command("check", "stability", "--only", "network made up")
+    assert answer.code == code and "network made up" in answer.out
