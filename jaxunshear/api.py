@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -28,11 +29,13 @@ from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.model.parts import Tree
+from jaxunshear.model.posenet import pose_from_outputs
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import encode
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.training.checkpoint import holds_model, load_best, read_net
+from jaxunshear.settings.targets import Targets
+from jaxunshear.training.checkpoint import holds_model, load_best, read_net, read_slides
 
 __all__ = [
     "Codes",
@@ -70,6 +73,7 @@ class Model:
     encoder: (
         Callable[[np.ndarray], tuple[Array, Array | None]] | None
     )  # what networks read -> both codes; None where nothing unshears
+    slides: Targets = ()  # what the shear code says of the slide
 
     @property
     def size(self) -> int:
@@ -106,6 +110,17 @@ class Model:
         z_p, z_s = self._in_batches(images, lambda part: encoder(self.perceiver.read(part)))
         return Codes(z_p.reshape(len(z_p), -1), None if z_s is None else z_s.reshape(len(z_s), -1))
 
+    def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
+        """How far each image's contact slid and turned, mm and deg by quantity, (B,) each: as the sensor feels it, or as the recordings
+        were labelled that the network learnt from. Of what has slipped, which cannot be seen, it is what is likely. Raises UserError."""
+        shear = self.codes(images).shear if self.slides else None
+        if shear is None:
+            raise UserError(
+                f"{self.folder}: its shear code was not taught the slide, or was left out: train with train_pins.slide_weight"
+            )
+        outputs = jnp.asarray((shear[:, : len(self.slides)] + 1) / 2)
+        return {name: np.asarray(value) for name, value in pose_from_outputs(outputs, self.slides).items()}
+
     def _answers(self, images: np.ndarray) -> Answers:
         return self._in_batches(images, self.perceiver.answer)
 
@@ -137,7 +152,9 @@ def load_model(name: str | Path, like: str | Path | None = None) -> Model:
     experiment = load_settings(folder)
     frame = None if like is None else frame_for(Path(like), experiment)
     encoder = None
+    slides: Targets = ()
     if holds_model(folder / NETWORK):
         net = read_net(folder / NETWORK)
         encoder = ready(lambda variables, seen: encode(net, variables, seen), load_best(folder / NETWORK))
-    return Model(folder, experiment, perceiver(folder, experiment, True, frame), encoder)
+        slides = read_slides(folder / NETWORK)
+    return Model(folder, experiment, perceiver(folder, experiment, True, frame), encoder, slides)

@@ -1,5 +1,6 @@
 """Trained models from Python: what goes in is checked, what comes out is what the commands give."""
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
 from jaxunshear.scene.stimuli import STIMULI
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.targets import felt_of
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +46,17 @@ def test_images_codes_and_poses_of_released_weights(model, images):
     np.testing.assert_array_equal(
         pose[UNSHEARED]["edge_mm"], model.perceiver.answer(images).poses[UNSHEARED]["edge_mm"]
     )
+
+
+def test_a_shear_code_that_was_taught_the_slide_says_it_in_mm_and_degrees(model, images):
+    slides = felt_of(Ranges(move_mm=2.0, twist_deg=10.0))
+    z_s = np.array([[1.0, -0.5, 0.25, 7.0], [0, 0, 0, 7], [-1, 1, -1, 7]], np.float32)
+    taught = dataclasses.replace(model, encoder=lambda seen: (np.zeros((3, 5), np.float32), z_s), slides=slides)
+    found = taught.slide(images)
+    assert list(found) == ["slide_x_mm", "slide_y_mm", "slide_twist_deg"]
+    np.testing.assert_allclose(np.stack(list(found.values()), 1), z_s[:, :3] * [2, 2, 10], atol=1e-6)
+    with pytest.raises(UserError, match="its shear code was not taught the slide"):
+        model.slide(images)
 
 
 def test_how_many_images_come_at_once_does_not_matter(model, images):

@@ -204,6 +204,12 @@ def read_net(folder: Path) -> Net:
         raise UserError(f"{path} lacks or misnames {error}: delete {folder} and train again") from error
 
 
+def read_slides(folder: Path) -> Targets:
+    """What the shear code of the network in `folder` says of the slide; nothing where it was not taught. Raises UserError."""
+    path = Path(folder) / MODEL
+    return from_json(storage.read_object(path).get("slides", []), str(path))
+
+
 def read_targets(folder: Path) -> Targets:
     """The pose targets that the network in `folder` has learnt, from model.json; none of one that has learnt no poses. Raises UserError."""
     path = Path(folder) / MODEL

@@ -92,7 +92,7 @@ def train(
     folder = Path(folder)
     asked = {"kind": task.kind, "net": asdict(task.net), "training": asdict(training), "seed": seed}
     asked |= {"epoch_images": epoch_images, "targets": to_json(task.targets), "origin": origin}
-    asked |= {"taken_over": taken_over}
+    asked |= {"taken_over": taken_over} | ({"slides": to_json(task.slides)} if task.slides else {})
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
         return stored.read(folder / checkpoint.SUMMARY, Summary, AGAIN)

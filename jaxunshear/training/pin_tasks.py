@@ -83,7 +83,7 @@ def pin_unshear_task(
     weights |= {"slide": training.slide_weight}
     weights |= {"tap": training.tap_weight, "alike": training.alike_weight}
     init = partial(pinnets.init, net, rest, spread)
-    return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised")
+    return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised", slides)
 
 
 def _watched(teacher: Callable[[Array], Array], targets: Targets, target: str, canonical: Array, batch: Batch) -> Array:

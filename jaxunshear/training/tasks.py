@@ -34,6 +34,7 @@ class Task:
     weights: dict[str, float]
     validate: Callable[[Tree, Batch], dict[str, Array]]
     rank: str  # the validation term that the best model is chosen by
+    slides: Targets = ()  # what z_s is taught of the slide
 
 
 def unshear_task(

@@ -20,7 +20,9 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinNet, UnshearNet
 from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.targets import felt_of
 from jaxunshear.settings.training import Training
+from jaxunshear.training.checkpoint import read_slides
 
 SENSOR = Sensor(name="small", rings=2)
 SIZE = 32
@@ -181,6 +183,7 @@ def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
     run_stages(longer, ("disentangled",), tmp_path, folder / "data", "none")
     rows = leakage.leakage(longer, tmp_path / "toy", folder / "data", "none")["rows"]
     said = {(row["name"], row["probe"]): row["r2"] for row in rows}
+    assert read_slides(tmp_path / "toy" / "disentangled") == felt_of(EXPERIMENT.paired.ranges)
     assert said["slide from z_s", "linear"] > 0.7 and said["pose from z_s", "linear"] < 0.1
     short = dataclasses.replace(EXPERIMENT, pins=dataclasses.replace(EXPERIMENT.pins, shear_code=1))
     with pytest.raises(UserError, match=r"pins\.shear_code 1: slides of this data set differ in 2 numbers: use 2 or"):
