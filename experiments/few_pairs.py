@@ -29,7 +29,7 @@ sweep = Sweep(
         parted.sweep.base,
         name="few_pairs",
         claim="With taps that no slide belongs to, a tenth of the pairs is enough.",
-        train_pins=replace(PINS, epochs=13, pose_weight=0.0),
+        train_pins=replace(PINS, epochs=13, pose_weight=0.0, slide_weight=1.0),
     ),
     rows=tuple(
         ((("train_pins.paired_share", share), (FIELDS, WAYS[way]))) for share, ways in SHARES.items() for way in ways
