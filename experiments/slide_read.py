@@ -1,5 +1,5 @@
-"""Claim: while some of the skin still sticks, both codes together say how far a slide went to 0.15 mm; how far it turned, to 1 deg, say the
-codes of the paper's losses alone, and parted ones do not hold it.
+"""Claim: while some of the skin still sticks, both codes together say how far a slide went to 0.15 mm, and how far it turned to 1 deg;
+codes that part say it no worse than those of the paper's losses.
 
     jaxunshear sweep experiments/slide_read.py
 

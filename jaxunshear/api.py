@@ -111,8 +111,8 @@ class Model:
         return Codes(z_p.reshape(len(z_p), -1), None if z_s is None else z_s.reshape(len(z_s), -1))
 
     def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
-        """How far each image's contact slid and turned, mm and deg by quantity, (B,) each: as the simulated sensor feels it that the network
-        learnt from, or as the recordings were labelled. Of what has slipped, which cannot be seen, it is what is likely.
+        """How far each image's contact slid and turned, mm and deg by quantity, (B,) each: as the simulated sensor feels it that the
+        network learnt from, or as the recordings were labelled. Of what has slipped, which cannot be seen, it is what is likely.
         Raises UserError."""
         shear = self.codes(images).shear if self.slides else None
         if shear is None:
