@@ -624,11 +624,12 @@ def end_to_end() -> str:
 
 
 def end_to_end_codes() -> str:
-    """What each code leaks, by seed."""
-    lines = ["| | pose from z_s (a leak) | slide from z_p (a leak) |", "|---|---|---|"]
-    for cell in _cells("end_to_end")[:1]:  # the others' shear codes are of the version before
-        leaks = [cell.ablation[f"{name} (mlp)/r2"] for name in ("pose from z_s", "slide from z_p")]
-        lines.append(_line(cell.label, [_of_values(list(leak.per_seed.values()), 2) for leak in leaks]))
+    """What each code leaks, by seed and probe. Of the first row: the others' shear codes are of the version before."""
+    lines = ["| probe | pose from z_s (a leak) | slide from z_p (a leak) |", "|---|---|---|"]
+    found = _cells("end_to_end")[0].ablation
+    for probe, shown in (("linear", "a ridge"), ("mlp", "a small network")):
+        leaks = [found[f"{name} ({probe})/r2"] for name in ("pose from z_s", "slide from z_p")]
+        lines.append(_line(shown, [_of_values(list(leak.per_seed.values()), 2) for leak in leaks]))
     return "\n".join(lines)
 
 

@@ -9,7 +9,7 @@ A PoseNet of taps reads the unsheared pins in training, and what it reads should
 which teaches nothing, reads them in the test. `posenet_sheared` learns poses of the same slides directly: it shows how much of the pose a
 slide still holds for such a network.
 
-Expected: docs/results/end_to_end.json; an hour and a quarter on two cores, after 67,000 contacts have been simulated in 7 minutes.
+Expected: docs/results/end_to_end.json; an hour and a half on two cores, after 67,000 contacts have been simulated in 7 minutes.
 """
 
 from dataclasses import replace
