@@ -238,7 +238,7 @@ def test_an_interrupt_says_how_to_go_on(run_with):
 
 
 @pytest.mark.parametrize(
-    ("name", "module"), [("identify", "calibration.identify.run"), ("verify", "checks.verify.verify")]
+    ("name", "module"), [("identify", "calibration.identify.run"), ("verify", "verification.verify.verify")]
 )
 def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, command, name, module):
     monkeypatch.setattr(f"jaxunshear.{module}", fails_with(KeyboardInterrupt()))
