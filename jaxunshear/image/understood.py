@@ -31,7 +31,7 @@ ENOUGH = 0.5  # plausibility of an image that is one of the sensor's, and share 
 
 # How far an image of the right sensor may well be from what is expected; the units of the weights below.
 ALLOWED = {"pins": 0.12, "spacing": 0.08, "rim": 0.08, "middle": 0.06, "regular": 0.1}
-# Plausibility is logistic(BASE - sum of WEIGHT (difference / ALLOWED)^2). Found by `checks.confidence.calibrate` from 400 images of two
+# Plausibility is logistic(BASE - sum of WEIGHT (difference / ALLOWED)^2). Found by `benchmarks.confidence.calibrate` from 400 images of two
 # simulated sensors and of two real ones, taps and slides, half of them turned, drifted and with specks, and from 2,720 strangers of 18
 # kinds. Of 520 images of other days, sensors and contacts none was refused (at most 0.7 %, 95 % interval).
 BASE = 5.5
