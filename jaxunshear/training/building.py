@@ -38,7 +38,7 @@ from jaxunshear.settings.registry import (
     TEACHER,
     UNET,
 )
-from jaxunshear.settings.targets import fields_of
+from jaxunshear.settings.targets import Targets, fields_of
 from jaxunshear.settings.training import exchanged, labelled
 from jaxunshear.storage import Json
 from jaxunshear.training import pin_tasks, tasks
@@ -89,17 +89,23 @@ def _over_pins(
     shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
     partners = (OTHER, SWAPPED) if shared and network == DISENTANGLED and exchanged(training) else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
-    slides = examples.slides if training.slide_weight and network == DISENTANGLED else ()
-    if training.slide_weight and network == DISENTANGLED and not slides:
+    slides = _slides(examples, codes) if training.slide_weight and network == DISENTANGLED else ()
+    named = tuple(dict.fromkeys((*named, *fields_of(slides))))
+    return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
+
+
+def _slides(examples: Examples, codes: PinUnshear) -> Targets:
+    """What the shear code is taught. Raises UserError where there is nothing to teach, or no room for it."""
+    slides, size = examples.slides, codes.shear_code
+    if not slides:
         raise UserError(
             "train_pins.slide_weight: no slide of this data set is known to differ from others: leave it at 0"
         )
-    if len(slides) > codes.shear_code:
+    if len(slides) > size:
         raise UserError(
-            f"pins.shear_code {codes.shear_code}: slides of this data set differ in {len(slides)} numbers: use {len(slides)} or more"
+            f"pins.shear_code {size}: slides of this data set differ in {len(slides)} numbers: use {len(slides)} or more"
         )
-    named = tuple(dict.fromkeys((*named, *fields_of(slides))))
-    return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
+    return slides
 
 
 def _drawn(task: Task, examples: Examples, share: float) -> Task:

@@ -79,8 +79,7 @@ def pin_unshear_task(
         return named_of(variables, batch, decoded(variables, batch))
 
     weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight, "pose": training.pose_weight}
-    weights |= {"swap": training.swap_weight, "agreement": training.agreement_weight}
-    weights |= {"slide": training.slide_weight}
+    weights |= {"swap": training.swap_weight, "agreement": training.agreement_weight, "slide": training.slide_weight}
     weights |= {"tap": training.tap_weight, "alike": training.alike_weight}
     init = partial(pinnets.init, net, rest, spread)
     return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised", slides)
