@@ -16,7 +16,9 @@ def multiplications(net: UnshearNet, training: bool) -> int:
         count += 16 * before * width * side * side
     shear = net.shear_channels if net.disentangled and training else 0
     pose = net.pose_channels if net.disentangled else 0
-    count += 9 * widths[-1] * (pose + shear) * side * side
+    read = shear and net.apart  # by a PoseNet of its own
+    count += 9 * widths[-1] * (pose + (0 if read else shear)) * side * side
+    count += pose_multiplications(PoseNet(net.size)) if read else 0
     decoders = [pose or widths[-1]] + ([pose + shear] if shear else [])
     for code in decoders:
         here, outwards = side, (*reversed(widths[:-1]), 1)

@@ -4,13 +4,12 @@ give. For sets made with `paired.poses_a_slide` of two or more.
 >>> reader = FactorialReader(settings, folder, metadata)
 >>> batch = next(reader.train_batches(64, seed, 0.0, ("sheared_pins", "other_pins", "swapped_pins"))(0))
 
-`other_pins` are of another pose after another slide; `swapped_pins` of the example's own pose after that other slide. Where a contact
-was dropped, both are the example's own.
+`other_pins` are of another pose after another slide; `swapped_pins` of the example's own pose after that other slide; `other` and `swapped`
+the images of the same. Where a contact was dropped, both are the example's own.
 """
 
 import functools
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,8 +19,10 @@ from jaxunshear.dataset.reading import Batch, SetReader
 from jaxunshear.dataset.shots import slide_leaders
 from jaxunshear.settings.data import PairedData
 
-OTHER, SWAPPED = "other_pins", "swapped_pins"
 FEEDS = "sheared_pins"  # the field that both are taken from
+OTHER, SWAPPED = "other_pins", "swapped_pins"
+IMAGE, OTHER_IMAGE, SWAPPED_IMAGE = "sheared", "other", "swapped"  # likewise
+PARTNERS = {OTHER: FEEDS, SWAPPED: FEEDS, OTHER_IMAGE: IMAGE, SWAPPED_IMAGE: IMAGE}
 
 
 class Shared(NamedTuple):
@@ -59,7 +60,7 @@ def shared_of(rows: Batch, settings: PairedData) -> Shared:
 
 
 class FactorialReader(SetReader):
-    """A `SetReader` with the two fields more. Partners are drawn by seed and step; in evaluation once and for all."""
+    """A `SetReader` with these fields more. Partners are drawn by seed and step; in evaluation once and for all."""
 
     def __init__(self, settings: PairedData, folder: Path, metadata: dict) -> None:
         super().__init__(settings, folder, metadata)
@@ -71,39 +72,28 @@ class FactorialReader(SetReader):
             yield self.take(name, rows, fields or tuple(self.rows(name)))
 
     def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
-        return self._with_partners(name, super().take(name, rows, _stored(fields)), fields, rows)
-
-    def train_batches(
-        self, batch: int, seed: int, shift: float, fields: Sequence[str] | None = None
-    ) -> Callable[[int], Iterator[Batch]]:
-        wanted = fields or tuple(self.rows("train"))
-        plain = super().train_batches(batch, seed, shift, _stored(wanted))
-
-        def from_step(start_step: int = 0) -> Iterator[Batch]:
-            for step, examples in zip(itertools.count(start_step), plain(start_step)):
-                yield self._with_partners("train", examples, wanted, examples["row"], seed, step)
-
-        return from_step
+        return super().take(name, rows, _stored(fields)) | self._partners_of(name, rows, fields)
 
     def partners(self, split: str, rows: np.ndarray, *step: int) -> tuple[np.ndarray, np.ndarray]:
-        """The rows (B,) that `OTHER` and `SWAPPED` are of: in evaluation, or for a training's seed and step."""
+        """The rows (B,) that others and swapped ones are of: in evaluation, or for a training's seed and step."""
         return self.shared(split).partners(rows, np.random.default_rng(step or 0))
 
-    def _load(self, split: str) -> Batch:
-        rows = super()._load(split)
-        return rows | {"row": np.arange(len(rows["pose_id"]))}
+    def _drawn(self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]) -> Batch:
+        return super()._drawn(here, taps, _stored(fields), seed) | self._partners_of("train", here, fields, *seed)
 
-    def _with_partners(self, split: str, batch: Batch, fields: Sequence[str], rows: np.ndarray, *step: int) -> Batch:
-        found = {name: batch[name] for name in fields if name in batch}
-        if OTHER in fields or SWAPPED in fields:
-            other, swapped = self.partners(split, rows, *step)
-            pins = self.rows(split)[FEEDS]
-            found |= {name: pins[row] for name, row in ((OTHER, other), (SWAPPED, swapped)) if name in fields}
-        return found
+    def _partners_of(self, split: str, rows: np.ndarray, fields: Sequence[str], *step: int) -> Batch:
+        wanted = [name for name in fields if name in PARTNERS]
+        if not wanted:
+            return {}
+        other, swapped = self.partners(split, rows, *step)
+        stored = self.rows(split)
+        return self._images(
+            {name: stored[PARTNERS[name]][other if name in (OTHER, OTHER_IMAGE) else swapped] for name in wanted}
+        )
 
 
 def _stored(fields: Sequence[str]) -> tuple[str, ...]:
-    return (*(name for name in fields if name not in (OTHER, SWAPPED)), "row")
+    return tuple(name for name in fields if name not in PARTNERS)
 
 
 def _step(generator: np.random.Generator, counts: np.ndarray) -> np.ndarray:

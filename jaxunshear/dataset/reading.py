@@ -32,8 +32,8 @@ from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import blame_the_machine, read_object
 
 MEMORY_BYTES = 1 << 30
-IMAGES = ("image", "canonical", "sheared")
-PINS = ("pins", "canonical_pins", "sheared_pins")
+IMAGES = ("image", "canonical", "sheared", "other", "swapped")  # the last two as in `factorial`
+PINS = ("pins", "canonical_pins", "sheared_pins", "other_pins", "swapped_pins")
 OF_TAP = ("canonical", "canonical_pins", "tap_id", "tap_depth_mm")  # what re-pairing exchanges
 Batch = dict[str, np.ndarray]
 
@@ -100,13 +100,18 @@ class Reader:
 
         def at(step: int) -> Batch:
             here, taps, *offsets = (drawn[step] if shift else at_once(step)).T
-            examples = self._images({name: rows[name][taps if name in OF_TAP else here] for name in wanted})
+            examples = self._drawn(here, taps, wanted, (seed, step))
             return shifted(examples, np.stack(offsets, axis=-1)) if shift else examples
 
         def from_step(start_step: int = 0) -> Iterator[Batch]:
             return map(at, itertools.count(start_step))
 
         return from_step
+
+    def _drawn(self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]) -> Batch:
+        """Training examples of the rows `here`, with the taps of other rows. `seed`: of this step, for what else is drawn."""
+        rows = self._rows("train")
+        return self._images({name: rows[name][taps if name in OF_TAP else here] for name in fields})
 
     def _images(self, rows: Batch) -> Batch:
         return {name: self._image(value) if name in IMAGES else value for name, value in rows.items()}

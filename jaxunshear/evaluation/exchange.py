@@ -1,8 +1,10 @@
 """Codes exchanged: what DS draws of the pose code of one slide and the shear code of another, beside the simulated contact of just these.
 
-For networks over pins, of data sets whose poses share slides.
+Over pins or images, of data sets whose poses share slides.
 """
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,11 +13,19 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader
+from jaxunshear.dataset.factorial import (
+    FEEDS,
+    IMAGE,
+    OTHER,
+    OTHER_IMAGE,
+    SWAPPED,
+    SWAPPED_IMAGE,
+    FactorialReader,
+)
 from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.slide import slipping
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
-from jaxunshear.model import pinnets
+from jaxunshear.model import pinnets, unshearnet
 from jaxunshear.model.parts import Net, Variables
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import PinUnshear
@@ -24,76 +34,115 @@ from jaxunshear.storage import Json
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.examples import open_examples
 
-MOST = 2000  # slides, evenly chosen
+MOST, AT_ONCE = 2000, 64  # slides, evenly chosen
 SEED = 0
 EXCHANGED, OWN = "exchanged", "both of its own"
 
 
 class Exchanged(NamedTuple):
-    """Poses and slides of one group, exchanged: pins (poses, slides, P, 2) px. Column j has the shear code of slide j at pose j, row i the
-    pose code of pose i after slide i: off the diagonal DS draws a contact that it was never given."""
+    """Poses and slides of one group, exchanged: pins (poses, slides, P, 2) px, or images (poses, slides, S, S, 1) in [0, 1].
+    Column j has the shear code of slide j at pose j, row i the pose code of pose i after slide i: off the diagonal DS draws a contact that
+    it was never given."""
 
     drawn: np.ndarray
     true: np.ndarray
 
 
+class _Road(NamedTuple):
+    """What differs between networks over pins and over images."""
+
+    fields: tuple[str, str, str]  # of the examples, of `OTHER` and of `SWAPPED`
+    unit: str  # of an error
+    encode: Callable[[Variables, Array], tuple[Array, Array | None]]
+    draw: Callable[[Variables, Array, Array], Array]
+
+    def seen(self, stored: np.ndarray) -> np.ndarray:
+        """Images in [0, 1], pins as they are."""
+        return stored / np.float32(255) if stored.dtype == np.uint8 else stored
+
+    def squares(self, drawn: np.ndarray, true: np.ndarray) -> np.ndarray:
+        """(N,) mean square difference: of a pixel's grey, or a pin's distance."""
+        each = np.square(drawn - true)
+        return each.mean(axis=(1, 2, 3)) if each.ndim == 4 else each.sum(-1).mean(axis=1)
+
+
+def _road(net: Net) -> _Road:
+    if isinstance(net, PinUnshear):
+        return _Road((FEEDS, OTHER, SWAPPED), "px", partial(pinnets.encode, net), partial(pinnets.decode_sheared, net))
+
+    def draw(variables: Variables, z_p: Array, z_s: Array) -> Array:
+        return jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
+
+    return _Road((IMAGE, OTHER_IMAGE, SWAPPED_IMAGE), "grey", partial(unshearnet.encode, net), draw)
+
+
 def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchanged | None:
-    """Of the first group of test poses that is complete; None where poses share no slides, or the network reads images."""
+    """Of the first group of test poses that is complete; None where poses share no slides."""
     folder = Path(run_dir) / DISENTANGLED
     net, variables = read_net(folder), load_best(folder)
     reader = open_examples(experiment, DISENTANGLED, data_dir, run_dir).reader
-    if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
+    if not isinstance(reader, FactorialReader):
         return None
+    road = _road(net)
     table = reader.shared("test").row
     side = min(table.shape[1:])
     full = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
     if not full:
         return None
-    true = reader.take("test", full[0].reshape(-1), (FEEDS,))[FEEDS].reshape(side, side, -1, 2)
-    z_p, z_s = pinnets.encode(net, variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
+    field = road.fields[0]
+    stored = road.seen(reader.take("test", full[0].reshape(-1), (field,))[field])
+    true = stored.reshape(side, side, *stored.shape[1:])
+    z_p, z_s = road.encode(variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
     assert z_s is not None
     every = np.indices((side, side)).reshape(2, -1)
-    drawn = pinnets.decode_sheared(net, variables, z_p[every[0]], z_s[every[1]])
+    drawn = road.draw(variables, z_p[every[0]], z_s[every[1]])
     return Exchanged(np.asarray(drawn).reshape(true.shape), true)
 
 
 def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
-    """How far, px (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and slide; None
-    where poses share no slides, or the network reads images.
+    """How far, px or grey of 1 (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and
+    slide; None where poses share no slides.
 
     `by slip`: the same where the contact that the shear code was read from still sticks somewhere, and where all of it slips, which
     hides how far the slide went.
     """
-    if not isinstance(reader, FactorialReader) or not isinstance(net, PinUnshear):
+    if not isinstance(reader, FactorialReader):
         return None
+    road = _road(net)
     count = reader.length("test")
     rows = np.linspace(0, count - 1, min(MOST, count)).round().astype(int)
-    batch = reader.take("test", rows, (FEEDS, OTHER, SWAPPED, "stimulus", "pose_id"))
-    source = reader.take("test", reader.partners("test", rows)[0], ("stuck", "slipping"))
-    own, other, wanted = (batch[name] for name in (FEEDS, OTHER, SWAPPED))
+    batch = reader.take("test", rows, ("stimulus", "pose_id"))
+    others, swapped = reader.partners("test", rows)
+    source = reader.take("test", others, ("stuck", "slipping"))
 
     @jax.jit
-    def drawn(weights: pinnets.Variables, own: Array, other: Array, wanted: Array) -> dict[str, Array]:
-        codes: list[Any] = [pinnets.encode(net, weights, pins) for pins in (own, other, wanted)]
+    def drawn(weights: Variables, own: Array, other: Array, wanted: Array) -> dict[str, Array]:
+        codes: list[Any] = [road.encode(weights, seen) for seen in (own, other, wanted)]
         pairs = {EXCHANGED: (0, 1), OWN: (2, 2), "shear code not exchanged": (0, 0)}
-        return {n: pinnets.decode_sheared(net, weights, codes[p][0], codes[s][1]) for n, (p, s) in pairs.items()}
+        return {n: road.draw(weights, codes[p][0], codes[s][1]) for n, (p, s) in pairs.items()}
 
-    found = drawn(variables, own, other, wanted)
+    parts: dict[str, list[np.ndarray]] = {}
+    for start in range(0, len(rows), AT_ONCE):
+        here = np.arange(start, start + AT_ONCE) % len(rows)  # one shape to compile
+        stored = reader.take("test", rows[here], road.fields)
+        seen = [road.seen(stored[name]) for name in road.fields]
+        for name, contacts in jax.device_get(drawn(variables, *seen)).items():
+            parts.setdefault(name, []).append(road.squares(contacts, seen[2]))
+    squares = {name: np.concatenate(part)[: len(rows)] for name, part in parts.items()}
     poses = numbered_poses(batch["stimulus"], batch["pose_id"])
-    squares = {n: np.sum(np.square(np.asarray(pins) - wanted), -1).mean(axis=1) for n, pins in found.items()}
     slipped = slipping(source["stuck"], source["slipping"])
-    changed = np.any(own != wanted, axis=(1, 2))
-    parts = {"sticking": changed & ~slipped, "slipped": changed & slipped}
-    by_slip = [{"part": part, **_errors(squares, poses, inside)} for part, inside in parts.items() if inside.any()]
-    return _errors(squares, poses, changed) | {"by slip": by_slip}
+    changed = swapped != rows
+    inside = {"sticking": changed & ~slipped, "slipped": changed & slipped}
+    by_slip = [{"part": n, **_errors(squares, poses, those, road.unit)} for n, those in inside.items() if those.any()]
+    return _errors(squares, poses, changed, road.unit) | {"by slip": by_slip}
 
 
-def _errors(squares: dict[str, np.ndarray], poses: np.ndarray, inside: np.ndarray) -> Json:
-    """Of squared errors px^2 (N,) those `inside` (N,)."""
+def _errors(squares: dict[str, np.ndarray], poses: np.ndarray, inside: np.ndarray, unit: str) -> Json:
+    """Of squared errors (N,) those `inside` (N,)."""
     squares = {name: values[inside] for name, values in squares.items()}
     means = redrawn_means(squares, poses[inside], SEED)
     rms = {name: float(np.sqrt(values.mean())) for name, values in squares.items()}
-    drawn = {name: {"rms_px": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms}
+    drawn = {name: {f"rms_{unit}": rms[name], "interval": interval(np.sqrt(means[name]))} for name in rms}
     ratios = np.sqrt(means[EXCHANGED] / means[OWN])
     ratio = {"ratio": rms[EXCHANGED] / rms[OWN], "ratio interval": interval(ratios)}
     return {"slides": int(inside.sum()), "drawn": drawn, **ratio}

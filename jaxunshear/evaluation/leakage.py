@@ -38,6 +38,7 @@ MOST_COMPARED = 500  # poses, in the criterion of independence
 SEED = 0
 CODES = ("z_s", "z_p")
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what should not be there; the rest should
+UNITS = {"rms_px": "px", "rms_grey": "of 1 in grey"}  # of what DS draws, over pins and over images
 SLIDE = ("mae", "rmse", "coverage")
 LABELS = ("pose", "move", "stimulus", "pose_id")
 
@@ -142,7 +143,8 @@ def for_sweep(results: Json) -> list[Json]:
     """Rows of a sweep's ablation."""
     rows = []
     for part, errors in _exchanged(results):
-        rows += [{"name": f"DS, codes {name}{part}", "rms_px": row["rms_px"]} for name, row in errors["drawn"].items()]
+        for name, row in errors["drawn"].items():
+            rows.append({"name": f"DS, codes {name}{part}"} | {n: row[n] for n in UNITS if n in row})
     rows += [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
     read = ({"name": f"{row['name']}, {row['part']}"} | {n: row[n] for n in SLIDE} for row in results["slide"])
     return [*rows, *read]
@@ -163,7 +165,8 @@ def table(results: Json) -> str:
     for part, errors in _exchanged(results):
         for name, row in errors["drawn"].items():
             low, high = row["interval"]
-            text = f"{row['rms_px']:.3f} [{low:.3f}, {high:.3f}] px from the contact of that pose and that slide"
+            value, unit = next((row[name], unit) for name, unit in UNITS.items() if name in row)
+            text = f"{value:.3f} [{low:.3f}, {high:.3f}] {unit} from the contact of that pose and that slide"
             lines.append(f"DS, codes {name}{part}: {text}")
     for row in results["slide"]:
         mae, coverage = (

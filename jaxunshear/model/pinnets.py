@@ -9,7 +9,7 @@ Ours, not the paper's, whose networks read images. A pin that is not seen is NaN
 `rest` and `spread` scale what goes in and what comes out; they are constants that the variables carry, and so is the grid of `pin_grid`.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import flax.linen as nn
 import jax
@@ -19,11 +19,10 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from jaxunshear.model.decoded import Decoded, disagreement
 from jaxunshear.model.parts import Variables, check_sheared, holds
 from jaxunshear.model.pin_grid import GridTrunk, grid_of
 from jaxunshear.settings.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
-
-LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet is not to agree at any cost
 
 
 class Trunk(nn.Module):
@@ -124,16 +123,6 @@ def decode_sheared(
     return _places(variables, _codes(net, variables, "decode_sheared", z_p, z_s))
 
 
-class Decoded(NamedTuple):
-    """What both decoders make of slides; (B, P, 2) px, or None where there is none."""
-
-    canonical: Array
-    sheared: Array | None
-    exchanged: Array | None  # DS of the slide's pose code and the other's shear code
-    disagreement: Array | None  # (B,) see `disagreement`
-    z_s: Array | None  # (B, G)
-
-
 def reconstruct(
     net: PinUnshear,
     variables: Variables,
@@ -152,17 +141,11 @@ def reconstruct(
     canonical = decode_canonical(net, variables, z_p[0])
     apart = None if same_pose is None else disagreement(z_p[0], z_p[-1])
     if z_s[0] is None:
-        return Decoded(canonical, None, None, apart, None)
+        return Decoded(canonical, z_p[0], disagreement=apart)
     held = jax.lax.stop_gradient((z_p, z_s)) if net.apart else (z_p, z_s)
     sheared = decode_sheared(net, variables, held[0][0], held[1][0])
     exchanged = None if same_slide is None else decode_sheared(net, variables, held[0][0], held[1][1])
-    return Decoded(canonical, sheared, exchanged, apart, z_s[0])
-
-
-def disagreement(one: Float[Array, "B F"], other: Float[Array, "B F"]) -> Float[Array, "B"]:
-    """Mean square difference of codes that should be equal, over their mean variance in the batch."""
-    variance = jnp.mean(jnp.var(jnp.concatenate([one, other]), axis=0))
-    return jnp.mean(jnp.square(one - other), -1) / (variance + LEAST_VARIANCE)
+    return Decoded(canonical, z_p[0], sheared, exchanged, apart, z_s[0])
 
 
 def predict(

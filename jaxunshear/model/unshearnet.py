@@ -7,10 +7,14 @@
 
 E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS both codes to the sheared one. The entangled
 network has one code and DC alone; its z_s is None. Inputs are binary images scaled to [0, 1], decoders return logits.
+
+Ours, not the paper's, are codes that are `apart`: z_s is a few numbers without place, (B, 1, 1, channels), which a PoseNet of its own
+reads off the sheared image.
 """
 
 import dataclasses
 import math
+from collections.abc import Callable
 from typing import Any
 
 import flax.linen as nn
@@ -19,12 +23,13 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from jaxunshear.model import kernels
+from jaxunshear.model import kernels, posenet
+from jaxunshear.model.decoded import Decoded, disagreement
 from jaxunshear.model.fast import layers as fast_layers
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Same, Up
 from jaxunshear.model.parts import Variables, check_sheared, holds
-from jaxunshear.settings.networks import UnshearNet
+from jaxunshear.settings.networks import PoseNet, UnshearNet
 
 
 class Encoder(nn.Module):
@@ -65,7 +70,9 @@ class Network(nn.Module):
         if net.disentangled:
             self.pose = same(net.pose_channels)
             if net.shear_channels:
-                self.shear, self.DS = same(net.shear_channels), decoder(net.widths)
+                self.DS = decoder(net.widths)
+                reader = kernels.pick(posenet.Network, fast.PoseNet)
+                self.shear = reader(PoseNet(net.size), net.shear_channels) if net.apart else same(net.shear_channels)
 
     def encode_pose(self, images: Array, train: bool) -> Array:
         z = self.E(images, train)
@@ -75,12 +82,18 @@ class Network(nn.Module):
         z = self.E(images, train)
         if not self.net.disentangled:
             return z, None
-        return self.pose(z, train), self.shear(z, train) if self.net.shear_channels else None
+        if not self.net.shear_channels:
+            return self.pose(z, train), None
+        return self.pose(z, train), self.encode_slide(images, train) if self.net.apart else self.shear(z, train)
+
+    def encode_slide(self, images: Array, train: bool) -> Array:
+        return 2 * self.shear(images, train)[:, None, None] - 1
 
     def decode_canonical(self, z_p: Array, train: bool) -> Array:
         return self.DC(z_p, train)
 
     def decode_sheared(self, z_p: Array, z_s: Array, train: bool) -> Array:
+        z_s = jnp.broadcast_to(z_s, (*z_p.shape[:-1], z_s.shape[-1]))
         return self.DS(jnp.concatenate([z_p, z_s], -1), train)
 
     def unshear(self, images: Array, train: bool) -> Array:
@@ -90,11 +103,18 @@ class Network(nn.Module):
         z_p, z_s = self.encode(images, train)
         return self.DC(z_p, train), None if z_s is None else self.decode_sheared(z_p, z_s, train), z_p
 
+    def parted(self, images: Array, same_pose: Array | None, same_slide: Array | None, train: bool) -> Decoded:
+        z_p, again = _with(images, same_pose, lambda seen: self.encode_pose(seen, train))
+        z_s, other = _with(images, same_slide, lambda seen: self.encode_slide(seen, train))
+        held = jax.lax.stop_gradient(z_p)
+        drawn = _with(z_s, other, lambda z: self.decode_sheared(_twice(held, z), jax.lax.stop_gradient(z), train))
+        return Decoded(self.DC(z_p, train), z_p, *drawn, None if again is None else disagreement(z_p, again), z_s)
+
 
 def init(net: UnshearNet, key: Array) -> Variables:
     """Fresh variables. Raises ValueError where `size` and `widths` do not fit each other."""
     check(net)
-    side = 2 ** len(net.widths)  # the variables' shapes do not depend on the image's size
+    side = net.size if net.apart else 2 ** len(net.widths)  # shapes depend on the image's size in a PoseNet alone
     with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
         return dict(Network(net).init(key, jnp.zeros((1, side, side, 1)), True))
 
@@ -109,6 +129,8 @@ def check(net: UnshearNet) -> None:
         raise ValueError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
     if net.disentangled and net.shear_channels < 0:
         raise ValueError(f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS")
+    if net.disentangled and net.apart:
+        posenet.check(PoseNet(net.size))
 
 
 def parameters(net: UnshearNet) -> int:
@@ -125,7 +147,7 @@ def as_large_entangled(net: UnshearNet) -> UnshearNet:
 
     def scaled(ratio: float) -> UnshearNet:
         widths = tuple(max(4, 4 * round(ratio * width / 4)) for width in net.widths)
-        return dataclasses.replace(net, widths=widths, disentangled=False)
+        return dataclasses.replace(net, widths=widths, disentangled=False, apart=False)
 
     low, high = 0.25, 4.0
     while parameters(scaled(high)) < wanted:
@@ -138,7 +160,7 @@ def as_large_entangled(net: UnshearNet) -> UnshearNet:
 
 def encode(
     net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"], train: bool = False
-) -> tuple[Float[Array, "B s s _"], Float[Array, "B s s _"] | None]:
+) -> tuple[Float[Array, "B s s _"], Float[Array, "B _ _ _"] | None]:
     """Images in [0, 1] -> (z_p, z_s), by channels; z_s is None without a shear code, as in released weights.
     With `train` the batch's own statistics are used (and not kept)."""
     if net.disentangled and net.shear_channels and not holds(variables, "shear"):
@@ -162,7 +184,7 @@ def decode_sheared(
     net: UnshearNet,
     variables: Variables,
     z_p: Float[Array, "B s s _"],
-    z_s: Float[Array, "B s s _"],
+    z_s: Float[Array, "B _ _ _"],
     train: bool = False,
 ) -> Float[Array, "B S S 1"]:
     """DS: both codes -> logits of the sheared image. Raises UserError for released weights, which leave it out."""
@@ -184,10 +206,37 @@ def reconstruct(
     return canonical, sheared, z_p, updates["batch_stats"]
 
 
+def parted(
+    net: UnshearNet,
+    variables: Variables,
+    images: Float[Array, "B S S 1"],
+    same_pose: Float[Array, "B S S 1"] | None = None,
+    same_slide: Float[Array, "B S S 1"] | None = None,
+) -> tuple[Decoded, Variables]:
+    """The training pass of a network whose codes are `apart`: DS teaches neither of them. `same_pose`: the contacts after another slide,
+    whose pose codes should agree; `same_slide`: those of another pose after that other slide, whose shear code DS is given, too."""
+    inputs = (images, same_pose, same_slide, True)
+    found, updates = Network(net).apply(variables, *inputs, method="parted", mutable=["batch_stats"])
+    return found, updates["batch_stats"]
+
+
 def code_shape(net: UnshearNet) -> tuple[int, int, int]:
     """Of z_p, without the batch: (s, s, channels)."""
     side = net.size // 2 ** len(net.widths)
     return side, side, net.pose_channels if net.disentangled else net.widths[-1]
+
+
+def _with(images: Array, others: Array | None, run: Callable[[Array], Array]) -> tuple[Array, Array | None]:
+    """`run` of both in one batch, whose statistics are of both."""
+    if others is None:
+        return run(images), None
+    first, second = jnp.split(run(jnp.concatenate([images, others])), 2)
+    return first, second
+
+
+def _twice(one: Array, like: Array) -> Array:
+    """As often as `like` has it."""
+    return jnp.concatenate([one] * (like.shape[0] // one.shape[0]))
 
 
 def _apply(net: UnshearNet, variables: Variables, method: str, *inputs: Array, train: bool) -> Any:

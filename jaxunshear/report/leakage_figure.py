@@ -56,21 +56,34 @@ def _bars(figure: "FigureBase", results: Json) -> None:
 
 def _matrix(figure: "FigureBase", exchanged: "Exchanged") -> None:
     side = len(exchanged.true)
+    images = exchanged.true.ndim == 5
     panels = figure.subplots(side, side, squeeze=False)
-    middle, reach = exchanged.true.mean(axis=(0, 1, 2)), 1.05 * np.ptp(exchanged.true, axis=(0, 1, 2)).max() / 2
     for i, row in enumerate(panels):
         for j, axes in enumerate(row):
-            true, drawn = exchanged.true[i, j], exchanged.drawn[i, j]
-            axes.scatter(*true.T, s=5, facecolors="none", edgecolors="0.5", lw=0.6)
-            axes.scatter(*drawn.T, s=1.2, color="tab:blue" if i == j else "tab:red")
+            (_image if images else _pins)(axes, exchanged, i, j)
             axes.set(xticks=[], yticks=[], aspect="equal")
-            axes.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] + reach, middle[1] - reach))
-            rms = float(np.sqrt(np.mean(np.sum((true - drawn) ** 2, axis=-1))))
-            axes.set_title(f"{rms:.2f} px", fontsize=7, pad=2)
             if j == 0:
                 axes.set_ylabel(f"z_p of pose {i + 1}", fontsize=7)
             if i == side - 1:
                 axes.set_xlabel(f"z_s of slide {j + 1}", fontsize=7)
-    figure.suptitle(
-        "DS of exchanged codes (red), of a contact's own (blue);\ncircles: the simulated contact", fontsize=8
-    )
+    title = "DS of exchanged codes (red), of a contact's own (blue);\ncircles: the simulated contact"
+    if images:
+        title = "What DS draws too bright (red) and too dark (blue),\nbeside the simulated contact; the diagonal: of its own codes"
+    figure.suptitle(title, fontsize=8)
+
+
+def _pins(axes: Any, exchanged: "Exchanged", i: int, j: int) -> None:
+    middle, reach = exchanged.true.mean(axis=(0, 1, 2)), 1.05 * np.ptp(exchanged.true, axis=(0, 1, 2)).max() / 2
+    true, drawn = exchanged.true[i, j], exchanged.drawn[i, j]
+    axes.scatter(*true.T, s=5, facecolors="none", edgecolors="0.5", lw=0.6)
+    axes.scatter(*drawn.T, s=1.2, color="tab:blue" if i == j else "tab:red")
+    axes.set(xlim=(middle[0] - reach, middle[0] + reach), ylim=(middle[1] + reach, middle[1] - reach))
+    rms = float(np.sqrt(np.mean(np.sum((true - drawn) ** 2, axis=-1))))
+    axes.set_title(f"{rms:.2f} px", fontsize=7, pad=2)
+
+
+def _image(axes: Any, exchanged: "Exchanged", i: int, j: int) -> None:
+    """White where both are bright, red where only what is drawn is, blue where only the contact is."""
+    true, drawn = exchanged.true[i, j, ..., 0], exchanged.drawn[i, j, ..., 0]
+    axes.imshow(np.stack([drawn, np.minimum(drawn, true), true], axis=-1), interpolation="nearest")
+    axes.set_title(f"{np.sqrt(np.mean((true - drawn) ** 2)):.3f}", fontsize=7, pad=2)

@@ -21,6 +21,9 @@ class UnshearNet:
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)  # channels a stride-2 convolution
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
+    # z_s is `shear_channels` numbers without place, the slide first, which a PoseNet of its own reads off the image; DS teaches neither
+    # code
+    apart: bool = False
     disentangled: bool = True  # of a network built from these settings; experiments leave it
     input: Literal["images", "pins"] = "images"  # "pins": networks over pins (`PinNet`) in the place of all of these
 
@@ -38,7 +41,8 @@ class UnshearNet:
 
 def without_codes(net: UnshearNet) -> UnshearNet:
     """`net` with the channels of its codes, which an entangled network does not have, at their defaults."""
-    return replace(net, pose_channels=UnshearNet.pose_channels, shear_channels=UnshearNet.shear_channels)
+    plain = UnshearNet()
+    return replace(net, pose_channels=plain.pose_channels, shear_channels=plain.shear_channels, apart=plain.apart)
 
 
 @dataclass(frozen=True)

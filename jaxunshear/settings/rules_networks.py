@@ -8,7 +8,7 @@ from jaxunshear.settings.experiment import PAIR_LOSSES, Experiment, over_pins, r
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import PIN_NETWORKS, POSENET_SHEARED, RENDERER, TEACHER, UNET
 from jaxunshear.settings.targets import parsed
-from jaxunshear.settings.training import Training
+from jaxunshear.settings.training import Training, exchanged
 from jaxunshear.settings.types import Rule
 
 TURNED = {"edge_mm", "edge_deg", "depth_mm"}  # targets that a turned simulated touch has
@@ -96,8 +96,15 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
     """What learning codes that do not leak takes."""
     paired, training = experiment.paired, experiment.train_pins
     shared = isinstance(paired, PairedData) and paired.poses_a_slide > 1 and paired.slides > 1
+    share = "takes simulated slides that poses share, two at least: raise paired.poses_a_slide and paired.slides"
     for field in ("swap_weight", "agreement_weight", "slide_weight"):
-        yield not getattr(experiment.train, field), f"train.{field}", "is for networks over pins: leave it at 0"
+        weight = getattr(experiment.train, field)
+        yield (
+            not weight or (experiment.unshear.apart and not over_pins(experiment)),
+            f"train.{field}",
+            "takes codes of images that are apart: set unshear.apart, or leave it at 0",
+        )
+        yield not weight or shared or field == "slide_weight", f"train.{field}", share
         yield (
             not getattr(training, field) or (experiment.pins.shear_code > 0 and not experiment.pins.turned),
             f"train_pins.{field}",
@@ -108,10 +115,11 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
         "pins.apart",
         "leaves z_s to learn from the slide alone: raise train_pins.slide_weight",
     )
+    yield not training.swap_weight or shared, "train_pins.swap_weight", share
     yield (
-        not training.swap_weight or shared,
-        "train_pins.swap_weight",
-        "takes simulated slides that poses share, two at least: raise paired.poses_a_slide and paired.slides",
+        not experiment.unshear.apart or (experiment.train.slide_weight > 0 and experiment.unshear.shear_channels > 0),
+        "unshear.apart",
+        "leaves z_s to learn from the slide alone: raise train.slide_weight and unshear.shear_channels",
     )
 
 
@@ -120,11 +128,12 @@ def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
     simulated, over_images, training = recorded_of(experiment) is None, experiment.train, experiment.train_pins
     for name, share in (("train", over_images.paired_share), ("train_pins", training.paired_share)):
         yield share == 1 or simulated, f"{name}.paired_share", "is of simulated pairs: use paired.labelled"
-    yield (
-        training.paired_share == 1 or not (training.swap_weight or training.agreement_weight),
-        "train_pins.paired_share",
-        "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
-    )
+    for name, each in (("train", over_images), ("train_pins", training)):
+        yield (
+            each.paired_share == 1 or not exchanged(each),
+            f"{name}.paired_share",
+            "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
+        )
     for field in ("tap_weight", "alike_weight"):
         weight = getattr(training, field)
         yield not getattr(over_images, field), f"train.{field}", "is for networks over pins: leave it at 0"

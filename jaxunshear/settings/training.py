@@ -33,12 +33,12 @@ class Training:
     crops: int = 100  # random crops an image, of the patch loss
     crop_px: int = 20  # their side
     reconstruction_weight: float = 1.0  # of L_rec: DS draws the sheared image again
-    # over pins: the pose code of one slide with the shear code of another draws the contact of just that pose and slide, where poses
-    # share slides (`paired.poses_a_slide`)
+    # the pose code of one slide with the shear code of another draws the contact of just that pose and slide, where poses share slides
+    # (`paired.poses_a_slide`); this and the next two over images of codes that are apart
     swap_weight: float = 0.0
-    # over pins: equal poses have equal pose codes, those of two slides, or of a slide and its tap
+    # equal poses have equal pose codes, those of two slides; over pins also of a slide and its tap
     agreement_weight: float = 0.0
-    # over pins: the first numbers of z_s are the slide as its sensor felt it, all that the data vary of it, each over half of its range
+    # the first numbers of z_s are the slide as its sensor felt it, all that the data vary of it, each over half of its range
     slide_weight: float = 0.0
     # share of the simulated training poses, drawn by seed, whose slides have their tap; the other slides are left out
     paired_share: float = 1.0

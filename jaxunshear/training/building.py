@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax import Array
 
-from jaxunshear.dataset.factorial import OTHER, SWAPPED
+from jaxunshear.dataset.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.parts import Net, Variables
@@ -62,8 +62,13 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
         seen = "image" if network in OF_TAPS else "sheared"
         return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
     teacher = _teacher(experiment, folder, posenet.predict) if training.pose_weight else None
-    task = tasks.unshear_task(unshear_net(experiment.unshear, network), training, teacher, targets)
-    return task, ("canonical", "sheared", *weighed, *(labels if labelled(training) else ()))
+    net = unshear_net(experiment.unshear, network)
+    room = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
+    slides = _slides(examples, "unshear.shear_channels", room) if room else ()
+    task = tasks.unshear_task(net, training, teacher, targets, slides)
+    partners = {OTHER_IMAGE: training.swap_weight, SWAPPED_IMAGE: training.swap_weight or training.agreement_weight}
+    named = ("canonical", "sheared", *weighed, *(labels if labelled(training) else ()), *fields_of(slides))
+    return task, tuple(dict.fromkeys((*named, *(name for name, weight in partners.items() if room and weight))))
 
 
 def _over_pins(
@@ -89,21 +94,21 @@ def _over_pins(
     shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
     partners = (OTHER, SWAPPED) if shared and network == DISENTANGLED and exchanged(training) else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
-    slides = _slides(examples, codes) if training.slide_weight and network == DISENTANGLED else ()
+    taught = training.slide_weight and network == DISENTANGLED
+    slides = _slides(examples, "pins.shear_code", codes.shear_code) if taught else ()
     named = tuple(dict.fromkeys((*named, *fields_of(slides))))
     return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
 
 
-def _slides(examples: Examples, codes: PinUnshear) -> Targets:
-    """What the shear code is taught. Raises UserError where there is nothing to teach, or no room for it."""
-    slides, size = examples.slides, codes.shear_code
+def _slides(examples: Examples, field: str, size: int) -> Targets:
+    """What the shear code, of the `size` that `field` sets, is taught. Raises UserError where there is nothing to teach, or no room for
+    it."""
+    slides = examples.slides
     if not slides:
-        raise UserError(
-            "train_pins.slide_weight: no slide of this data set is known to differ from others: leave it at 0"
-        )
+        raise UserError("slide_weight: no slide of this data set is known to differ from others: leave it at 0")
     if len(slides) > size:
         raise UserError(
-            f"pins.shear_code {size}: slides of this data set differ in {len(slides)} numbers: use {len(slides)} or more"
+            f"{field} {size}: slides of this data set differ in {len(slides)} numbers: use {len(slides)} or more"
         )
     return slides
 

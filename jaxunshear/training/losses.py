@@ -59,6 +59,13 @@ def absolute_pose(
     return jnp.mean(jnp.asarray([weights], outputs.dtype) * jnp.abs(outputs - targets), -1)
 
 
+def slide(z_s: Float[Array, "B G"], wanted: Float[Array, "B K"]) -> Float[Array, "B"]:
+    """Mean squared difference of the first numbers of z_s and the slide, from -1 to 1 over its range; 0 where it is NaN: not known."""
+    known = jnp.isfinite(wanted)
+    off = jnp.where(known, z_s[:, : wanted.shape[1]] - jnp.where(known, wanted, 0), 0)
+    return jnp.square(off).sum(1) / jnp.maximum(known.sum(1, dtype=off.dtype), 1)
+
+
 def regularisation(params: Variables, l1: float, l2: float, kernels: str = "sum") -> Float[Array, ""]:
     """l1 sum |w| + l2 sum w^2 over each kernel (no biases, no normalisation), or their "mean"; added up over all of
     them. A weight of zero computes nothing."""

@@ -15,12 +15,13 @@ from jax.typing import ArrayLike
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
+from jaxunshear.model.decoded import Decoded
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
 from jaxunshear.settings.targets import Targets
 from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
-from jaxunshear.training.tasks import Batch, Task, Tree, pose_error_terms, weighed
+from jaxunshear.training.tasks import Batch, Task, Tree, pose_error_terms, slide_term, weighed
 from jaxunshear.training.turning import ANGLES, Turns, turned, turned_outputs
 
 
@@ -44,7 +45,7 @@ def pin_unshear_task(
     if training.pose_weight and teacher is None:
         raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
 
-    def named_of(variables: Tree, batch: Batch, found: pinnets.Decoded) -> dict[str, Array]:
+    def named_of(variables: Tree, batch: Batch, found: Decoded) -> dict[str, Array]:
         named = {"supervised": pinnets.distance(found.canonical, batch["canonical_pins"], variables)}
         if training.pose_weight and teacher is not None:
             named["pose"] = _watched(teacher, targets, training.pose_target, found.canonical, batch)
@@ -55,10 +56,10 @@ def pin_unshear_task(
         if found.disagreement is not None:
             named["agreement"] = found.disagreement
         if slides and found.z_s is not None:
-            named["slide"] = _slide(found.z_s, batch, slides)
+            named["slide"] = slide_term(found.z_s, batch, slides)
         return weighed(named, batch)
 
-    def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> pinnets.Decoded:
+    def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Decoded:
         tap = batch["canonical_pins"] if training.agreement_weight and net.shear_code else None
         partners = batch.get(SWAPPED, tap), batch.get(OTHER)
         return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, *partners)
@@ -90,14 +91,6 @@ def _watched(teacher: Callable[[Array], Array], targets: Targets, target: str, c
     With `target` "label", from the true one."""
     wanted = posenet.pose_targets(batch, targets) if target == "label" else teacher(batch["canonical_pins"])
     return losses.absolute_pose(teacher(canonical), wanted, posenet.output_weights(targets))
-
-
-def _slide(z_s: Array, batch: Batch, slides: Targets) -> Array:
-    """Mean squared difference (B,) of the first numbers of z_s (B, G) and the slide, over half of its range; 0 where it is not known."""
-    wanted = 2 * posenet.pose_targets(batch, slides) - 1
-    known = jnp.isfinite(wanted)
-    off = jnp.where(known, z_s[:, : wanted.shape[1]] - jnp.where(known, wanted, 0), 0)
-    return jnp.square(off).sum(1) / jnp.maximum(known.sum(1, dtype=off.dtype), 1)
 
 
 def pin_posenet_task(

@@ -9,8 +9,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxunshear.dataset.factorial import OTHER_IMAGE, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unet, unshearnet
+from jaxunshear.model.decoded import Decoded
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.parts import Net, Tree
 from jaxunshear.settings import networks
@@ -42,12 +44,14 @@ def unshear_task(
     training: Training,
     teacher: Callable[[Array], Array] | None = None,
     targets: Targets = (),
+    slides: Targets = (),
 ) -> Task:
     """Of an entangled or disentangled UnshearNet, or a U-Net; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
 
     `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, K), needed for `pose_weight` alone;
     where labels teach (`label_weight`, `pose_target` "label") it takes the pose `targets`, the teacher's too, and their fields in the
-    batches. A field {"weight"} (B,) weighs the examples.
+    batches. A field {"weight"} (B,) weighs the examples. Of codes that are `apart`, `slides` are what z_s is taught, and need their fields;
+    and where poses share slides partners come with the batches, {"other", "swapped"} uint8 as above, see `dataset.factorial`.
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
     _check_crops(net, training)
@@ -55,13 +59,13 @@ def unshear_task(
     kind = "unet" if isinstance(net, networks.UNet) else "unshear"
     module: ModuleType = unet if kind == "unet" else unshearnet
     _checked(module.check, net)
-    reconstruct = partial(module.reconstruct, net)
+    decoded = partial(_decoded, module.reconstruct, net, training)
     init, labelled = _head(net, targets) if training.label_weight else (partial(module.init, net), None)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
-        logits, sheared_logits, code, batch_stats = reconstruct(variables, in_precision(sheared, training.precision))
-        image = jax.nn.sigmoid(logits)
+        found, batch_stats = decoded(variables, sheared, batch)
+        image = jax.nn.sigmoid(found.canonical)
         named = {"supervised": losses.supervised(image, canonical)}
         if training.patch_weight:
             corners = losses.random_corners(key, len(image), training.crops, net.size, training.crop_px)
@@ -69,9 +73,15 @@ def unshear_task(
         if watch:
             named["pose"] = watch(image, canonical, batch)
         if labelled:
-            named["label"] = labelled(variables, code, batch)["label"]
-        if sheared_logits is not None:
-            named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(sheared_logits), sheared)
+            named["label"] = labelled(variables, found.z_p, batch)["label"]
+        if found.sheared is not None:
+            named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(found.sheared), sheared)
+        if found.exchanged is not None:
+            named["swap"] = losses.reconstruction(jax.nn.sigmoid(found.exchanged), _unit(batch[SWAPPED_IMAGE]))
+        if found.disagreement is not None:
+            named["agreement"] = found.disagreement
+        if slides and found.z_s is not None:
+            named["slide"] = slide_term(found.z_s, batch, slides)
         return weighed(named, batch), batch_stats
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
@@ -86,13 +96,32 @@ def unshear_task(
             if z_s is not None:
                 again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
                 named["reconstruction"] = losses.reconstruction(again, sheared)
+                if slides:
+                    named["slide"] = slide_term(z_s, batch, slides)
             if labelled:
                 named |= labelled(variables, z_p, batch)
         if watch:
             named["pose"] = watch(image, canonical, batch)
         return weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
 
-    return Task(kind, net, targets, init, terms, _weights(training), validate, "supervised")
+    return Task(kind, net, targets, init, terms, _weights(training), validate, "supervised", slides)
+
+
+def _decoded(
+    reconstruct: Callable[..., tuple[Array, Array | None, Array, Tree]],
+    net: networks.UnshearNet | networks.UNet,
+    training: Training,
+    variables: Tree,
+    sheared: Array,
+    batch: Batch,
+) -> tuple[Decoded, Tree]:
+    seen = partial(in_precision, precision=training.precision)
+    if isinstance(net, networks.UnshearNet) and net.disentangled and net.apart:
+        wanted = (SWAPPED_IMAGE, training.agreement_weight), (OTHER_IMAGE, training.swap_weight)
+        partners = (seen(_unit(batch[name])) if weight else None for name, weight in wanted)
+        return unshearnet.parted(net, variables, seen(sheared), *partners)
+    canonical, again, code, batch_stats = reconstruct(net, variables, seen(sheared))
+    return Decoded(canonical, code, again), batch_stats
 
 
 def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
@@ -123,6 +152,9 @@ def _weights(training: Training) -> dict[str, float]:
         "pose": training.pose_weight,
         "label": training.label_weight,
         "reconstruction": training.reconstruction_weight,
+        "swap": training.swap_weight,
+        "agreement": training.agreement_weight,
+        "slide": training.slide_weight,
     }
 
 
@@ -186,6 +218,11 @@ def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str
     """Absolute errors in mm and deg by target, each (B,)."""
     got, true = posenet.pose_from_outputs(outputs, targets), true_values(targets, batch)
     return {name: jnp.abs(_wrapped(got[name] - true[name], 360.0 if name.endswith("_deg") else None)) for name in got}
+
+
+def slide_term(z_s: Array, batch: Batch, slides: Targets) -> Array:
+    """How far the first numbers of z_s (B, ...) lie from the slide (B,)."""
+    return losses.slide(z_s.reshape(z_s.shape[0], -1), 2 * posenet.pose_targets(batch, slides) - 1)
 
 
 def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:

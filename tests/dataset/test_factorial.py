@@ -5,8 +5,18 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.factorial import FEEDS, OTHER, SWAPPED, FactorialReader, shared_of
+from jaxunshear.dataset.factorial import (
+    FEEDS,
+    IMAGE,
+    OTHER,
+    OTHER_IMAGE,
+    SWAPPED,
+    SWAPPED_IMAGE,
+    FactorialReader,
+    shared_of,
+)
 from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.reading import shifted
 from jaxunshear.dataset.shots import draw_paired, slide_leaders
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import turned
@@ -125,6 +135,27 @@ def test_batches_hold_partners_and_go_on_from_any_step(reader):
     assert np.any(first[OTHER] != first[FEEDS]) and np.any(
         next(reader.train_batches(8, 4, 0.0, fields)(0))[OTHER] != first[OTHER]
     )
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.1])
+def test_images_have_the_partners_of_their_pins_and_shift_with_them(reader, shift):
+    fields = (FEEDS, OTHER, SWAPPED, IMAGE, OTHER_IMAGE, SWAPPED_IMAGE)
+    batch = next(reader.train_batches(8, 3, shift, fields)(0))
+    stored = reader.rows("train")
+    size = batch[IMAGE].shape[1]
+    moved = set()
+    for pins, images in ((FEEDS, IMAGE), (OTHER, OTHER_IMAGE), (SWAPPED, SWAPPED_IMAGE)):
+        for place, image, own in zip(batch[pins], batch[images], batch[FEEDS], strict=True):
+            off = place - stored[FEEDS]
+            steps = np.round(off[:, :1])
+            (row,) = np.flatnonzero(np.all(np.abs(off - steps) < 1e-4, axis=(1, 2)))  # moved by whole pixels
+            offset = steps[row, 0].astype(int)
+            plain = reader.take("train", np.array([row]), (IMAGE,))[IMAGE]
+            np.testing.assert_array_equal(shifted({IMAGE: plain}, offset[None])[IMAGE][0], image)
+            assert np.abs(offset).max() <= round(shift * size)
+            moved.add((own.tobytes(), *offset.tolist()))
+    assert len(moved) == len({own for own, *_ in moved})  # both partners by as much as the example
+    assert (any(offset != [0, 0] for _, *offset in moved)) == (shift > 0)
 
 
 def test_in_evaluation_partners_stay(reader):

@@ -211,3 +211,27 @@ def test_a_slide_is_felt_in_the_frame_of_the_sensor_and_its_twist_as_it_is():
     pose, move = np.array([[0, 0, 90.0, 2]]), np.array([[1.0, 0.0, -4.0]])
     np.testing.assert_allclose(felt(move, pose), [[0, -1, -4]], atol=1e-6)
     np.testing.assert_array_equal(felt(move[:, :2], pose), felt(move, pose)[:, :2])
+
+
+def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
+    """End to end on the toy: partners come with the batches, what DS draws is compared with images, and z_s says the slide."""
+    training = Training(epochs=1, batch=8, crop_px=8, swap_weight=1.0, agreement_weight=0.1, slide_weight=1.0)
+    net = UnshearNet(size=SIZE, widths=(4, 4), pose_channels=4, shear_channels=2, apart=True)
+    images = dataclasses.replace(EXPERIMENT, unshear=net, pins=PinNet(), train=training)
+    run_stages(images, ("disentangled",), tmp_path, folder / "data", "none")
+    run = tmp_path / "toy"
+    (*_, last) = [json.loads(line) for line in (run / "disentangled" / "log.jsonl").read_text().splitlines()]
+    assert {"swap", "agreement", "slide"} <= set(last["train"]) and "slide" in last["validation"]
+    assert read_slides(run / "disentangled") == felt_of(EXPERIMENT.paired.ranges)
+    found = leakage.leakage(images, run, folder / "data", "none", leaks_alone=True)
+    assert found["sizes"] == {"z_p": 4 * 8 * 8, "z_s": 2}
+    drawn = found["exchanged"]["drawn"]
+    assert found["exchanged"]["ratio"] == pytest.approx(
+        drawn["exchanged"]["rms_grey"] / drawn["both of its own"]["rms_grey"]
+    )
+    assert {"DS, codes exchanged", "DS, codes exchanged, sticking"} <= {row["name"] for row in leakage.for_sweep(found)}
+    assert "of 1 in grey" in leakage.table(found)
+    exchanged = exchange.exchanged(images, run, folder / "data")
+    assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SIZE, SIZE, 1)
+    assert set(np.unique(exchanged.true)) == {0, 1} and 0 <= exchanged.drawn.min() <= exchanged.drawn.max() <= 1
+    assert leakage_figure(found, exchanged)[:4] == b"\x89PNG"

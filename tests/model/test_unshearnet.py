@@ -1,5 +1,7 @@
 """UnshearNet: shapes, what depends on what, and which loss reaches which module."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,6 +18,7 @@ quick_init = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_onc
 
 NET = UnshearNet(size=32, widths=(6, 8, 8), pose_channels=4, shear_channels=3)
 ENTANGLED = UnshearNet(size=32, widths=(6, 8, 8), disentangled=False)
+APART = UnshearNet(size=32, widths=(6, 8, 8), pose_channels=4, shear_channels=3, apart=True)
 
 
 @pytest.fixture(scope="module")
@@ -171,3 +174,56 @@ def test_bfloat16_images_round_products_and_nothing_else(images):
     assert {leaf.dtype.name for leaf in jax.tree.leaves((rough, statistics))} == {"float32"}
     a, b = (jnp.concatenate([leaf.ravel() for leaf in jax.tree.leaves(tree)]) for tree in (exact, rough))
     assert a @ b / jnp.linalg.norm(a) / jnp.linalg.norm(b) > 0.98
+
+
+def test_codes_that_are_apart_have_a_shear_code_without_place(images):
+    variables = quick_init(APART, jax.random.key(0))
+    assert set(variables["params"]) == {"E", "pose", "shear", "DC", "DS"}
+    z_p, z_s = unshearnet.encode(APART, variables, images)
+    assert (z_p.shape, z_s.shape) == ((5, 4, 4, 4), (5, 1, 1, 3))
+    assert np.all(np.abs(z_s) <= 1)
+    assert unshearnet.decode_sheared(APART, variables, z_p, z_s).shape == images.shape
+    plain = quick_init(NET, jax.random.key(0))  # what unshears is the same network
+    for module in ("E", "pose", "DC"):
+        jax.tree.map(np.testing.assert_array_equal, plain["params"][module], variables["params"][module])
+    with pytest.raises(ValueError, match="no multiple of 16"):
+        unshearnet.init(dataclasses.replace(APART, size=24), jax.random.key(0))
+
+
+def test_of_codes_that_are_apart_each_term_teaches_its_own_module(images):
+    variables = quick_init(APART, jax.random.key(0))
+    partners = jnp.roll(images, 3, 1), jnp.roll(images, 5, 2)
+
+    def term(params, name):
+        found, _ = unshearnet.parted(APART, variables | {"params": params}, images, *partners)
+        return jnp.sum(jnp.square(getattr(found, name)))
+
+    taught = {
+        "canonical": {"E", "pose", "DC"},
+        "sheared": {"DS"},
+        "exchanged": {"DS"},
+        "disagreement": {"E", "pose"},
+        "z_s": {"shear"},
+    }
+    slope = jax.jit(jax.grad(term), static_argnums=1)
+    for name, modules in taught.items():
+        reached = {
+            m for m, part in slope(variables["params"], name).items() if any(map(jnp.any, jax.tree.leaves(part)))
+        }
+        assert reached == modules, name
+
+
+def test_partners_of_codes_that_are_apart(images):
+    """A contact that is its own partner agrees with itself; without partners nothing is exchanged, and the decoders draw the same."""
+    variables = quick_init(APART, jax.random.key(0))
+    itself, _ = unshearnet.parted(APART, variables, images, images, images)
+    np.testing.assert_array_equal(itself.disagreement, 0)
+    np.testing.assert_array_equal(itself.exchanged, itself.sheared)
+    alone, statistics = unshearnet.parted(APART, variables, images)
+    assert alone.exchanged is None and alone.disagreement is None
+    for name in ("canonical", "sheared", "z_p", "z_s"):
+        np.testing.assert_allclose(getattr(alone, name), getattr(itself, name), atol=1e-5)
+    assert jax.tree.structure(statistics) == jax.tree.structure(variables["batch_stats"])
+    z_p, z_s = unshearnet.encode(APART, variables, images, True)
+    np.testing.assert_allclose(alone.z_p, z_p, atol=1e-6)
+    np.testing.assert_allclose(alone.z_s, z_s, atol=1e-6)

@@ -159,7 +159,20 @@ def test_what_codes_that_do_not_leak_take(field):
     validate(override(PLAIN, f"{shared} --train_pins.{field} 1".split()))
     assert "raise pins.shear_code" in refusal(f"{shared} --pins.shear_code 0 --train_pins.{field} 1")
     assert "below zero" in refusal(f"{shared} --train_pins.{field} -1")
-    assert "over pins" in refusal(f"--paired.poses_a_slide 2 --train.{field} 1")
+    assert "set unshear.apart" in refusal(f"--paired.poses_a_slide 2 --train.{field} 1")
+
+
+def test_what_codes_of_images_that_are_apart_take():
+    apart = "--networks disentangled,posenet --unshear.apart true"
+    assert "raise train.slide_weight" in refusal(apart)
+    taught = f"{apart} --train.slide_weight 1"
+    validate(override(PLAIN, taught.split()))
+    assert "raise train.slide_weight and unshear.shear" in refusal(f"{taught} --unshear.shear_channels 0")
+    for field in ("swap_weight", "agreement_weight"):
+        assert refusal(f"{taught} --train.{field} 1").startswith(f"--train.{field} 1.0: takes simulated slides")
+        shared = f"{taught} --paired.poses_a_slide 2 --train.{field} 1"
+        validate(override(PLAIN, shared.split()))
+        assert "without their partners" in refusal(f"{shared} --train.paired_share 0.5")
 
 
 @pytest.mark.parametrize(

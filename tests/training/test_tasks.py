@@ -13,7 +13,9 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.model import pose_head, posenet, unet, unshearnet
 from jaxunshear.model.unshearing import unshear
+from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UNet
+from jaxunshear.settings.targets import felt_of
 from jaxunshear.settings.training import labelled
 from jaxunshear.training import losses
 from jaxunshear.training.tasks import unshear_task, watched
@@ -202,3 +204,23 @@ def test_labels_without_a_code_or_without_targets_are_refused():
         unshear_task(UNET, LABELLED, targets=small.TARGETS)
     with pytest.raises(UserError, match="label_weight: no pose targets are known"):
         unshear_task(small.NET, LABELLED)
+
+
+def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
+    net = replace(small.NET, apart=True)
+    slides = felt_of(Ranges(move_mm=2.0))
+    training = replace(small.TRAINING, swap_weight=2.0, agreement_weight=0.5, slide_weight=3.0)
+    task = unshear_task(net, training, slides=slides)
+    variables, given = jax.jit(task.init)(jax.random.key(0)), small.pair(3, 4)
+    same = given | {"other": given["sheared"], "swapped": given["sheared"], "felt": np.zeros((4, 2), np.float32)}
+    terms = jax.jit(lambda batch: task.terms(variables, batch, jax.random.key(2))[0])
+    named = terms(same)
+    assert set(named) == {"supervised", "patch", "reconstruction", "swap", "agreement", "slide"}
+    assert all(value.shape == (4,) for value in named.values())
+    np.testing.assert_allclose(named["swap"], named["reconstruction"], rtol=1e-6)
+    np.testing.assert_array_equal(named["agreement"], 0)
+    assert np.all(terms(same | {"swapped": given["canonical"]})["agreement"] > 0)
+    assert [task.weights[name] for name in ("swap", "agreement", "slide")] == [2.0, 0.5, 3.0]
+    z_s = np.asarray(unshearnet.encode(net, variables, jnp.asarray(given["sheared"], jnp.float32) / 255)[1])
+    known = task.validate(variables, given | {"felt": 2 * z_s[:, 0, 0, :2]})
+    np.testing.assert_allclose(known["slide"], 0, atol=1e-10)
