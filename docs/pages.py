@@ -18,7 +18,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for source, page in TOP.items():
         files.append(File.generated(config, page, content=(ROOT / source).read_text()))
     for path in (
-        *ROOT.glob("experiments/*.py"),
+        *ROOT.glob("experiments/**/*.py"),
         *ROOT.glob("examples/*.*"),
         *ROOT.glob("jaxunshear/weights/*/README.md"),
         ROOT / "jaxunshear/api.py",

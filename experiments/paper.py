@@ -10,7 +10,7 @@ experiments/paper_tenth.py, a tenth of the taps and slides; days on two cores, a
 
 How the text is read: "10e-4" is 1e-3, of the mean of each kernel's |w| and w^2. Their sum, as Keras takes it, is 52 times the
 first image loss of UnshearNet and 640 times that of PoseNet, and shrinks the kernels before they learn
-(experiments/appendix_b.py). "10:1" is a weight of 0.1 on the patch loss, "one-fifth and one-tenth" are factors on the first
+(experiments/ablations/appendix_b.py). "10:1" is a weight of 0.1 on the patch loss, "one-fifth and one-tenth" are factors on the first
 learning rate. A slide is paired with a tap whose depth misses its own by up to 1 mm, as in the paper, which no network can
 foresee: the test against taps of the slide's own depth stands apart. Sensor, camera and
 friction are those fitted to recordings of a TacTip (docs/calibration.md): those of the paper's own are not known. The widths and the

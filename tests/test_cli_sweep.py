@@ -9,7 +9,7 @@ from jaxunshear.results.sweep import CellResult, Failure, SweepResult
 from jaxunshear.sweep import engines, run
 
 ROOT = Path(__file__).resolve().parents[1]
-LAMBDA, TINY = ROOT / "experiments" / "lambda_split.py", ROOT / "experiments" / "tiny.py"
+LAMBDA, TINY = (ROOT / "experiments" / name for name in ("ablations/lambda_split.py", "tiny.py"))
 
 
 @pytest.fixture

@@ -74,7 +74,7 @@ def test_one_version():
 
 
 UNPLAIN = r"\b(look|told|begun|whole|tell|tells|mended)\b"  # words that said too many things
-PLACES = ("jaxunshear/**/*.py", "data_specs/**/*.py", "experiments/*.py", "docs/*.md", "docs/*.py", "*.md")
+PLACES = ("jaxunshear/**/*.py", "data_specs/**/*.py", "experiments/**/*.py", "docs/*.md", "docs/*.py", "*.md")
 
 
 @pytest.mark.parametrize("place", PLACES)

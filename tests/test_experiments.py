@@ -17,7 +17,7 @@ from jaxunshear.sweep.rows import cells_of, reference_of, rows_of
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 
 
-FILES = sorted(FOLDER.glob("*.py"))
+FILES = sorted(FOLDER.rglob("*.py"))
 SOMEWHERE = ["--paired.tap_folder", "somewhere", "--paired.slide_folder", "somewhere"]  # recordings that nobody opens
 
 
@@ -42,7 +42,7 @@ def test_valid_and_self_describing(path):
     assert experiment.name == path.stem
     text = path.read_text()
     assert text.startswith('"""Claim: ')
-    assert f"jaxunshear run experiments/{path.name}" in text
+    assert f"jaxunshear run {path.relative_to(FOLDER.parent)}" in text
     assert "Expected" in text
 
 
@@ -58,11 +58,11 @@ def test_sweeps_are_valid_and_self_describing(path):
         assert config_name(data, sweep.base.sensor) in CONFIGS[set_name(data)]  # a set that an experiment has, too
     text = path.read_text()
     assert text.startswith('"""Claim: ') and "Expected" in text
-    assert f"jaxunshear sweep experiments/{path.name}" in text
+    assert f"jaxunshear sweep {path.relative_to(FOLDER.parent)}" in text
 
 
 def test_lambda_split_is_five_by_five_by_three():
-    sweep = load_sweep(FOLDER / "lambda_split.py")
+    sweep = load_sweep(FOLDER / "ablations" / "lambda_split.py")
     cells = cells_of(sweep)
     assert len(cells) == 25 and sweep.seeds == (0, 1, 2) and sweep.ablation
     assert len({row.digest for row in rows_of(sweep, cells).values()}) == 75

@@ -27,7 +27,9 @@ def add_parsers(commands: Commands) -> None:
     usage = "jaxunshear sweep FILE [options] [--field value ...]"
     parser = commands.add_parser("sweep", help=text, description=text, usage=usage)
     parser.set_defaults(takes_fields=True)
-    parser.add_argument("file", metavar="FILE", type=Path, help="such as experiments/lambda_split.py, or an experiment")
+    parser.add_argument(
+        "file", metavar="FILE", type=Path, help="such as experiments/ablations/lambda_split.py, or an experiment"
+    )
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("runs/sweeps"), help="DIR/<name> (runs/sweeps)")
     parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
     parser.add_argument("--recordings", metavar="DIR", type=Path, help="taps and slides that the sweep's base is about")

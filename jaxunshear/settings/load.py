@@ -22,8 +22,8 @@ def load_experiment(path: str | Path) -> Experiment:
 
 
 def load_variable(path: str | Path, **kinds: type) -> Any:
-    """The first variable named in `kinds` that the Python file `path` defines, of that type. The file may import those beside it.
-    Raises `UserError`.
+    """The first variable named in `kinds` that the Python file `path` defines, of that type. The file may import those beside it, and in
+    the folder above. Raises `UserError`.
     """
     path = Path(path)
     if not path.is_file():
@@ -49,15 +49,15 @@ def load_variable(path: str | Path, **kinds: type) -> Any:
 
 @contextlib.contextmanager
 def _neighbours(path: Path) -> Iterator[None]:
-    """Files beside `path` are modules; afterwards, files of the same names in other folders can be."""
-    folder, before, places = str(path.resolve().parent), set(sys.modules), list(sys.path)
-    sys.path.insert(0, folder)
+    """Files beside `path`, and in the folder above, are modules; afterwards, files of the same names in other folders can be."""
+    folder, before, places = path.resolve().parent, set(sys.modules), list(sys.path)
+    sys.path[:] = [str(folder), *places, str(folder.parent)]
     try:
         yield
     finally:
         sys.path[:] = places
         for name in set(sys.modules) - before:
-            if Path(getattr(sys.modules[name], "__file__", None) or "/").parent == Path(folder):
+            if Path(getattr(sys.modules[name], "__file__", None) or "/").parent in (folder, folder.parent):
                 del sys.modules[name]
 
 

@@ -1,7 +1,7 @@
 """What a sweep file holds: a base experiment, what is varied in it, and over which seeds.
 
->>> sweep = load_sweep("experiments/lambda_split.py")
->>> check(with_overrides(sweep, ["--train.epochs", "1"]), "experiments/lambda_split.py")
+>>> sweep = load_sweep("experiments/ablations/lambda_split.py")
+>>> check(with_overrides(sweep, ["--train.epochs", "1"]), "experiments/ablations/lambda_split.py")
 """
 
 import dataclasses

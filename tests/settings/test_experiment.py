@@ -203,6 +203,23 @@ def test_a_file_builds_on_its_own_neighbour(tmp_path):
     assert sys.path == before and "base" not in sys.modules
 
 
+def test_a_file_builds_on_one_of_the_folder_above(tmp_path):
+    """As those of experiments/ablations do; a neighbour of the same name comes first."""
+    inner = tmp_path / "ablations"
+    inner.mkdir()
+    (tmp_path / "base_above.py").write_text("seed = 5")
+    text = (
+        "import base_above\nfrom jaxunshear.settings.experiment import Experiment\n"
+        "experiment = Experiment(name='built', claim='', seed=base_above.seed)"
+    )
+    (inner / "built.py").write_text(text)
+    before = list(sys.path)
+    assert load_experiment(inner / "built.py").seed == 5
+    (inner / "base_above.py").write_text("seed = 6")
+    assert load_experiment(inner / "built.py").seed == 6
+    assert sys.path == before and "base_above" not in sys.modules
+
+
 def test_a_fault_of_a_neighbour_is_refused_in_one_line(tmp_path):
     (tmp_path / "base.py").write_text("1 / 0")
     (tmp_path / "built.py").write_text("import base")

@@ -14,7 +14,7 @@ from jaxunshear.settings.rules import validate
 
 ROOT = Path(__file__).parents[2]
 SHIPPED = ROOT / "docs" / "results" / "calibrate_edge_2d.json"
-DEMO, RECORDED, SWEEP = (ROOT / "experiments" / f"{name}.py" for name in ("demo", "recorded", "lambda_split"))
+DEMO, RECORDED, SWEEP = (ROOT / "experiments" / f"{name}.py" for name in ("demo", "recorded", "ablations/lambda_split"))
 
 
 def test_sensor_camera_and_friction_are_the_calibrated_ones():

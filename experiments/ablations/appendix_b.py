@@ -1,7 +1,7 @@
 """Claim: of what appendix B's "L1/L2 regularization (10e-4)" can mean, the mean over each kernel trains best; with its sum the
 kernels shrink first. "10:1" is a weight of 0.1 on the patch loss, not of 10.
 
-    jaxunshear sweep experiments/appendix_b.py --seeds 0,1,2
+    jaxunshear sweep experiments/ablations/appendix_b.py --seeds 0,1,2
 
 Expected on one core with much beside, as measured: 7 to 11 minutes of training for each of fifteen rows, after the pairs of
 experiments/calibrated.py are made (docs/results/appendix_b.json). It is experiments/paper.py at

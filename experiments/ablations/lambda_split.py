@@ -1,7 +1,7 @@
 """Claim: the paper's weight of the patch loss, lambda = 0.1, and its even split of the channels between pose and shear code are a
 fair choice: nothing else on the grid is clearly better.
 
-    jaxunshear sweep experiments/lambda_split.py
+    jaxunshear sweep experiments/ablations/lambda_split.py
 
 Expected on two cores: two and a half hours for 75 rows, a row a core, the demo's data sets and one PoseNet a seed; each row has its
 swapped codes and what they leak. `runs/sweeps/lambda_split/sweep.png` has a heat map for every figure. The sensor, the images and the
