@@ -489,14 +489,47 @@ def _ms(cell: CellResult, network: str) -> float:
 
 
 def parted() -> str:
-    """What each code holds of the other's, and what that costs, by what is left out: means over seeds, the leaks with least and most."""
-    leaks = {"pose from z_s": "pose from z_s (mlp)/r2", "slide from z_p": "slide from z_p (mlp)/r2"}
-    kept = {"pose from z_p": "pose from z_p (mlp)/r2", "slide from z_s": "slide from z_s (mlp)/r2"}
+    """What each code holds of the other's, by what is left out: means over seeds, the leaks with least and most."""
+    return _leaks("parted", True)
+
+
+def parted_images() -> str:
+    """The same of networks over images, but what each code holds of its own."""
+    return _leaks("parted_images", False)
+
+
+def parted_images_drawn() -> str:
+    """Likeness and edge errors of these networks; what DS draws of exchanged codes and of a contact's own."""
+    drawn = ("DS, codes exchanged/rms_grey", "DS, codes both of its own/rms_grey")
     lines = [
-        f"| R2 of an MLP probe | {' | '.join(f'{name} (a leak)' for name in leaks)} | {' | '.join(kept)} |",
+        "| | MS-SSIM@4 | edge distance, mm | edge angle, deg | DS, codes exchanged | of its own | exchanged over own |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    cells = _cells("parted_images")
+    for kind in ("tap", "sheared"):
+        found = cells[0].metrics
+        likeness = _cell(found["ms_ssim/sheared"], 3) if kind == "sheared" else "1"
+        lines.append(
+            _line(kind, [likeness, *(_cell(found[f"pose/{kind}/{n}"], d) for n, d in QUANTITIES[2:]), "", "", ""])
+        )
+    for cell in cells:
+        found = cell.metrics
+        exchanged, own = (list(cell.ablation[name].per_seed.values()) for name in drawn)
+        ratios = [one / other for one, other in zip(exchanged, own, strict=True)]
+        errors = [_cell(found[f"pose/disentangled/{n}"], d) for n, d in QUANTITIES[2:]]
+        shown = [_of_values(exchanged, 3), _of_values(own, 3), _of_values(ratios, 2)]
+        lines.append(_line(cell.label, [_cell(found["ms_ssim/disentangled"], 3), *errors, *shown]))
+    return "\n".join(lines)
+
+
+def _leaks(sweep: str, both: bool) -> str:
+    leaks = {"pose from z_s": "pose from z_s (mlp)/r2", "slide from z_p": "slide from z_p (mlp)/r2"}
+    kept = {n: f"{n} (mlp)/r2" for n in ("pose from z_p", "slide from z_s") if both}
+    lines = [
+        f"| R2 of an MLP probe | {' | '.join([*(f'{name} (a leak)' for name in leaks), *kept])} |",
         "|---|" + "---|" * (len(leaks) + len(kept)),
     ]
-    for cell in _cells("parted"):
+    for cell in _cells(sweep):
         spoilt = cell.ablation
         cells = [_of_values(list(spoilt[key].per_seed.values()), 2) for key in leaks.values()]
         lines.append(_line(cell.label, [*cells, *(f"{spoilt[key].mean:.2f}" for key in kept.values())]))
@@ -740,11 +773,10 @@ TABLES = {
         end_to_end,
         end_to_end_codes,
         end_to_end_exchanged,
-        slide_read,
-        joint,
         parted_skin,
         parted_skin_slide,
     ),
+    "docs/slides.md": (slide_read, joint),
     "docs/experiments.md": (
         standard,
         recoveries,

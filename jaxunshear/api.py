@@ -117,7 +117,7 @@ class Model:
         shear = self.codes(images).shear if self.slides else None
         if shear is None:
             raise UserError(
-                f"{self.folder}: its shear code was not taught the slide, or was left out: train with train_pins.slide_weight"
+                f"{self.folder}: its shear code was not taught the slide, or was left out: train with slide_weight"
             )
         outputs = jnp.asarray((shear[:, : len(self.slides)] + 1) / 2)
         return {name: np.asarray(value) for name, value in pose_from_outputs(outputs, self.slides).items()}

@@ -213,8 +213,10 @@ def parted(
     same_pose: Float[Array, "B S S 1"] | None = None,
     same_slide: Float[Array, "B S S 1"] | None = None,
 ) -> tuple[Decoded, Variables]:
-    """The training pass of a network whose codes are `apart`: DS teaches neither of them. `same_pose`: the contacts after another slide,
-    whose pose codes should agree; `same_slide`: those of another pose after that other slide, whose shear code DS is given, too."""
+    """The training pass of a network whose codes are `apart`: DS teaches neither of them.
+
+    `same_pose`: the contacts after another slide, or taps there, whose pose codes should agree; `same_slide`: those of another pose after
+    that other slide, whose shear code DS is given, too."""
     inputs = (images, same_pose, same_slide, True)
     found, updates = Network(net).apply(variables, *inputs, method="parted", mutable=["batch_stats"])
     return found, updates["batch_stats"]

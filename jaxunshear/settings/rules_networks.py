@@ -104,7 +104,7 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
             f"train.{field}",
             "takes codes of images that are apart: set unshear.apart, or leave it at 0",
         )
-        yield not weight or shared or field == "slide_weight", f"train.{field}", share
+        yield not weight or shared or field != "swap_weight", f"train.{field}", share
         yield (
             not getattr(training, field) or (experiment.pins.shear_code > 0 and not experiment.pins.turned),
             f"train_pins.{field}",

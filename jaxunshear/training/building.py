@@ -66,9 +66,10 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     room = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
     slides = _slides(examples, "unshear.shear_channels", room) if room else ()
     task = tasks.unshear_task(net, training, teacher, targets, slides)
-    partners = {OTHER_IMAGE: training.swap_weight, SWAPPED_IMAGE: training.swap_weight or training.agreement_weight}
+    wanted = {OTHER_IMAGE: training.swap_weight, SWAPPED_IMAGE: training.swap_weight or training.agreement_weight}
+    partners = wanted if room and _shared(experiment) else {}
     named = ("canonical", "sheared", *weighed, *(labels if labelled(training) else ()), *fields_of(slides))
-    return task, tuple(dict.fromkeys((*named, *(name for name, weight in partners.items() if room and weight))))
+    return task, tuple(dict.fromkeys((*named, *(name for name, weight in partners.items() if weight))))
 
 
 def _over_pins(
@@ -91,13 +92,17 @@ def _over_pins(
         return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
     codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})
     teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
-    shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
-    partners = (OTHER, SWAPPED) if shared and network == DISENTANGLED and exchanged(training) else ()
+    partners = (OTHER, SWAPPED) if _shared(experiment) and network == DISENTANGLED and exchanged(training) else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
     taught = training.slide_weight and network == DISENTANGLED
     slides = _slides(examples, "pins.shear_code", codes.shear_code) if taught else ()
     named = tuple(dict.fromkeys((*named, *fields_of(slides))))
     return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
+
+
+def _shared(experiment: Experiment) -> bool:
+    """Whether poses share slides."""
+    return isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
 
 
 def _slides(examples: Examples, field: str, size: int) -> Targets:

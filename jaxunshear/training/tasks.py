@@ -51,7 +51,8 @@ def unshear_task(
     `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, K), needed for `pose_weight` alone;
     where labels teach (`label_weight`, `pose_target` "label") it takes the pose `targets`, the teacher's too, and their fields in the
     batches. A field {"weight"} (B,) weighs the examples. Of codes that are `apart`, `slides` are what z_s is taught, and need their fields;
-    and where poses share slides partners come with the batches, {"other", "swapped"} uint8 as above, see `dataset.factorial`.
+    and where poses share slides partners come with the batches, {"other", "swapped"} uint8 as above, see `dataset.factorial`; where they
+    don't, the pose code of a slide is to agree with its tap's.
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
     _check_crops(net, training)
@@ -117,8 +118,9 @@ def _decoded(
 ) -> tuple[Decoded, Tree]:
     seen = partial(in_precision, precision=training.precision)
     if isinstance(net, networks.UnshearNet) and net.disentangled and net.apart:
-        wanted = (SWAPPED_IMAGE, training.agreement_weight), (OTHER_IMAGE, training.swap_weight)
-        partners = (seen(_unit(batch[name])) if weight else None for name, weight in wanted)
+        alike = batch.get(SWAPPED_IMAGE, batch["canonical"]) if training.agreement_weight else None
+        other = batch[OTHER_IMAGE] if training.swap_weight else None
+        partners = (None if images is None else seen(_unit(images)) for images in (alike, other))
         return unshearnet.parted(net, variables, seen(sheared), *partners)
     canonical, again, code, batch_stats = reconstruct(net, variables, seen(sheared))
     return Decoded(canonical, code, again), batch_stats

@@ -168,8 +168,9 @@ def test_what_codes_of_images_that_are_apart_take():
     taught = f"{apart} --train.slide_weight 1"
     validate(override(PLAIN, taught.split()))
     assert "raise train.slide_weight and unshear.shear" in refusal(f"{taught} --unshear.shear_channels 0")
+    assert refusal(f"{taught} --train.swap_weight 1").startswith("--train.swap_weight 1.0: takes simulated slides")
+    validate(override(PLAIN, f"{taught} --train.agreement_weight 1".split()))
     for field in ("swap_weight", "agreement_weight"):
-        assert refusal(f"{taught} --train.{field} 1").startswith(f"--train.{field} 1.0: takes simulated slides")
         shared = f"{taught} --paired.poses_a_slide 2 --train.{field} 1"
         validate(override(PLAIN, shared.split()))
         assert "without their partners" in refusal(f"{shared} --train.paired_share 0.5")

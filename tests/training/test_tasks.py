@@ -220,6 +220,12 @@ def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     np.testing.assert_allclose(named["swap"], named["reconstruction"], rtol=1e-6)
     np.testing.assert_array_equal(named["agreement"], 0)
     assert np.all(terms(same | {"swapped": given["canonical"]})["agreement"] > 0)
+    tap = replace(training, swap_weight=0.0)  # where poses share no slides, that of a slide and that of its tap
+    alone = unshear_task(net, tap, slides=slides).terms(variables, given | {"felt": same["felt"]}, jax.random.key(2))[0]
+    assert "swap" not in alone
+    np.testing.assert_allclose(
+        alone["agreement"], terms(same | {"swapped": given["canonical"]})["agreement"], rtol=1e-4
+    )
     assert [task.weights[name] for name in ("swap", "agreement", "slide")] == [2.0, 0.5, 3.0]
     z_s = np.asarray(unshearnet.encode(net, variables, jnp.asarray(given["sheared"], jnp.float32) / 255)[1])
     known = task.validate(variables, given | {"felt": 2 * z_s[:, 0, 0, :2]})
