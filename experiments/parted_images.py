@@ -2,9 +2,9 @@
 
     jaxunshear sweep experiments/parted_images.py
 
-The contacts of parted.py, as images. The shear code is the slide, two numbers without place, which a PoseNet of its own reads off the
-sheared image; the pose codes of two slides to one pose agree; DS, which draws the slide from both, teaches neither. The other rows leave
-out agreement, or all of it.
+The contacts of parted.py, as images. Both codes are a few numbers without place. The shear code is the slide, two numbers, which a PoseNet
+of its own reads off the sheared image; the pose codes of two slides to one pose agree; DS, which draws the slide from both, teaches
+neither. The other rows leave out agreement, or all of it: the last has the paper's losses, and codes as large as the paper's.
 
 Expected: docs/results/parted_images.json
 """
@@ -22,7 +22,7 @@ ROWS = {
     "parted": (),
     "no agreement": (("train.agreement_weight", 0.0),),
     "the paper's losses": (
-        (("unshear.apart", "unshear.shear_channels"), (False, 256)),
+        (("unshear.apart", "unshear.pose_channels", "unshear.shear_channels"), (False, 256, 256)),
         (("train.agreement_weight", "train.slide_weight"), (0.0, 0.0)),
     ),
 }
@@ -33,7 +33,7 @@ sweep = Sweep(
     base=replace(
         parted.sweep.base,
         name="parted_images",
-        unshear=replace(standard.experiment.unshear, shear_channels=2, apart=True),
+        unshear=replace(standard.experiment.unshear, pose_channels=16, shear_channels=2, apart=True),
         pins=PinNet(),
         train=replace(standard.experiment.train, epochs=4, agreement_weight=0.05, slide_weight=1.0),
         train_pins=Training(),

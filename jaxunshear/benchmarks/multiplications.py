@@ -16,10 +16,14 @@ def multiplications(net: UnshearNet, training: bool) -> int:
         count += 16 * before * width * side * side
     shear = net.shear_channels if net.disentangled and training else 0
     pose = net.pose_channels if net.disentangled else 0
-    read = shear and net.apart  # by a PoseNet of its own
-    count += 9 * widths[-1] * (pose + (0 if read else shear)) * side * side
-    count += pose_multiplications(PoseNet(net.size)) if read else 0
-    decoders = [pose or widths[-1]] + ([pose + shear] if shear else [])
+    codes = [pose or widths[-1]] + ([pose + shear] if shear else [])
+    if net.apart:  # dense layers from and to numbers without place; z_s by a PoseNet
+        count += widths[-1] * side * side * (pose + sum(codes)) + (
+            pose_multiplications(PoseNet(net.size)) if shear else 0
+        )
+    else:
+        count += 9 * widths[-1] * (pose + shear) * side * side
+    decoders = [widths[-1] for _ in codes] if net.apart else codes
     for code in decoders:
         here, outwards = side, (*reversed(widths[:-1]), 1)
         for before, width in zip((code, *outwards), outwards, strict=False):

@@ -8,13 +8,14 @@
 E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS both codes to the sheared one. The entangled
 network has one code and DC alone; its z_s is None. Inputs are binary images scaled to [0, 1], decoders return logits.
 
-Ours, not the paper's, are codes that are `apart`: z_s is a few numbers without place, (B, 1, 1, channels), which a PoseNet of its own
-reads off the sheared image.
+Ours, not the paper's, are codes that are `apart`: both are a few numbers without place, (B, 1, 1, channels), and z_s is what a PoseNet
+of its own reads off the sheared image.
 """
 
 import dataclasses
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import flax.linen as nn
@@ -28,6 +29,7 @@ from jaxunshear.model.decoded import Decoded, disagreement
 from jaxunshear.model.fast import layers as fast_layers
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Same, Up
+from jaxunshear.model.narrow import Grown, Numbers
 from jaxunshear.model.parts import Variables, check_sheared, holds
 from jaxunshear.settings.networks import PoseNet, UnshearNet
 
@@ -64,15 +66,18 @@ class Network(nn.Module):
 
     def setup(self) -> None:
         net = self.net
-        encoder, decoder = kernels.pick(Encoder, fast.Encoder), kernels.pick(Decoder, fast.Decoder)
-        same = kernels.pick(Same, fast_layers.Same)
-        self.E, self.DC = encoder(net.widths), decoder(net.widths)
+        encoder = kernels.pick(Encoder, fast.Encoder)
+        decoder: Callable[[], nn.Module] = partial(kernels.pick(Decoder, fast.Decoder), net.widths)
+        code = Numbers if net.apart else kernels.pick(Same, fast_layers.Same)
+        if net.apart:
+            side = net.size // 2 ** len(net.widths)
+            decoder = partial(Grown, (side, side, net.widths[-1]), decoder)
+        self.E, self.DC = encoder(net.widths), decoder()
         if net.disentangled:
-            self.pose = same(net.pose_channels)
+            self.pose = code(net.pose_channels)
             if net.shear_channels:
-                self.DS = decoder(net.widths)
-                reader = kernels.pick(posenet.Network, fast.PoseNet)
-                self.shear = reader(PoseNet(net.size), net.shear_channels) if net.apart else same(net.shear_channels)
+                reader = partial(kernels.pick(posenet.Network, fast.PoseNet), PoseNet(net.size))
+                self.shear, self.DS = (reader if net.apart else code)(net.shear_channels), decoder()
 
     def encode_pose(self, images: Array, train: bool) -> Array:
         z = self.E(images, train)
@@ -93,7 +98,6 @@ class Network(nn.Module):
         return self.DC(z_p, train)
 
     def decode_sheared(self, z_p: Array, z_s: Array, train: bool) -> Array:
-        z_s = jnp.broadcast_to(z_s, (*z_p.shape[:-1], z_s.shape[-1]))
         return self.DS(jnp.concatenate([z_p, z_s], -1), train)
 
     def unshear(self, images: Array, train: bool) -> Array:
@@ -114,7 +118,7 @@ class Network(nn.Module):
 def init(net: UnshearNet, key: Array) -> Variables:
     """Fresh variables. Raises ValueError where `size` and `widths` do not fit each other."""
     check(net)
-    side = net.size if net.apart else 2 ** len(net.widths)  # shapes depend on the image's size in a PoseNet alone
+    side = net.size if net.apart else 2 ** len(net.widths)  # shapes of other networks do not depend on the image's
     with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
         return dict(Network(net).init(key, jnp.zeros((1, side, side, 1)), True))
 
@@ -224,7 +228,7 @@ def parted(
 
 def code_shape(net: UnshearNet) -> tuple[int, int, int]:
     """Of z_p, without the batch: (s, s, channels)."""
-    side = net.size // 2 ** len(net.widths)
+    side = 1 if net.apart else net.size // 2 ** len(net.widths)
     return side, side, net.pose_channels if net.disentangled else net.widths[-1]
 
 

@@ -224,7 +224,7 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     assert {"swap", "agreement", "slide"} <= set(last["train"]) and "slide" in last["validation"]
     assert read_slides(run / "disentangled") == felt_of(EXPERIMENT.paired.ranges)
     found = leakage.leakage(images, run, folder / "data", "none", leaks_alone=True)
-    assert found["sizes"] == {"z_p": 4 * 8 * 8, "z_s": 2}
+    assert found["sizes"] == {"z_p": 4, "z_s": 2}
     drawn = found["exchanged"]["drawn"]
     assert found["exchanged"]["ratio"] == pytest.approx(
         drawn["exchanged"]["rms_grey"] / drawn["both of its own"]["rms_grey"]
