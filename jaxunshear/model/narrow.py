@@ -17,7 +17,7 @@ class Numbers(nn.Module):
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:
         z = nn.Dense(self.width, dtype=x.dtype, kernel_init=INIT)(x.reshape(x.shape[0], -1))
-        # else they grow, under no loss of their own, until DS, which does not teach them, sees nothing of the shear code beside them
+        # no loss holds their size: without it they grow until DS, which does not teach them, sees nothing of the shear code beside them
         return nn.LayerNorm(dtype=z.dtype, use_scale=False, use_bias=False)(z)[:, None, None]
 
 

@@ -117,6 +117,11 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
     )
     yield not training.swap_weight or shared, "train_pins.swap_weight", share
     yield (
+        not experiment.unshear.apart or not over_pins(experiment),
+        "unshear.apart",
+        "is of networks over images: use pins.apart",
+    )
+    yield (
         not experiment.unshear.apart or (experiment.train.slide_weight > 0 and experiment.unshear.shear_channels > 0),
         "unshear.apart",
         "leaves z_s to learn from the slide alone: raise train.slide_weight and unshear.shear_channels",

@@ -165,6 +165,7 @@ def test_what_codes_that_do_not_leak_take(field):
 def test_what_codes_of_images_that_are_apart_take():
     apart = "--networks disentangled,posenet --unshear.apart true"
     assert "raise train.slide_weight" in refusal(apart)
+    assert "use pins.apart" in refusal(f"{apart} --unshear.input pins")
     taught = f"{apart} --train.slide_weight 1"
     validate(override(PLAIN, taught.split()))
     assert "raise train.slide_weight and unshear.shear" in refusal(f"{taught} --unshear.shear_channels 0")
