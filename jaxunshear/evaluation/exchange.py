@@ -3,7 +3,7 @@
 Over pins or images, of data sets whose poses share slides.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,18 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.dataset.factorial import (
-    FEEDS,
-    IMAGE,
-    OTHER,
-    OTHER_IMAGE,
-    SWAPPED,
-    SWAPPED_IMAGE,
-    FactorialReader,
-)
+from jaxunshear.dataset.factorial import FEEDS, IMAGE, FactorialReader
 from jaxunshear.dataset.reading import Reader
+from jaxunshear.evaluation.pins import half_pitch
 from jaxunshear.evaluation.slide import slipping
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
+from jaxunshear.metrics.pins import pin_error
 from jaxunshear.model import pinnets, unshearnet
 from jaxunshear.model.parts import Net, Variables
 from jaxunshear.settings.experiment import Experiment
@@ -37,6 +31,7 @@ from jaxunshear.training.examples import open_examples
 MOST, AT_ONCE = 2000, 64  # slides, evenly chosen
 SEED = 0
 EXCHANGED, OWN = "exchanged", "both of its own"
+GREY = "grey"  # of 1: the unit of errors of images
 
 
 class Exchanged(NamedTuple):
@@ -51,7 +46,7 @@ class Exchanged(NamedTuple):
 class _Road(NamedTuple):
     """What differs between networks over pins and over images."""
 
-    fields: tuple[str, str, str]  # of the examples, of `OTHER` and of `SWAPPED`
+    field: str  # of the examples
     unit: str  # of an error
     encode: Callable[[Variables, Array], tuple[Array, Array | None]]
     draw: Callable[[Variables, Array, Array], Array]
@@ -68,12 +63,14 @@ class _Road(NamedTuple):
 
 def _road(net: Net) -> _Road:
     if isinstance(net, PinUnshear):
-        return _Road((FEEDS, OTHER, SWAPPED), "px", partial(pinnets.encode, net), partial(pinnets.decode_sheared, net))
+        encode, sheared = jax.jit(partial(pinnets.encode, net)), jax.jit(partial(pinnets.decode_sheared, net))
+        return _Road(FEEDS, "px", encode, sheared)
 
+    @jax.jit
     def draw(variables: Variables, z_p: Array, z_s: Array) -> Array:
         return jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
 
-    return _Road((IMAGE, OTHER_IMAGE, SWAPPED_IMAGE), "grey", partial(unshearnet.encode, net), draw)
+    return _Road(IMAGE, GREY, jax.jit(partial(unshearnet.encode, net)), draw)
 
 
 def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchanged | None:
@@ -89,8 +86,7 @@ def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchange
     full = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
     if not full:
         return None
-    field = road.fields[0]
-    stored = road.seen(reader.take("test", full[0].reshape(-1), (field,))[field])
+    stored = road.seen(reader.take("test", full[0].reshape(-1), (road.field,))[road.field])
     true = stored.reshape(side, side, *stored.shape[1:])
     z_p, z_s = road.encode(variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
     assert z_s is not None
@@ -103,8 +99,8 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     """How far, px or grey of 1 (root mean square), what DS draws of exchanged codes is from the simulated contact of just that pose and
     slide; None where poses share no slides.
 
-    `by slip`: the same where the contact that the shear code was read from still sticks somewhere, and where all of it slips, which
-    hides how far the slide went.
+    Of images also how far the pins that are found in AT_ONCE of them lie. `by slip`: the same where the contact that the shear code was
+    read from still sticks somewhere, and where all of it slips, which hides how far the slide went.
     """
     if not isinstance(reader, FactorialReader):
         return None
@@ -113,28 +109,44 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     rows = np.linspace(0, count - 1, min(MOST, count)).round().astype(int)
     batch = reader.take("test", rows, ("stimulus", "pose_id"))
     others, swapped = reader.partners("test", rows)
-    source = reader.take("test", others, ("stuck", "slipping"))
-
-    @jax.jit
-    def drawn(weights: Variables, own: Array, other: Array, wanted: Array) -> dict[str, Array]:
-        codes: list[Any] = [road.encode(weights, seen) for seen in (own, other, wanted)]
-        pairs = {EXCHANGED: (0, 1), OWN: (2, 2), "shear code not exchanged": (0, 0)}
-        return {n: road.draw(weights, codes[p][0], codes[s][1]) for n, (p, s) in pairs.items()}
-
-    parts: dict[str, list[np.ndarray]] = {}
-    for start in range(0, len(rows), AT_ONCE):
-        here = np.arange(start, start + AT_ONCE) % len(rows)  # one shape to compile
-        stored = reader.take("test", rows[here], road.fields)
-        seen = [road.seen(stored[name]) for name in road.fields]
-        for name, contacts in jax.device_get(drawn(variables, *seen)).items():
-            parts.setdefault(name, []).append(road.squares(contacts, seen[2]))
-    squares = {name: np.concatenate(part)[: len(rows)] for name, part in parts.items()}
+    compared = partial(_compared, road, variables, reader, (rows, others, swapped))
+    every = [compared(np.arange(start, start + AT_ONCE) % len(rows)) for start in range(0, len(rows), AT_ONCE)]
+    squares = {
+        name: np.concatenate([road.squares(drawn[name], wanted) for drawn, wanted in every])[: len(rows)]
+        for name in every[0][0]
+    }
     poses = numbered_poses(batch["stimulus"], batch["pose_id"])
+    source = reader.take("test", others, ("stuck", "slipping"))
     slipped = slipping(source["stuck"], source["slipping"])
     changed = swapped != rows
     inside = {"sticking": changed & ~slipped, "slipped": changed & slipped}
     by_slip = [{"part": n, **_errors(squares, poses, those, road.unit)} for n, those in inside.items() if those.any()]
-    return _errors(squares, poses, changed, road.unit) | {"by slip": by_slip}
+    found = _errors(squares, poses, changed, road.unit)
+    if road.unit == GREY:
+        some = np.resize(np.flatnonzero(changed)[:: max(1, int(changed.sum()) // AT_ONCE)], AT_ONCE)
+        true = reader.take("test", swapped[some], (FEEDS,))[FEEDS]
+        for name, images in compared(some)[0].items():
+            found["drawn"][name] |= _pins_of(images, true)
+    return found | {"by slip": by_slip}
+
+
+def _compared(
+    road: _Road, variables: Variables, reader: Reader, partners: Sequence[np.ndarray], some: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """What DS draws of `some` contacts, from which codes, and what it should draw. `partners`: rows of these contacts, of others after
+    other slides, and of the own poses after those slides."""
+    seen = [road.seen(reader.take("test", rows[some], (road.field,))[road.field]) for rows in partners]
+    codes: list[Any] = [road.encode(variables, jnp.asarray(each)) for each in seen]
+    pairs = {EXCHANGED: (0, 1), OWN: (2, 2), "shear code not exchanged": (0, 0)}
+    drawn = {name: road.draw(variables, codes[p][0], codes[s][1]) for name, (p, s) in pairs.items()}
+    return jax.device_get(drawn), seen[2]
+
+
+def _pins_of(images: np.ndarray, true: np.ndarray) -> dict[str, float]:
+    """How far the pins that are found in images (B, S, S, 1) in [0, 1], matched one to one, lie from the true ones (B, P, 2) px."""
+    binary = np.where(images[..., 0] >= 0.5, 255, 0).astype(np.uint8)
+    error = pin_error(binary, true, 1.0, half_pitch(true))
+    return {"rms_px": error.rms_px, "missed_per_image": error.missed}
 
 
 def _errors(squares: dict[str, np.ndarray], poses: np.ndarray, inside: np.ndarray, unit: str) -> Json:

@@ -38,7 +38,8 @@ MOST_COMPARED = 500  # poses, in the criterion of independence
 SEED = 0
 CODES = ("z_s", "z_p")
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what should not be there; the rest should
-UNITS = {"rms_px": "px", "rms_grey": "of 1 in grey"}  # of what DS draws, over pins and over images
+UNITS = {"rms_grey": "of 1 in grey", "rms_px": "px"}  # of what DS draws, over images and over pins
+DRAWN = (*UNITS, "missed_per_image")
 SLIDE = ("mae", "rmse", "coverage")
 LABELS = ("pose", "move", "stimulus", "pose_id")
 
@@ -144,7 +145,7 @@ def for_sweep(results: Json) -> list[Json]:
     rows = []
     for part, errors in _exchanged(results):
         for name, row in errors["drawn"].items():
-            rows.append({"name": f"DS, codes {name}{part}"} | {n: row[n] for n in UNITS if n in row})
+            rows.append({"name": f"DS, codes {name}{part}"} | {n: row[n] for n in DRAWN if n in row})
     rows += [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
     read = ({"name": f"{row['name']}, {row['part']}"} | {n: row[n] for n in SLIDE} for row in results["slide"])
     return [*rows, *read]

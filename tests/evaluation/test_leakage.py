@@ -231,6 +231,7 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     )
     assert {"DS, codes exchanged", "DS, codes exchanged, sticking"} <= {row["name"] for row in leakage.for_sweep(found)}
     assert "of 1 in grey" in leakage.table(found)
+    assert all(0 <= row["missed_per_image"] <= SENSOR.pins for row in drawn.values())
     exchanged = exchange.exchanged(images, run, folder / "data")
     assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SIZE, SIZE, 1)
     assert set(np.unique(exchanged.true)) == {0, 1} and 0 <= exchanged.drawn.min() <= exchanged.drawn.max() <= 1
