@@ -75,15 +75,7 @@ def unshear_task(
             named["pose"] = watch(image, canonical, batch)
         if labelled:
             named["label"] = labelled(variables, found.z_p, batch)["label"]
-        if found.sheared is not None:
-            named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(found.sheared), sheared)
-        if found.exchanged is not None:
-            named["swap"] = losses.reconstruction(jax.nn.sigmoid(found.exchanged), _unit(batch[SWAPPED_IMAGE]))
-        if found.disagreement is not None:
-            named["agreement"] = found.disagreement
-        if slides and found.z_s is not None:
-            named["slide"] = slide_term(found.z_s, batch, slides)
-        return weighed(named, batch), batch_stats
+        return weighed(named | _of_codes(found, sheared, batch, slides), batch), batch_stats
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
@@ -93,12 +85,9 @@ def unshear_task(
             image = unet.unshear(net, variables, images)
         else:
             z_p, z_s = unshearnet.encode(net, variables, images)
-            image = jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p))
-            if z_s is not None:
-                again = jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))
-                named["reconstruction"] = losses.reconstruction(again, sheared)
-                if slides:
-                    named["slide"] = slide_term(z_s, batch, slides)
+            again = None if z_s is None else unshearnet.decode_sheared(net, variables, z_p, z_s)
+            found = Decoded(unshearnet.decode_canonical(net, variables, z_p), z_p, again, z_s=z_s)
+            image, named = jax.nn.sigmoid(found.canonical), _of_codes(found, sheared, batch, slides)
             if labelled:
                 named |= labelled(variables, z_p, batch)
         if watch:
@@ -124,6 +113,20 @@ def _decoded(
         return unshearnet.parted(net, variables, seen(sheared), *partners)
     canonical, again, code, batch_stats = reconstruct(net, variables, seen(sheared))
     return Decoded(canonical, code, again), batch_stats
+
+
+def _of_codes(found: Decoded, sheared: Array, batch: Batch, slides: Targets) -> dict[str, Array]:
+    """What DS makes of codes, and what these should be, (B,) each."""
+    named = {}
+    if found.sheared is not None:
+        named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(found.sheared), sheared)
+    if found.exchanged is not None:
+        named["swap"] = losses.reconstruction(jax.nn.sigmoid(found.exchanged), _unit(batch[SWAPPED_IMAGE]))
+    if found.disagreement is not None:
+        named["agreement"] = found.disagreement
+    if slides and found.z_s is not None:
+        named["slide"] = slide_term(found.z_s, batch, slides)
+    return named
 
 
 def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
