@@ -498,27 +498,36 @@ def parted_images() -> str:
     return _leaks("parted_images", False)
 
 
-def parted_images_drawn() -> str:
-    """Likeness and edge errors of these networks; what DS draws of exchanged codes and of a contact's own."""
-    drawn = ("DS, codes exchanged/rms_grey", "DS, codes both of its own/rms_grey")
-    lines = [
-        "| | MS-SSIM@4 | edge distance, mm | edge angle, deg | DS, codes exchanged | of its own | exchanged over own |",
-        "|---|---|---|---|---|---|---|",
-    ]
+def parted_images_pose() -> str:
+    """Likeness and edge errors of these networks."""
+    lines = ["| | MS-SSIM@4 | edge distance, mm | edge angle, deg |", "|---|---|---|---|"]
     cells = _cells("parted_images")
-    for kind in ("tap", "sheared"):
-        found = cells[0].metrics
-        likeness = _cell(found["ms_ssim/sheared"], 3) if kind == "sheared" else "1"
-        lines.append(
-            _line(kind, [likeness, *(_cell(found[f"pose/{kind}/{n}"], d) for n, d in QUANTITIES[2:]), "", "", ""])
-        )
-    for cell in cells:
+    kinds = [("tap", cells[0]), ("sheared", cells[0]), *(("disentangled", cell) for cell in cells)]
+    for kind, cell in kinds:
         found = cell.metrics
-        exchanged, own = (list(cell.ablation[name].per_seed.values()) for name in drawn)
-        ratios = [one / other for one, other in zip(exchanged, own, strict=True)]
-        errors = [_cell(found[f"pose/disentangled/{n}"], d) for n, d in QUANTITIES[2:]]
-        shown = [_of_values(exchanged, 3), _of_values(own, 3), _of_values(ratios, 2)]
-        lines.append(_line(cell.label, [_cell(found["ms_ssim/disentangled"], 3), *errors, *shown]))
+        likeness = "1" if kind == "tap" else _cell(found[f"ms_ssim/{kind}"], 3)
+        errors = [_cell(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
+        lines.append(_line(cell.label if kind == "disentangled" else kind, [likeness, *errors]))
+    return "\n".join(lines)
+
+
+def parted_images_drawn() -> str:
+    """What DS of these networks draws of exchanged codes and of a contact's own: by pixels, and by the pins found."""
+    lines = [
+        "| | grey, codes exchanged | of its own | exchanged over own | pins, px: exchanged | own | not found of 331: exchanged | own |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for cell in _cells("parted_images"):
+        found = {
+            (kind, name): list(cell.ablation[f"DS, codes {kind}/{name}"].per_seed.values())
+            for kind in ("exchanged", "both of its own")
+            for name in ("rms_grey", "rms_px", "missed_per_image")
+        }
+        kinds, digits = ("exchanged", "both of its own"), {"rms_grey": 3, "rms_px": 2, "missed_per_image": 0}
+        shown = {n: [_of_values(found[kind, n], d) for kind in kinds] for n, d in digits.items()}
+        ratios = [a / b for a, b in zip(*(found[kind, "rms_grey"] for kind in kinds), strict=True)]
+        cells = [*shown["rms_grey"], _of_values(ratios, 2), *shown["rms_px"], *shown["missed_per_image"]]
+        lines.append(_line(cell.label, cells))
     return "\n".join(lines)
 
 
@@ -773,6 +782,9 @@ TABLES = {
         end_to_end,
         end_to_end_codes,
         end_to_end_exchanged,
+        parted_images,
+        parted_images_pose,
+        parted_images_drawn,
         parted_skin,
         parted_skin_slide,
     ),
