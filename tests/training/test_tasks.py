@@ -218,8 +218,8 @@ def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():
     assert set(named) == {"supervised", "patch", "reconstruction", "swap", "agreement", "slide"}
     assert all(value.shape == (4,) for value in named.values())
     np.testing.assert_allclose(named["swap"], named["reconstruction"], rtol=1e-6)
-    np.testing.assert_array_equal(named["agreement"], 0)
-    assert np.all(terms(same | {"swapped": given["canonical"]})["agreement"] > 0)
+    other = terms(same | {"swapped": given["canonical"]})["agreement"]
+    assert np.all(named["agreement"] < 1e-6 * other)
     tap = replace(training, swap_weight=0.0)  # where poses share no slides, that of a slide and that of its tap
     alone = unshear_task(net, tap, slides=slides).terms(variables, given | {"felt": same["felt"]}, jax.random.key(2))[0]
     assert "swap" not in alone
