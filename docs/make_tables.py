@@ -517,13 +517,13 @@ def parted_images_drawn() -> str:
         "| | grey, codes exchanged | of its own | exchanged over own | pins, px: exchanged | own | not found of 331: exchanged | own |",
         "|---|---|---|---|---|---|---|---|",
     ]
+    kinds, digits = ("exchanged", "both of its own"), {"rms_grey": 3, "rms_px": 2, "missed_per_image": 0}
     for cell in _cells("parted_images"):
         found = {
             (kind, name): list(cell.ablation[f"DS, codes {kind}/{name}"].per_seed.values())
-            for kind in ("exchanged", "both of its own")
-            for name in ("rms_grey", "rms_px", "missed_per_image")
+            for kind in kinds
+            for name in digits
         }
-        kinds, digits = ("exchanged", "both of its own"), {"rms_grey": 3, "rms_px": 2, "missed_per_image": 0}
         shown = {n: [_of_values(found[kind, n], d) for kind in kinds] for n, d in digits.items()}
         ratios = [a / b for a, b in zip(*(found[kind, "rms_grey"] for kind in kinds), strict=True)]
         cells = [*shown["rms_grey"], _of_values(ratios, 2), *shown["rms_px"], *shown["missed_per_image"]]
