@@ -39,7 +39,7 @@ from jaxunshear.settings.registry import (
     UNET,
 )
 from jaxunshear.settings.targets import Targets, fields_of
-from jaxunshear.settings.training import exchanged, labelled
+from jaxunshear.settings.training import Training, labelled
 from jaxunshear.storage import Json
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
@@ -66,10 +66,9 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     room = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
     slides = _slides(examples, "unshear.shear_channels", room) if room else ()
     task = tasks.unshear_task(net, training, teacher, targets, slides)
-    wanted = {OTHER_IMAGE: training.swap_weight, SWAPPED_IMAGE: training.swap_weight or training.agreement_weight}
-    partners = wanted if room and _shared(experiment) else {}
-    named = ("canonical", "sheared", *weighed, *(labels if labelled(training) else ()), *fields_of(slides))
-    return task, tuple(dict.fromkeys((*named, *(name for name, weight in partners.items() if weight))))
+    partners = _partners(experiment, training, OTHER_IMAGE, SWAPPED_IMAGE) if room else ()
+    named = ("canonical", "sheared", *partners, *weighed, *(labels if labelled(training) else ()), *fields_of(slides))
+    return task, tuple(dict.fromkeys(named))
 
 
 def _over_pins(
@@ -92,7 +91,7 @@ def _over_pins(
         return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
     codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})
     teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
-    partners = (OTHER, SWAPPED) if _shared(experiment) and network == DISENTANGLED and exchanged(training) else ()
+    partners = _partners(experiment, training, OTHER, SWAPPED) if network == DISENTANGLED else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
     taught = training.slide_weight and network == DISENTANGLED
     slides = _slides(examples, "pins.shear_code", codes.shear_code) if taught else ()
@@ -100,9 +99,11 @@ def _over_pins(
     return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
 
 
-def _shared(experiment: Experiment) -> bool:
-    """Whether poses share slides."""
-    return isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
+def _partners(experiment: Experiment, training: Training, other: str, swapped: str) -> tuple[str, ...]:
+    """The fields of those that a network learns from where poses share slides."""
+    shared = isinstance(experiment.paired, PairedData) and experiment.paired.poses_a_slide > 1
+    wanted = {other: training.swap_weight, swapped: training.swap_weight or training.agreement_weight}
+    return tuple(field for field, weight in wanted.items() if shared and weight)
 
 
 def _slides(examples: Examples, field: str, size: int) -> Targets:

@@ -60,9 +60,9 @@ def pin_unshear_task(
         return weighed(named, batch)
 
     def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Decoded:
-        tap = batch["canonical_pins"] if training.agreement_weight and net.shear_code else None
-        partners = batch.get(SWAPPED, tap), batch.get(OTHER)
-        return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, *partners)
+        alike = batch.get(SWAPPED, batch["canonical_pins"]) if training.agreement_weight and net.shear_code else None
+        other = batch.get(OTHER) if training.swap_weight else None
+        return pinnets.reconstruct(net, variables, batch["sheared_pins"], key, alike, other)
 
     def unsheared(variables: Tree, pins: Array, key: Array, number: int) -> Array:
         return pinnets.unshear(net, variables, pinnets.spoilt(net, pins, jax.random.fold_in(key, number)))

@@ -200,3 +200,9 @@ def test_exchanged_codes_are_taught_where_partners_are_given():
     alike = task.validate(variables, given | same)
     np.testing.assert_allclose(alike["swap"], alike["reconstruction"], rtol=1e-5)
     assert np.all(alike["agreement"] == 0)
+    for weight, left in (
+        ("agreement_weight", "agreement"),
+        ("swap_weight", "swap"),
+    ):  # nothing is drawn that has no weight
+        alone = pin_unshear_task(PinUnshear(**SMALL, apart=True), Training(**{weight: 0.5}), TARGETS, REST, 1.0)
+        assert set(alone.terms(variables, given | partners, KEY)[0]) == {"supervised", "reconstruction", left}
