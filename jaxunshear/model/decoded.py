@@ -13,7 +13,7 @@ class Decoded(NamedTuple):
     """Logits of images (B, S, S, 1), or pins (B, P, 2) px; None where there is none."""
 
     canonical: Array
-    z_p: Array  # (B, ...)
+    z_p: Array | None = None  # (B, ...)
     sheared: Array | None = None
     exchanged: Array | None = None  # DS of the slide's pose code and the other's shear code
     disagreement: Array | None = None  # (B,) see `disagreement`

@@ -14,6 +14,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxunshear.model import kernels, unshearnet
+from jaxunshear.model.decoded import Decoded
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Up
 from jaxunshear.model.parts import Variables
@@ -60,10 +61,7 @@ def unshear(net: networks.UNet, variables: Variables, images: Float[Array, "B S 
     return jax.nn.sigmoid(logits)
 
 
-def reconstruct(
-    net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> tuple[Float[Array, "B S S 1"], None, None, Variables]:
-    """The training pass: logits of the canonical image, nothing in the places of the sheared one and of a code, new running
-    statistics."""
+def reconstruct(net: networks.UNet, variables: Variables, images: Float[Array, "B S S 1"]) -> tuple[Decoded, Variables]:
+    """The training pass: logits of the canonical image, and new running statistics."""
     canonical, updates = _network(net).apply(variables, images, True, mutable=["batch_stats"])
-    return canonical, None, None, updates["batch_stats"]
+    return Decoded(canonical), updates["batch_stats"]

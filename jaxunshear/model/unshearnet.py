@@ -103,11 +103,13 @@ class Network(nn.Module):
     def unshear(self, images: Array, train: bool) -> Array:
         return jax.nn.sigmoid(self.DC(self.encode_pose(images, train), train))
 
-    def __call__(self, images: Array, train: bool) -> tuple[Array, Array | None, Array]:
-        z_p, z_s = self.encode(images, train)
-        return self.DC(z_p, train), None if z_s is None else self.decode_sheared(z_p, z_s, train), z_p
-
-    def parted(self, images: Array, same_pose: Array | None, same_slide: Array | None, train: bool) -> Decoded:
+    def __call__(
+        self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None, train: bool = True
+    ) -> Decoded:
+        if not self.net.apart:
+            z_p, z_s = self.encode(images, train)
+            sheared = None if z_s is None else self.decode_sheared(z_p, z_s, train)
+            return Decoded(self.DC(z_p, train), z_p, sheared, z_s=z_s)
         z_p, again = _with(images, same_pose, lambda seen: self.encode_pose(seen, train))
         z_s, other = _with(images, same_slide, lambda seen: self.encode_slide(seen, train))
         held = jax.lax.stop_gradient(z_p)
@@ -120,7 +122,7 @@ def init(net: UnshearNet, key: Array) -> Variables:
     check(net)
     side = net.size if net.apart else 2 ** len(net.widths)  # shapes of other networks do not depend on the image's
     with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
-        return dict(Network(net).init(key, jnp.zeros((1, side, side, 1)), True))
+        return dict(Network(net).init(key, jnp.zeros((1, side, side, 1))))
 
 
 def check(net: UnshearNet) -> None:
@@ -202,27 +204,17 @@ def unshear(net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1
 
 
 def reconstruct(
-    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
-) -> tuple[Float[Array, "B S S 1"], Float[Array, "B S S 1"] | None, Float[Array, "B s s _"], Variables]:
-    """The training pass over sheared images: logits of the canonical and the sheared image (None without DS), the pose code,
-    and the updated running statistics."""
-    (canonical, sheared, z_p), updates = Network(net).apply(variables, images, True, mutable=["batch_stats"])
-    return canonical, sheared, z_p, updates["batch_stats"]
-
-
-def parted(
     net: UnshearNet,
     variables: Variables,
     images: Float[Array, "B S S 1"],
     same_pose: Float[Array, "B S S 1"] | None = None,
     same_slide: Float[Array, "B S S 1"] | None = None,
 ) -> tuple[Decoded, Variables]:
-    """The training pass of a network whose codes are `apart`: DS teaches neither of them.
+    """The training pass over sheared images: what both decoders make of them, and the updated running statistics.
 
-    `same_pose`: the contacts after another slide, or taps there, whose pose codes should agree; `same_slide`: those of another pose after
-    that other slide, whose shear code DS is given, too."""
-    inputs = (images, same_pose, same_slide, True)
-    found, updates = Network(net).apply(variables, *inputs, method="parted", mutable=["batch_stats"])
+    Of codes that are `apart`, which DS does not teach, partners: `same_pose`, the contacts after another slide, or taps there, whose pose
+    codes should agree; `same_slide`, those of another pose after that other slide, whose shear code DS is given, too."""
+    found, updates = Network(net).apply(variables, images, same_pose, same_slide, mutable=["batch_stats"])
     return found, updates["batch_stats"]
 
 

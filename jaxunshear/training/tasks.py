@@ -60,7 +60,7 @@ def unshear_task(
     kind = "unet" if isinstance(net, networks.UNet) else "unshear"
     module: ModuleType = unet if kind == "unet" else unshearnet
     _checked(module.check, net)
-    decoded = partial(_decoded, module.reconstruct, net, training)
+    decoded = partial(_decoded, net, training)
     init, labelled = _head(net, targets) if training.label_weight else (partial(module.init, net), None)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
@@ -73,7 +73,7 @@ def unshear_task(
             named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, training.crop_px))
         if watch:
             named["pose"] = watch(image, canonical, batch)
-        if labelled:
+        if labelled and found.z_p is not None:
             named["label"] = labelled(variables, found.z_p, batch)["label"]
         return weighed(named | _of_codes(found, sheared, batch, slides), batch), batch_stats
 
@@ -98,21 +98,16 @@ def unshear_task(
 
 
 def _decoded(
-    reconstruct: Callable[..., tuple[Array, Array | None, Array, Tree]],
-    net: networks.UnshearNet | networks.UNet,
-    training: Training,
-    variables: Tree,
-    sheared: Array,
-    batch: Batch,
+    net: networks.UnshearNet | networks.UNet, training: Training, variables: Tree, sheared: Array, batch: Batch
 ) -> tuple[Decoded, Tree]:
     seen = partial(in_precision, precision=training.precision)
-    if isinstance(net, networks.UnshearNet) and net.disentangled and net.apart:
-        alike = batch.get(SWAPPED_IMAGE, batch["canonical"]) if training.agreement_weight else None
-        other = batch[OTHER_IMAGE] if training.swap_weight else None
-        partners = (None if images is None else seen(_unit(images)) for images in (alike, other))
-        return unshearnet.parted(net, variables, seen(sheared), *partners)
-    canonical, again, code, batch_stats = reconstruct(net, variables, seen(sheared))
-    return Decoded(canonical, code, again), batch_stats
+    if isinstance(net, networks.UNet):
+        return unet.reconstruct(net, variables, seen(sheared))
+    parted = net.disentangled and net.apart
+    alike = batch.get(SWAPPED_IMAGE, batch["canonical"]) if parted and training.agreement_weight else None
+    other = batch[OTHER_IMAGE] if parted and training.swap_weight else None
+    partners = (None if images is None else seen(_unit(images)) for images in (alike, other))
+    return unshearnet.reconstruct(net, variables, seen(sheared), *partners)
 
 
 def _of_codes(found: Decoded, sheared: Array, batch: Batch, slides: Targets) -> dict[str, Array]:

@@ -29,10 +29,7 @@ def training_pass(net, variables, images):
     """Outputs, and the new running statistics."""
     if isinstance(net, PoseNet):
         return posenet.predict_training(net, variables, images)
-    canonical, sheared, code, statistics = (unet if isinstance(net, UNet) else unshearnet).reconstruct(
-        net, variables, images
-    )
-    return (canonical, sheared, code), statistics
+    return (unet if isinstance(net, UNet) else unshearnet).reconstruct(net, variables, images)
 
 
 def put_to_use(net, variables, images):

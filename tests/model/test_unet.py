@@ -28,9 +28,9 @@ def test_images_come_out_as_large_as_they_went_in(widths):
     assert found.shape == (3, 32, 32, 1)
     assert 0 < float(found.min()) < float(found.max()) < 1
     reconstruct = partial(unet.reconstruct, net)
-    logits, nothing, no_code, statistics = jax.eval_shape(reconstruct, variables, images())
-    assert logits.shape == found.shape
-    assert nothing is None and no_code is None
+    trained, statistics = jax.eval_shape(reconstruct, variables, images())
+    assert trained.canonical.shape == found.shape
+    assert trained.sheared is None and trained.z_p is None
     assert jax.tree.structure(statistics) == jax.tree.structure(variables["batch_stats"])
 
 

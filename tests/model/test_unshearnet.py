@@ -1,6 +1,7 @@
 """UnshearNet: shapes, what depends on what, and which loss reaches which module."""
 
 import dataclasses
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -70,11 +71,10 @@ def test_entangled_has_one_code_and_one_decoder(images):
     z, nothing = jax.eval_shape(lambda v, x: unshearnet.encode(ENTANGLED, v, x), variables, images)
     assert nothing is None
     assert z.shape == (5, 4, 4, 8)
-    reconstruct = lambda v, x: unshearnet.reconstruct(ENTANGLED, v, x)[:3]  # noqa: E731
-    canonical, sheared, code = jax.eval_shape(reconstruct, variables, images)
-    assert code.shape == (5, *unshearnet.code_shape(ENTANGLED))
-    assert canonical.shape == images.shape
-    assert sheared is None
+    found, _ = jax.eval_shape(partial(unshearnet.reconstruct, ENTANGLED), variables, images)
+    assert found.z_p.shape == (5, *unshearnet.code_shape(ENTANGLED))
+    assert found.canonical.shape == images.shape
+    assert found.sheared is None and found.z_s is None
 
 
 def test_unshear_needs_neither_the_shear_code_nor_its_decoder(variables, images):
@@ -104,8 +104,8 @@ def test_one_sum_gives_each_module_the_gradient_of_the_papers_own_loss(variables
     corners = losses.random_corners(jax.random.key(2), 5, 10, 32, 8)
 
     def loss(params, reconstruction, canonicals):
-        canonical, sheared, _, _ = unshearnet.reconstruct(NET, variables | {"params": params}, images)
-        canonical, sheared = jax.nn.sigmoid(canonical), jax.nn.sigmoid(sheared)
+        found, _ = unshearnet.reconstruct(NET, variables | {"params": params}, images)
+        canonical, sheared = jax.nn.sigmoid(found.canonical), jax.nn.sigmoid(found.sheared)
         rec = losses.reconstruction(sheared, images)
         sup = losses.supervised(canonical, target)
         patch = 0.1 * losses.patch(canonical, target, losses.coverage(corners, 32, 8))
@@ -162,9 +162,9 @@ def test_bfloat16_images_round_products_and_nothing_else(images):
 
     def loss(params, precision):
         given = in_precision(images, precision)
-        canonical, sheared, _, statistics = unshearnet.reconstruct(net, start | {"params": params}, given)
-        assert canonical.dtype == jnp.float32
-        found = [jax.nn.sigmoid(x) for x in (canonical, sheared)]
+        decoded, statistics = unshearnet.reconstruct(net, start | {"params": params}, given)
+        assert decoded.canonical.dtype == jnp.float32
+        found = [jax.nn.sigmoid(x) for x in (decoded.canonical, decoded.sheared)]
         return sum(losses.supervised(x, images).mean() for x in found), statistics
 
     both = jax.jit(jax.value_and_grad(loss, has_aux=True), static_argnums=1)
@@ -200,7 +200,7 @@ def test_of_codes_that_are_apart_each_term_teaches_its_own_module(images):
     partners = jnp.roll(images, 3, 1), jnp.roll(images, 5, 2)
 
     def term(params, name):
-        found, _ = unshearnet.parted(APART, variables | {"params": params}, images, *partners)
+        found, _ = unshearnet.reconstruct(APART, variables | {"params": params}, images, *partners)
         return jnp.sum(jnp.square(getattr(found, name)))
 
     taught = {
@@ -221,10 +221,10 @@ def test_of_codes_that_are_apart_each_term_teaches_its_own_module(images):
 def test_partners_of_codes_that_are_apart(images):
     """A contact that is its own partner agrees with itself; without partners nothing is exchanged, and the decoders draw the same."""
     variables = quick_init(APART, jax.random.key(0))
-    itself, _ = unshearnet.parted(APART, variables, images, images, images)
+    itself, _ = unshearnet.reconstruct(APART, variables, images, images, images)
     np.testing.assert_allclose(itself.disagreement, 0, atol=1e-9)
     np.testing.assert_allclose(itself.exchanged, itself.sheared, atol=1e-5)
-    alone, statistics = unshearnet.parted(APART, variables, images)
+    alone, statistics = unshearnet.reconstruct(APART, variables, images)
     assert alone.exchanged is None and alone.disagreement is None
     for name in ("canonical", "sheared", "z_p", "z_s"):
         np.testing.assert_allclose(getattr(alone, name), getattr(itself, name), atol=1e-5)
