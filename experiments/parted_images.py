@@ -2,9 +2,9 @@
 
     jaxunshear sweep experiments/parted_images.py
 
-The contacts of parted.py, as images. Both codes are a few numbers without place. The shear code is the slide, two numbers, which a PoseNet
-of its own reads off the sheared image; the pose codes of two slides to one pose agree; DS, which draws the slide from both, teaches
-neither. The other rows leave out agreement, or all of it: the last has the paper's losses, and codes as large as the paper's.
+The contacts of parted.py, as images. Both codes are a few numbers without place. The shear code is the slide, two numbers, and has an
+encoder of its own; the pose codes of two slides to one pose agree; DS, which draws the slide from both, teaches neither. The other
+rows leave out agreement, or all of it: the last has the paper's losses, and codes as large as the paper's.
 
 Expected: docs/results/parted_images.json; half an hour a seed on a core.
 """

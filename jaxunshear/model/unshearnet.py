@@ -8,8 +8,8 @@
 E encodes, DC decodes the pose code z_p to the canonical (tap) image, DS both codes to the sheared one. The entangled
 network has one code and DC alone; its z_s is None. Inputs are binary images scaled to [0, 1], decoders return logits.
 
-Ours, not the paper's, are codes that are `apart`: both are a few numbers without place, (B, 1, 1, channels), and z_s is what a PoseNet
-of its own reads off the sheared image.
+Ours, not the paper's, are codes that are `apart`: both are a few numbers without place, (B, 1, 1, channels), and z_s has an encoder of its
+own, ES.
 """
 
 import dataclasses
@@ -24,14 +24,14 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from jaxunshear.model import kernels, posenet
+from jaxunshear.model import kernels
 from jaxunshear.model.decoded import Decoded, disagreement
 from jaxunshear.model.fast import layers as fast_layers
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Same, Up
 from jaxunshear.model.narrow import Grown, Numbers
 from jaxunshear.model.parts import Variables, check_sheared, holds
-from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.networks import UnshearNet
 
 
 class Encoder(nn.Module):
@@ -68,7 +68,7 @@ class Network(nn.Module):
         net = self.net
         encoder = kernels.pick(Encoder, fast.Encoder)
         decoder: Callable[[], nn.Module] = partial(kernels.pick(Decoder, fast.Decoder), net.widths)
-        code = Numbers if net.apart else kernels.pick(Same, fast_layers.Same)
+        code: Callable[..., nn.Module] = Numbers if net.apart else kernels.pick(Same, fast_layers.Same)
         if net.apart:
             side = net.size // 2 ** len(net.widths)
             decoder = partial(Grown, (side, side, net.widths[-1]), decoder)
@@ -76,8 +76,11 @@ class Network(nn.Module):
         if net.disentangled:
             self.pose = code(net.pose_channels)
             if net.shear_channels:
-                reader = partial(kernels.pick(posenet.Network, fast.PoseNet), PoseNet(net.size))
-                self.shear, self.DS = (reader if net.apart else code)(net.shear_channels), decoder()
+                self.ES = encoder(net.widths) if net.apart else None
+                self.shear, self.DS = (
+                    (partial(code, normalised=False) if net.apart else code)(net.shear_channels),
+                    decoder(),
+                )
 
     def encode_pose(self, images: Array, train: bool) -> Array:
         z = self.E(images, train)
@@ -89,10 +92,10 @@ class Network(nn.Module):
             return z, None
         if not self.net.shear_channels:
             return self.pose(z, train), None
-        return self.pose(z, train), self.encode_slide(images, train) if self.net.apart else self.shear(z, train)
+        return self.pose(z, train), self.shear(z, train) if self.ES is None else self.encode_slide(images, train)
 
     def encode_slide(self, images: Array, train: bool) -> Array:
-        return 2 * self.shear(images, train)[:, None, None] - 1
+        return self.shear(self.ES(images, train), train)
 
     def decode_canonical(self, z_p: Array, train: bool) -> Array:
         return self.DC(z_p, train)
@@ -135,8 +138,6 @@ def check(net: UnshearNet) -> None:
         raise ValueError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
     if net.disentangled and net.shear_channels < 0:
         raise ValueError(f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS")
-    if net.disentangled and net.apart:
-        posenet.check(PoseNet(net.size))
 
 
 def parameters(net: UnshearNet) -> int:

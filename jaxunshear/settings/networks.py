@@ -21,7 +21,7 @@ class UnshearNet:
     widths: tuple[int, ...] = (32, 64, 64, 128, 256)  # channels a stride-2 convolution
     pose_channels: int = 128  # of z_p
     shear_channels: int = 128  # of z_s; 0 builds no shear code and no DS
-    # both codes are numbers without place; z_s is the slide, which a PoseNet of its own reads off the image, and DS teaches neither code
+    # both codes are numbers without place; z_s has an encoder of its own, and DS teaches neither code
     apart: bool = False
     disentangled: bool = True  # of a network built from these settings; experiments leave it
     input: Literal["images", "pins"] = "images"  # "pins": networks over pins (`PinNet`) in the place of all of these

@@ -1,6 +1,5 @@
 """UnshearNet: shapes, what depends on what, and which loss reaches which module."""
 
-import dataclasses
 from functools import partial
 
 import jax
@@ -178,10 +177,9 @@ def test_bfloat16_images_round_products_and_nothing_else(images):
 
 def test_codes_that_are_apart_are_numbers_without_place(images):
     variables = quick_init(APART, jax.random.key(0))
-    assert set(variables["params"]) == {"E", "pose", "shear", "DC", "DS"}
+    assert set(variables["params"]) == {"E", "ES", "pose", "shear", "DC", "DS"}
     z_p, z_s = unshearnet.encode(APART, variables, images)
     assert (z_p.shape, z_s.shape) == ((5, 1, 1, 4), (5, 1, 1, 3)) and unshearnet.code_shape(APART) == (1, 1, 4)
-    assert np.all(np.abs(z_s) <= 1)
     assert unshearnet.decode_sheared(APART, variables, z_p, z_s).shape == images.shape
     for scale in (1e3, 1e6):  # however large the layer's weights have grown
         large = jax.tree.map(lambda leaf, by=scale: by * leaf, variables["params"]["pose"])
@@ -191,8 +189,6 @@ def test_codes_that_are_apart_are_numbers_without_place(images):
         np.testing.assert_allclose(numbers.var(-1), 1, atol=0.02)
     canonical = jax.nn.sigmoid(unshearnet.decode_canonical(APART, variables, z_p))
     np.testing.assert_allclose(unshearnet.unshear(APART, variables, images), canonical, atol=1e-6)
-    with pytest.raises(ValueError, match="no multiple of 16"):
-        unshearnet.init(dataclasses.replace(APART, size=24), jax.random.key(0))
 
 
 def test_of_codes_that_are_apart_each_term_teaches_its_own_module(images):
@@ -208,7 +204,7 @@ def test_of_codes_that_are_apart_each_term_teaches_its_own_module(images):
         "sheared": {"DS"},
         "exchanged": {"DS"},
         "disagreement": {"E", "pose"},
-        "z_s": {"shear"},
+        "z_s": {"ES", "shear"},
     }
     slope = jax.jit(jax.grad(term), static_argnums=1)
     for name, modules in taught.items():
