@@ -68,7 +68,7 @@ class Network(nn.Module):
         net = self.net
         encoder = kernels.pick(Encoder, fast.Encoder)
         decoder: Callable[[], nn.Module] = partial(kernels.pick(Decoder, fast.Decoder), net.widths)
-        code: Callable[..., nn.Module] = Numbers if net.apart else kernels.pick(Same, fast_layers.Same)
+        code = Numbers if net.apart else kernels.pick(Same, fast_layers.Same)
         if net.apart:
             side = net.size // 2 ** len(net.widths)
             decoder = partial(Grown, (side, side, net.widths[-1]), decoder)
@@ -76,11 +76,11 @@ class Network(nn.Module):
         if net.disentangled:
             self.pose = code(net.pose_channels)
             if net.shear_channels:
-                self.ES = encoder(net.widths) if net.apart else None
-                self.shear, self.DS = (
-                    (partial(code, normalised=False) if net.apart else code)(net.shear_channels),
-                    decoder(),
-                )
+                channels = net.shear_channels
+                self.shear = Numbers(channels, normalised=False) if net.apart else code(channels)
+                self.DS = decoder()
+        if net.apart:
+            self.ES = encoder(net.widths)
 
     def encode_pose(self, images: Array, train: bool) -> Array:
         z = self.E(images, train)
@@ -92,7 +92,7 @@ class Network(nn.Module):
             return z, None
         if not self.net.shear_channels:
             return self.pose(z, train), None
-        return self.pose(z, train), self.shear(z, train) if self.ES is None else self.encode_slide(images, train)
+        return self.pose(z, train), self.encode_slide(images, train) if self.net.apart else self.shear(z, train)
 
     def encode_slide(self, images: Array, train: bool) -> Array:
         return self.shear(self.ES(images, train), train)
