@@ -569,7 +569,7 @@ def parted_pins() -> str:
 
 
 def parted_skin() -> str:
-    """The same of recorded slides: leaks, errors of the unsheared, and the slide read from both codes; means over seeds."""
+    """The same of recorded slides, over pins and images: leaks, errors of the unsheared; means over seeds. Blank: not measured."""
     asked = [
         f"{what} from {code} (mlp)/r2"
         for what, code in (("pose", "z_s"), ("slide", "z_p"), ("pose", "z_p"), ("slide", "z_s"))
@@ -578,10 +578,12 @@ def parted_skin() -> str:
         "| | pose from z_s (a leak) | slide from z_p (a leak) | pose from z_p | slide from z_s | unsheared: y, mm | unsheared: Rz, deg |",
         "|---|---|---|---|---|---|---|",
     ]
-    for cell in _cells("parted_skin"):
-        leaks = [_of_values(list(cell.ablation[name].per_seed.values()), 2) for name in asked]
+    roads = {"pins": _cells("parted_skin"), "images": _cells("parted_skin_images")}
+    for label, cell in [(f"{road}, {cell.label}", cell) for road, cells in roads.items() for cell in cells]:
+        found = [cell.ablation.get(name) for name in asked]
+        leaks = ["" if each is None else _of_values(list(each.per_seed.values()), 2) for each in found]
         errors = [_cell(cell.metrics[f"pose/disentangled/{name}"], digits) for name, digits in COLUMNS]
-        lines.append(_line(cell.label, [*leaks, *errors]))
+        lines.append(_line(label, [*leaks, *errors]))
     return "\n".join(lines)
 
 
