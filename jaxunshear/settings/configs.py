@@ -19,21 +19,12 @@ RECORDED_VERSION = "1.0.0"
 METADATA = "metadata.json"  # of a stored set: its settings, counts, frames and versions
 MANIFEST = "shards.json"  # of a stored set: the SHA-256 of each shard, and the checksum of its metadata
 PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
-NOT_STORED = (
-    "tap_folder",
-    "slide_folder",
-    "pairs",
-    "pairing",
-    "labelled",
-    "unlabelled",
-)  # of `Recorded`: where it lies, and what is made of it
+# of `Recorded`: where it lies, and what is made of it
+NOT_STORED = ("tap_folder", "slide_folder", "pairs", "pairing", "labelled", "unlabelled")
 Settings = PairedData | PoseData | Recorded
 
 FITTED: Json = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share
-FITTED_256: Json = FITTED | {
-    "camera": replace(FITTED_CAMERA, frame_px=256),
-    "preprocess": Preprocess(size=256),
-}
+FITTED_256: Json = FITTED | {"camera": replace(FITTED_CAMERA, frame_px=256), "preprocess": Preprocess(size=256)}
 SKIN: Json = FITTED | {  # touches as recordings of an edge have them
     "stimuli": ("edge", "disk", "clover", "teardrop"),
     "ranges": Ranges(lateral_mm=6.0, yaw_deg=180.0, depth_min_mm=0.7, depth_max_mm=4.2, move_mm=5.0),
@@ -42,71 +33,44 @@ SKIN: Json = FITTED | {  # touches as recordings of an edge have them
 TILTED = Ranges(depth_max_mm=5.0, tilt_deg=25.0)
 
 PAIRED = {
-    "tiny": PairedData(config="tiny", poses=10),
-    "demo": PairedData(camera=FLUSH_CAMERA),
-    "calibrated": PairedData(config="calibrated", **FITTED),
-    "standard": PairedData(config="standard", poses=1200, **FITTED),
-    "skin": PairedData(config="skin", poses=750, **SKIN),
-    "parted": PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
-    "end_to_end": PairedData(config="end_to_end", poses=3200, slides=4, poses_a_slide=4, **FITTED_256),
-    "twisted": PairedData(
-        config="twisted", poses=200, slides=4, poses_a_slide=4, ranges=Ranges(twist_deg=5.0), **FITTED
-    ),
-    "tilted": PairedData(config="tilted", poses=200, slides=4, poses_a_slide=4, ranges=TILTED, **FITTED),
-    "paper_short": PairedData(
-        config="paper_short",
-        poses=1200,
-        **FITTED_256,
-    ),
-    "paper": PairedData(
-        config="paper",
-        poses=200,
-        taps=50,
-        slides=150,
-        tap_depth_jitter_mm=1.0,
-        **FITTED_256,
-    ),
-    "paper_tenth": PairedData(
-        config="paper_tenth",
-        poses=200,
-        taps=5,
-        slides=15,
-        tap_depth_jitter_mm=1.0,
-        **FITTED_256,
-    ),
+    each.config: each
+    for each in (
+        PairedData(config="tiny", poses=10),
+        PairedData(config="demo", camera=FLUSH_CAMERA),
+        PairedData(config="calibrated", **FITTED),
+        PairedData(config="standard", poses=1200, **FITTED),
+        PairedData(config="skin", poses=750, **SKIN),
+        PairedData(config="parted", poses=800, slides=4, poses_a_slide=4, **FITTED),
+        PairedData(config="end_to_end", poses=3200, slides=4, poses_a_slide=4, **FITTED_256),
+        PairedData(config="twisted", poses=200, slides=4, poses_a_slide=4, ranges=Ranges(twist_deg=5.0), **FITTED),
+        PairedData(config="tilted", poses=200, slides=4, poses_a_slide=4, ranges=TILTED, **FITTED),
+        PairedData(config="paper_short", poses=1200, **FITTED_256),
+        PairedData(config="paper", poses=200, taps=50, slides=150, tap_depth_jitter_mm=1.0, **FITTED_256),
+        PairedData(config="paper_tenth", poses=200, taps=5, slides=15, tap_depth_jitter_mm=1.0, **FITTED_256),
+    )
 }
 POSE = {
-    "tiny": PoseData(config="tiny", poses=10),
-    "demo": PoseData(camera=FLUSH_CAMERA),
-    "calibrated": PoseData(config="calibrated", **FITTED),
-    "standard": PoseData(config="standard", poses=3000, **FITTED),
-    "skin": PoseData(config="skin", poses=1000, **SKIN),
-    "parted": PoseData(config="parted", poses=1600, **FITTED),
-    "end_to_end": PoseData(config="end_to_end", poses=6400, **FITTED_256),
-    "tilted": PoseData(config="tilted", poses=1200, ranges=TILTED, **FITTED),
-    "paper_short": PoseData(
-        config="paper_short",
-        poses=3000,
-        **FITTED_256,
-    ),
-    "paper": PoseData(
-        config="paper",
-        poses=10_000,
-        **FITTED_256,
-    ),
-    "paper_tenth": PoseData(
-        config="paper_tenth",
-        poses=1000,
-        **FITTED_256,
-    ),
+    each.config: each
+    for each in (
+        PoseData(config="tiny", poses=10),
+        PoseData(config="demo", camera=FLUSH_CAMERA),
+        PoseData(config="calibrated", **FITTED),
+        PoseData(config="standard", poses=3000, **FITTED),
+        PoseData(config="skin", poses=1000, **SKIN),
+        PoseData(config="parted", poses=1600, **FITTED),
+        PoseData(config="end_to_end", poses=6400, **FITTED_256),
+        PoseData(config="tilted", poses=1200, ranges=TILTED, **FITTED),
+        PoseData(config="paper_short", poses=3000, **FITTED_256),
+        PoseData(config="paper", poses=10_000, **FITTED_256),
+        PoseData(config="paper_tenth", poses=1000, **FITTED_256),
+    )
 }
 CONFIGS: dict[str, dict[str, PairedData] | dict[str, PoseData]] = {PAIRED_SET: PAIRED, POSE_SET: POSE}
 
 
 def sensor_of(config: str) -> Sensor:
     """The sensor of a stored configuration."""
-    others = {"tiny": TACTIP_331, "demo": TACTIP_331_FLUSH}
-    return others.get(config, TACTIP_331_FITTED)
+    return {"tiny": TACTIP_331, "demo": TACTIP_331_FLUSH}.get(config, TACTIP_331_FITTED)
 
 
 def set_name(settings: Settings) -> str:
@@ -125,9 +89,12 @@ def describe(settings: Settings, sensor: Sensor) -> dict:
     fields = dataclasses.asdict(settings)
     for name in NOT_STORED if isinstance(settings, Recorded) else ("config",):  # a name only
         del fields[name]
-    fields = without_later(fields)
-    version = version_of(settings)
-    full = {"set": set_name(settings), "version": version, "sensor": dataclasses.asdict(sensor), "settings": fields}
+    full = {
+        "set": set_name(settings),
+        "version": version_of(settings),
+        "sensor": dataclasses.asdict(sensor),
+        "settings": without_later(fields),
+    }
     return json.loads(json.dumps(full))
 
 

@@ -154,8 +154,7 @@ def training_of(experiment: Experiment, network: str) -> Training:
 
 def without_pair_losses(training: Training) -> Training:
     """`training` with what only a network that unshears reads at its default."""
-    unused = {field: getattr(Training(), field) for field in PAIR_LOSSES}
-    return replace(training, **unused)
+    return replace(training, **{field: getattr(Training, field) for field in PAIR_LOSSES})
 
 
 def further_tests(experiment: Experiment) -> dict[str, PairedData]:

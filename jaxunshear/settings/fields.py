@@ -143,13 +143,11 @@ def _parsed(text: str, kind: Hint) -> Value:
         items = text.split(":")
         return tuple(_parsed(item.strip(), part) for item, part in zip(items, (first, *more), strict=True))
     if kind is bool:
-        return {"true": True, "false": False}.get(text.lower()) if text.lower() in ("true", "false") else _refuse()
+        if text.lower() not in ("true", "false"):
+            raise ValueError
+        return text.lower() == "true"
     if kind is Sensor:
         return sensor_named(text)
     if choices(kind):
         return touched(text) if groups(kind) else text
     return kind(text)
-
-
-def _refuse() -> typing.NoReturn:
-    raise ValueError

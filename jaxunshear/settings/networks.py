@@ -40,8 +40,8 @@ class UnshearNet:
 
 def without_codes(net: UnshearNet) -> UnshearNet:
     """`net` with the channels of its codes, which an entangled network does not have, at their defaults."""
-    plain = UnshearNet()
-    return replace(net, pose_channels=plain.pose_channels, shear_channels=plain.shear_channels, apart=plain.apart)
+    codes = ("pose_channels", "shear_channels", "apart")
+    return replace(net, **{field: getattr(UnshearNet, field) for field in codes})
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,10 @@ class PinNet:
         yield 0 <= self.turned <= 1, "turned", "use a share from 0 to 1"
 
 
-PIN_CODES = ("convolved", "pose_code", "shear_code", "apart")  # what PinUnshear alone reads
-
-
 def without_pin_codes(net: PinNet) -> PinNet:
     """`net` with what only PinUnshear reads at its default."""
-    plain = PinNet()
-    return replace(net, **{field: getattr(plain, field) for field in PIN_CODES})
+    codes = ("convolved", "pose_code", "shear_code", "apart")
+    return replace(net, **{field: getattr(PinNet, field) for field in codes})
 
 
 def without_turns(net: PinNet) -> PinNet:

@@ -77,7 +77,8 @@ def training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Ru
     )
     yield from _exchange(experiment)
     yield from _few_pairs(experiment)
-    for name in _posenets(experiment):
+    taught = TEACHER in trained(experiment) and not over_pins(experiment)
+    for name in ("train_posenet", "train_teacher") if taught else ("train_posenet",):
         yield _batch(getattr(experiment, name), name, taps)
         yield from _without_pair_losses(getattr(experiment, name), name)
     if over_pins(experiment) or RENDERER in trained(experiment):
@@ -154,14 +155,9 @@ def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
     )
 
 
-def _posenets(experiment: Experiment) -> list[str]:
-    taught = TEACHER in trained(experiment) and not over_pins(experiment)
-    return ["train_posenet", "train_teacher"] if taught else ["train_posenet"]
-
-
 def _without_pair_losses(training: Training, name: str) -> Iterator[Rule]:
     for field in PAIR_LOSSES:
-        value, unused = getattr(training, field), getattr(Training(), field)
+        value, unused = getattr(training, field), getattr(Training, field)
         yield value == unused, f"{name}.{field}", f"is for networks that unshear: leave it at {_plain(unused)}"
 
 
@@ -173,9 +169,7 @@ def target_rules(targets: tuple[str, ...], known: Mapping[str, object]) -> Itera
     names = []
     for text in targets:
         try:
-            wrong = ""
             names.append(parsed(text, known)[0])
         except UserError as error:
-            wrong = str(error)
-        yield not wrong, "targets", wrong
+            yield False, "targets", str(error)
     yield len(set(names)) == len(names), "targets", "name each once"

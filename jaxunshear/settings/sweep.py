@@ -10,17 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jaxunshear.errors import UserError
+from jaxunshear.settings.data import MOST_SEED
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.fields import override, parse_overrides, replaced
 from jaxunshear.settings.load import load_variable
 from jaxunshear.settings.registry import Network
 from jaxunshear.settings.rules import validate
-from jaxunshear.settings.types import Value, check_types
+from jaxunshear.settings.types import Rule, Value, check_types
 
 Fields = str | tuple[str, ...]  # dotted names; several vary together
 Axis = tuple[Fields, tuple[Value, ...]]
 Change = tuple[Fields, Value]
-LARGEST_SEED = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,6 @@ def names_of(fields: Fields) -> tuple[str, ...]:
 def check(sweep: Sweep, source: str) -> None:
     """Refuses, naming the file `source` and the field, a sweep that cannot be laid out. Its rows are checked one by one."""
     _check_form(sweep, source)
-    check_types(base_of(sweep))
     validate(dataclasses.replace(base_of(sweep), name=sweep.name))
     for fields in (*(fields for fields, _ in sweep.grid), *(fields for row in sweep.rows for fields, _ in row)):
         for field in names_of(fields):
@@ -111,7 +110,7 @@ def _check_form(sweep: Sweep, source: str) -> None:
             raise UserError(f"{source}: sweep.{name} {complaint}")
 
 
-def _rules(sweep: Sweep) -> Iterator[tuple[bool, str, str]]:
+def _rules(sweep: Sweep) -> Iterator[Rule]:
     yield isinstance(sweep.name, str), "name", "is no text"
     yield isinstance(sweep.claim, str), "claim", "is no text"
     yield isinstance(sweep.base, Experiment), "base", f"is of type {type(sweep.base).__name__}, not Experiment"
@@ -157,9 +156,9 @@ def _rules(sweep: Sweep) -> Iterator[tuple[bool, str, str]]:
     yield (
         isinstance(seeds, tuple)
         and len(seeds) > 0
-        and all(isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed <= LARGEST_SEED for seed in seeds),
+        and all(isinstance(seed, int) and not isinstance(seed, bool) and 0 <= seed <= MOST_SEED for seed in seeds),
         "seeds",
-        f"(or --seeds) is no tuple of integers from 0 to {LARGEST_SEED}",
+        f"(or --seeds) is no tuple of integers from 0 to {MOST_SEED}",
     )
     yield len(set(seeds)) == len(seeds), "seeds", "(or --seeds) lists a seed twice"
     yield isinstance(sweep.ablation, bool), "ablation", "is neither True nor False"
