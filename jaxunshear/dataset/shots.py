@@ -9,12 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, draw_tilts, edge_labels, make_scenes, turned
-from jaxunshear.scene.stimuli import stimulus_of
 from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
-from jaxunshear.settings.splits import BLOCK, SPLITS, splits_of
+from jaxunshear.settings.splits import SPLITS, splits_of
+from jaxunshear.settings.types import check_rules
 
 LEAST_DEPTH_MM = 0.1  # a tap's jittered depth is raised to this: at or below zero nothing is touched
 
@@ -33,33 +32,8 @@ class Shots(NamedTuple):
 
 def check(settings: PairedData | PoseData) -> None:
     """Refuses settings from which no set can be drawn, by name."""
-    name = set_name(settings)
     config_name(settings)
-    if not settings.stimuli:
-        raise UserError(f"{name}: stimuli is empty: name at least one")
-    if len(set(settings.names)) < len(settings.names):
-        raise UserError(f"{name}: stimuli names one of {', '.join(settings.names)} twice")
-    for stimulus in settings.stimuli:
-        stimulus_of(stimulus)
-    if settings.seed < 0:
-        raise UserError(f"{name}: seed = {settings.seed} is negative")
-    if settings.poses < BLOCK:
-        raise UserError(f"{name}: poses = {settings.poses} is too few: each split gets its pose from {BLOCK} on")
-    ranges = settings.ranges
-    if not 0 < ranges.depth_min_mm <= ranges.depth_max_mm:
-        raise UserError(
-            f"{name}: ranges.depth_min_mm = {ranges.depth_min_mm:g} and ranges.depth_max_mm = {ranges.depth_max_mm:g}: "
-            "need 0 < least <= most"
-        )
-    if isinstance(settings, PairedData):
-        if settings.taps < 1 or settings.slides < 1:
-            raise UserError(f"{name}: taps = {settings.taps} and slides = {settings.slides}: need at least one of each")
-        if settings.poses_a_slide < 1:
-            raise UserError(f"{name}: poses_a_slide = {settings.poses_a_slide}: a slide belongs to one pose at least")
-        if settings.taps > settings.slides:
-            raise UserError(
-                f"{name}: taps = {settings.taps} exceeds slides = {settings.slides}: some would never be paired"
-            )
+    check_rules(settings, set_name(settings))
 
 
 def _generator(seed: int, stimulus: str, purpose: str) -> np.random.Generator:

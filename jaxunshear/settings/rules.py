@@ -3,7 +3,6 @@
 Nothing is computed, so a refusal takes no time.
 """
 
-import functools
 from collections.abc import Iterator
 
 from jaxunshear.errors import UserError
@@ -12,7 +11,7 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.fields import show
 from jaxunshear.settings.rules_recorded import recorded_rules
 from jaxunshear.settings.rules_simulated import simulated_rules
-from jaxunshear.settings.types import Rule, check_types, own_rules
+from jaxunshear.settings.types import Rule, check_types, own_rules, value_of
 
 
 def validate(experiment: Experiment) -> None:
@@ -20,8 +19,7 @@ def validate(experiment: Experiment) -> None:
     check_types(experiment)
     for holds, name, complaint in rules(experiment):
         if not holds:
-            value = functools.reduce(getattr, name.split("."), experiment)
-            raise UserError(f"--{name} {show(value)}: {complaint}")
+            raise UserError(f"--{name} {show(value_of(experiment, name))}: {complaint}")
 
 
 def rules(experiment: Experiment) -> Iterator[Rule]:

@@ -16,11 +16,8 @@ from jaxunshear.settings.stimuli import SHOWN, stimulus_names
 from jaxunshear.settings.targets import PAPER, SIMULATED, names_of, of_ranges
 from jaxunshear.settings.types import Rule, own_rules
 
-FURTHER = {
-    "other_jitters_mm": "depth_",
-    "other_twists_deg": "twist_",
-    "other_tilts_deg": "tilt_",
-}  # and how their tests' names begin
+# fields of an experiment that ask for tests of their own, and how the names of these begin
+FURTHER = {"other_jitters_mm": "depth_", "other_twists_deg": "twist_", "other_tilts_deg": "tilt_"}
 
 
 def simulated_rules(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:
@@ -97,11 +94,7 @@ def _tests(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterat
         for data in (data for name, data in further_tests(experiment).items() if name.startswith(FURTHER[field])):
             for holds, _, remedy in (*own_rules(data), *_reached(data, "", experiment.sensor)):
                 yield holds, field, remedy
-            try:
-                wrong = "" if of_ranges(experiment.targets, data.ranges) else "leaves nothing to predict"
-            except UserError as error:
-                wrong = str(error)
-            yield not wrong, field, wrong
+            yield from _varied(experiment, data.ranges, field, "leaves nothing to predict")
     most = pose.ranges.tilt_deg
     remedy = f"goes beyond pose.ranges.tilt_deg ({most:g}), where PoseNet knows no pose: widen that one, too"
     read = bool({POSENET, TEACHER} & set(trained(experiment)))
@@ -117,12 +110,18 @@ def _targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iter
         remedy = f"the stimulus '{stimulus}' does not show {', '.join(hidden)}: name of {', '.join(shown)}"
         yield stimulus not in touched or not hidden, "targets", remedy
     for ranges in (paired.ranges, pose.ranges):
-        try:
-            known, wrong = of_ranges(experiment.targets, ranges), ""
-        except UserError as error:
-            known, wrong = (), str(error)
-        yield not wrong, "targets", wrong
-        yield len(known) > 0, "targets", "there is none: the ranges of the poses leave nothing to predict"
+        yield from _varied(
+            experiment, ranges, "targets", "there is none: the ranges of the poses leave nothing to predict"
+        )
+
+
+def _varied(experiment: Experiment, ranges: Ranges, field: str, none: str) -> Iterator[Rule]:
+    """Whether these ranges vary what is to be predicted."""
+    try:
+        varied, wrong = len(of_ranges(experiment.targets, ranges)) > 0, none
+    except UserError as error:
+        varied, wrong = False, str(error)
+    yield varied, field, wrong
 
 
 def _same_targets(experiment: Experiment, paired: PairedData, pose: PoseData) -> Iterator[Rule]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.types import Rule, own_rules
+from jaxunshear.settings.types import Rule, check_rules
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,4 @@ def sensor_named(name: str) -> Sensor:
 
 def check_sensor(sensor: Sensor) -> None:
     """Raises `UserError` that names the first field that cannot be."""
-    for holds, field, remedy in own_rules(sensor):
-        if not holds:
-            raise UserError(f"sensor '{sensor.name}': {field} = {getattr(sensor, field)}: {remedy}")
+    check_rules(sensor, f"sensor '{sensor.name}'")

@@ -42,6 +42,18 @@ def own_rules(settings: object, group: str = "") -> Iterator[Rule]:
             yield from own_rules(value, f"{group}{field}.")
 
 
+def check_rules(settings: object, what: str) -> None:
+    """Raises `UserError` that names `what` these settings are of, and the first field that cannot be."""
+    for holds, field, remedy in own_rules(settings):
+        if not holds:
+            raise UserError(f"{what}: {field} = {value_of(settings, field)}: {remedy}")
+
+
+def value_of(settings: object, name: str) -> Value:
+    """Of the field of this dotted name."""
+    return functools.reduce(getattr, name.split("."), settings)
+
+
 @functools.cache
 def hints(kind: type) -> dict[str, Hint]:
     """Fields of a group of settings and their types."""

@@ -82,7 +82,7 @@ def test_depth_jitter_moves_taps_alone_and_never_above_the_stimulus():
     assert not moved[shots.slid].any()
     assert not moved[:, :3].any()
     assert 0.9 < np.abs(moved[~shots.slid, 3]).max() <= 1
-    shallow = draw_paired(dataclasses.replace(settings, ranges=Ranges(depth_min_mm=0.5, depth_max_mm=0.6)))
+    shallow = draw_paired(dataclasses.replace(settings, ranges=Ranges(depth_min_mm=1.0, depth_max_mm=1.01)))
     assert shallow.scenes.pose[:, 3].min() == LEAST_DEPTH_MM
 
 
@@ -127,20 +127,20 @@ def test_friction_is_the_materials(paired):
     ("change", "line"),
     [
         ({"stimuli": ("cube",)}, "cube"),
-        ({"stimuli": ()}, "stimuli is empty"),
-        ({"stimuli": ("disk", "disk")}, "twice"),
+        ({"stimuli": ()}, "name at least one"),
+        ({"stimuli": ("disk", "disk")}, "name each stimulus once"),
         ({"poses": 0}, "poses = 0"),
-        ({"poses": 4}, "poses = 4 is too few"),
+        ({"poses": 4}, "poses = 4: use at least 5"),
         ({"taps": 0}, "taps = 0"),
         ({"slides": 0}, "slides = 0"),
-        ({"taps": 3, "slides": 2}, "taps = 3 exceeds slides = 2"),
+        ({"taps": 3, "slides": 2}, r"taps = 3: exceeds slides \(2\)"),
         ({"seed": -1}, "seed = -1"),
         (
             {"config": "huge"},
             "config 'huge'.*tiny, demo, calibrated, standard, skin, parted, end_to_end, twisted, tilted, paper",
         ),
         ({"ranges": Ranges(depth_min_mm=0.0)}, "depth_min_mm = 0"),
-        ({"ranges": Ranges(depth_min_mm=3, depth_max_mm=2)}, "depth_max_mm = 2"),
+        ({"ranges": Ranges(depth_min_mm=3, depth_max_mm=2)}, r"must not exceed depth_max_mm \(2\)"),
     ],
 )
 def test_impossible_settings_are_refused_by_name(change, line):
