@@ -7,7 +7,6 @@ paths, frame = prepare(settings, sensor, contacts, folder)      # chunks of imag
 Splits are by pose: a tap and the slides to its pose are in the same one, whatever their order in the files.
 """
 
-import hashlib
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import SENSORS, Sensor
-from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.splits import SPLITS, hashed
 
 if TYPE_CHECKING:
     from jaxunshear.image.preprocess import View
@@ -239,8 +238,7 @@ def _drawn(contacts: Contacts, seed: int) -> np.ndarray:
         else name
         for pose, name, number in zip(np.round(contacts.pose, 4), contacts.names, contacts.pose_id, strict=True)
     ]
-    hashes = (hashlib.blake2b(f"{seed} {key}".encode(), digest_size=8).digest() for key in keys)
-    return np.array([int.from_bytes(each, "big") / 2**64 for each in hashes])
+    return np.array([hashed(f"{seed} {key}") / 2**64 for key in keys])
 
 
 def _joined(parts: list[Contacts]) -> Contacts:

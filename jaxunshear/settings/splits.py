@@ -30,10 +30,13 @@ def train_poses(seed: int, stimulus: str, poses: int) -> int:
     return full * (BLOCK - 2) + sum(split == 0 for split in last)
 
 
+def hashed(key: str) -> int:
+    """64 bits that depend on the text alone."""
+    return int.from_bytes(hashlib.blake2b(key.encode(), digest_size=8).digest(), "big")
+
+
 @lru_cache
 def _held(seed: int, stimulus: str, block: int) -> tuple[int, int]:
     """Places in a block of its poses for validation and for test, drawn by a hash."""
-    key = f"{seed} {stimulus} {block}".encode()
-    number = int.from_bytes(hashlib.blake2b(key, digest_size=8).digest(), "big") % (BLOCK * (BLOCK - 1))
-    test, step = divmod(number, BLOCK - 1)
+    test, step = divmod(hashed(f"{seed} {stimulus} {block}") % (BLOCK * (BLOCK - 1)), BLOCK - 1)
     return (test + 1 + step) % BLOCK, test

@@ -6,7 +6,6 @@ batches = with_taps(batches, taps, 32, seed=0)  # {"tap_pins"} (32, P, 2) px bes
 batches = with_alike(batches, examples, 32, seed=0)  # {"one_pins", "another_pins"} (32, P, 2) px: two slides to one pose
 """
 
-import hashlib
 import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +16,7 @@ from jaxunshear.dataset.reading import Batch, Reader, SetReader
 from jaxunshear.dataset.siblings import siblings_of
 from jaxunshear.settings.data import PoseData
 from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.splits import hashed
 from jaxunshear.training.examples import Examples, open_simulated
 
 TAPS, ONE, ANOTHER = "tap_pins", "one_pins", "another_pins"
@@ -39,7 +39,7 @@ def few_pairs(examples: Examples, share: float, seed: int) -> Examples:
 def chosen(stimulus: np.ndarray, pose_id: np.ndarray, share: float, seed: int) -> np.ndarray:
     """(N,) whether the pose of each row is drawn. Smaller shares lie within larger ones of the same seed."""
     poses, row = np.unique(np.stack([stimulus, pose_id], axis=1), axis=0, return_inverse=True)
-    hashes = [hashlib.blake2b(f"pair {seed} {s} {p}".encode(), digest_size=8).digest() for s, p in poses.tolist()]
+    hashes = [hashed(f"pair {seed} {s} {p}") for s, p in poses.tolist()]
     drawn = np.zeros(len(poses), bool)
     drawn[sorted(range(len(poses)), key=hashes.__getitem__)[: max(1, round(share * len(poses)))]] = True
     return drawn[row.reshape(-1)]
