@@ -15,7 +15,7 @@ from jaxunshear.dataset.chunks import simulate_chunks, simulator
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import open_set
 from jaxunshear.dataset.shots import draw
-from jaxunshear.settings.configs import PAIRED, PAIRED_SET, set_folder, unfinished_folder
+from jaxunshear.settings.configs import PAIRED, set_folder, unfinished_folder
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.splits import SPLITS
@@ -45,7 +45,7 @@ def _steps(settings: PairedData, data: Path) -> list[dict[str, Any]]:
         return sum(path.stat().st_size for path in paths)
 
     def read() -> int:
-        stored = open_set(PAIRED_SET, settings, data, TACTIP_331)
+        stored = open_set(settings, data, TACTIP_331)
         return sum(field.nbytes for split in SPLITS for field in stored.rows(split).values())
 
     plan = _step("plan", counts[1], lambda: 0 * len(engine.plan(TACTIP_331, settings.stimuli, many.scenes)))

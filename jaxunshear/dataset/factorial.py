@@ -9,7 +9,7 @@ the images of the same. Where a contact was dropped, both are the example's own.
 """
 
 import functools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -65,11 +65,6 @@ class FactorialReader(SetReader):
     def __init__(self, settings: PairedData, folder: Path, metadata: dict) -> None:
         super().__init__(settings, folder, metadata)
         self.shared = functools.cache(lambda split: shared_of(self.rows(split), settings))
-
-    def split(self, name: str, batch: int, fields: Sequence[str] | None = None) -> Iterator[Batch]:
-        for start in range(0, self.length(name), batch):
-            rows = np.arange(start, min(start + batch, self.length(name)))
-            yield self.take(name, rows, fields or tuple(self.rows(name)))
 
     def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
         return super().take(name, rows, _stored(fields)) | self._partners_of(name, rows, fields)

@@ -15,25 +15,28 @@ from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.storage import blame_the_machine, checksum, os_error, read_object
 
 
+def remedy(folder: Path) -> str:
+    return f"delete {folder} and run `jaxunshear data` again"
+
+
+def damaged(folder: Path, what: str) -> UserError:
+    return UserError(f"the data set in {folder} is damaged ({what}): {remedy(folder)}")
+
+
 def read_metadata(settings: configs.Settings, sensor: Sensor, data_dir: Path) -> dict:
     """`metadata.json` of a set: settings, sensor, counts, versions. Raises `UserError` if it is missing, or was made with
     other settings."""
     folder = configs.set_folder(settings, sensor, data_dir)
     if not folder.exists():
         raise UserError(f"there is no data set in {folder}: make it with `jaxunshear data`")
-    remedy = f"delete {folder} and run `jaxunshear data` again"
     try:
         metadata, sums = read_object(folder / configs.METADATA), read_object(folder / configs.MANIFEST)
     except UserError as error:
         blame_the_machine(folder, error)
-        raise UserError(f"the data set in {folder} is damaged ({first_line(error)}): {remedy}") from error
-    intact = (
-        isinstance(metadata, dict)
-        and isinstance(sums, dict)
-        and sums.get(configs.METADATA) in (None, checksum(metadata))
-    )
-    if not intact or not isinstance(metadata.get("counts"), dict):
-        raise UserError(f"the data set in {folder} is damaged ({configs.METADATA}): {remedy}")
+        raise damaged(folder, first_line(error)) from error
+    intact = sums.get(configs.METADATA) in (None, checksum(metadata)) and isinstance(metadata.get("counts"), dict)
+    if not intact:
+        raise damaged(folder, configs.METADATA)
     wanted = configs.describe(settings, sensor)
     changed = configs.differences({key: metadata.get(key) for key in wanted}, wanted)
     if changed:

@@ -1,6 +1,6 @@
 """Reads a data set through grain: shuffled, shifted, re-paired batches that depend on the seed and the step alone.
 
-    paired = open_set("tactip_paired", experiment.paired, data_dir, experiment.sensor)
+    paired = open_set(experiment.paired, data_dir, experiment.sensor)
     steps = paired.train_batches(batch=16, seed=0, shift=0.015)(start_step=0)
     next(steps)["sheared"]  # (16, 128, 128, 1) uint8 in {0, 255}
 
@@ -21,11 +21,11 @@ import numpy as np
 from PIL import Image
 
 from jaxunshear.dataset.chunks import pack, unpack
-from jaxunshear.dataset.making import read_metadata
+from jaxunshear.dataset.making import damaged, read_metadata, remedy
 from jaxunshear.dataset.siblings import siblings_of
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.scene.scene import turned
-from jaxunshear.settings.configs import MANIFEST, Settings, set_folder, set_name
+from jaxunshear.settings.configs import MANIFEST, Settings, set_folder
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
 from jaxunshear.settings.splits import SPLITS
@@ -38,13 +38,6 @@ OF_TAP = ("canonical", "canonical_pins", "tap_id", "tap_depth_mm")  # what re-pa
 Batch = dict[str, np.ndarray]
 
 
-def open_set(spec: str, settings: Settings, data_dir: Path, sensor: Sensor = TACTIP_331) -> "SetReader":
-    """The set `spec` made with `settings`. Raises `UserError` if it is missing or was made with other settings."""
-    if spec != set_name(settings):
-        raise UserError(f"data set '{spec}' does not fit these settings, which are for '{set_name(settings)}'")
-    return SetReader(settings, set_folder(settings, sensor, data_dir), read_metadata(settings, sensor, data_dir))
-
-
 class Reader:
     """Examples in memory. Images are (B, S, S, 1) uint8 in {0, 255}, pins (B, P, 2) float32 px (col, row), poses mm and deg;
     the other fields are those of the data card. `fields` names those wanted, all of them if None.
@@ -53,24 +46,23 @@ class Reader:
     """
 
     def __init__(self, load: Callable[[str], Batch], size: int) -> None:
-        self._rows, self._size = functools.cache(load), size
+        self.rows, self._size = functools.cache(load), size  # rows: all of a split as it is stored
 
     def length(self, split: str) -> int:
         """Number of examples of a split."""
         if split not in SPLITS:
             raise UserError(f"split '{split}' is unknown: use one of {', '.join(SPLITS)}")
-        return len(next(iter(self._rows(split).values())))
+        return len(next(iter(self.rows(split).values())))
 
     def split(self, name: str, batch: int, fields: Sequence[str] | None = None) -> Iterator[Batch]:
         """A split once, in its stored order and pairing; the last batch may be smaller."""
-        rows = self._rows(name)
+        wanted = fields or tuple(self.rows(name))
         for start in range(0, self.length(name), batch):
-            here = np.arange(start, min(start + batch, self.length(name)))
-            yield self._images({field: rows[field][here] for field in fields or rows})
+            yield self.take(name, np.arange(start, min(start + batch, self.length(name))), wanted)
 
     def take(self, name: str, rows: np.ndarray, fields: Sequence[str]) -> Batch:
         """The given rows (B,) of a split, in this order."""
-        stored = self._rows(name)
+        stored = self.rows(name)
         return self._images({field: stored[field][rows] for field in fields})
 
     def train_batches(
@@ -81,7 +73,7 @@ class Reader:
         `shift` is the largest random shift along each axis as a fraction of the image size, rounded to integer pixels; both
         images of a pair shift alike and their pins with them. A sheared image is paired with a random tap of its pose.
         """
-        rows = self._rows("train")
+        rows = self.rows("train")
         most = shift * self._size
         siblings = siblings_of(rows["stimulus"], rows["pose_id"])
         wanted = fields or tuple(rows)
@@ -110,7 +102,7 @@ class Reader:
 
     def _drawn(self, here: np.ndarray, taps: np.ndarray, fields: Sequence[str], seed: tuple[int, ...]) -> Batch:
         """Training examples of the rows `here`, with the taps of other rows. `seed`: of this step, for what else is drawn."""
-        rows = self._rows("train")
+        rows = self.rows("train")
         return self._images({name: rows[name][taps if name in OF_TAP else here] for name in fields})
 
     def _images(self, rows: Batch) -> Batch:
@@ -134,10 +126,6 @@ class SetReader(Reader):
             raise UserError(f"split '{split}' is unknown: use one of {', '.join(SPLITS)}")
         return self.metadata["counts"]["written"][split]
 
-    def rows(self, split: str) -> Batch:
-        """All of a split as it is stored."""
-        return self._rows(split)
-
     def _load(self, split: str) -> Batch:
         count = self.length(split)
         try:
@@ -147,9 +135,14 @@ class SetReader(Reader):
             raise
         except Exception as error:  # whatever a damaged file makes of itself
             blame_the_machine(self.folder, error)
-            raise UserError(
-                f"the data set in {self.folder} is damaged ({first_line(error)}): {_remedy(self.folder)}"
-            ) from error
+            raise damaged(self.folder, first_line(error)) from error
+
+
+def open_set(
+    settings: Settings, data_dir: Path, sensor: Sensor = TACTIP_331, kind: type[SetReader] = SetReader
+) -> SetReader:
+    """The set made with `settings`. Raises `UserError` if it is missing or was made with other settings."""
+    return kind(settings, set_folder(settings, sensor, data_dir), read_metadata(settings, sensor, data_dir))
 
 
 def felt(move: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -191,27 +184,22 @@ def _shuffled(count: int, batch: int, seed: int) -> Callable[[int], np.ndarray]:
     return rows
 
 
-def _remedy(folder: Path) -> str:
-    return f"delete {folder} and run `jaxunshear data` again"
-
-
 def _check_shards(folder: Path, split: str) -> tuple[str, ...]:
     """Compares every shard of a split with its checksum from when it was written; returns the checksums."""
     from jaxunshear.dataset.builders.stored import sha256
 
-    remedy = _remedy(folder)
     try:
         sums = read_object(folder / MANIFEST)
     except UserError as error:
         blame_the_machine(folder / MANIFEST, error)
-        raise UserError(f"the data set in {folder} is damaged ({MANIFEST}): {remedy}") from error
+        raise damaged(folder, MANIFEST) from error
     shards = sorted(name for name in sums if f"-{split}." in name)
     for name in shards:
         path = folder / name
         if not path.exists():
-            raise UserError(f"shard {path} is missing: {remedy}")
+            raise UserError(f"shard {path} is missing: {remedy(folder)}")
         if sha256(path) != sums[name]:
-            raise UserError(f"shard {path} is truncated or damaged: {remedy}")
+            raise UserError(f"shard {path} is truncated or damaged: {remedy(folder)}")
     return tuple(sums[name] for name in shards)
 
 

@@ -5,7 +5,6 @@ taps = stored.taps()                                       # Reader of image, pi
 pairs = stored.pairs(targets, render)                      # Reader of canonical, sheared, their pins, pose, move, weight, gap
 """
 
-import hashlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -20,10 +19,9 @@ from jaxunshear.dataset.recorded_examples import counts_of
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice
 from jaxunshear.image.preprocess import View
-from jaxunshear.settings.configs import RECORDED_SET
 from jaxunshear.settings.data import RENDERED, Recorded
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.settings.splits import SPLITS
+from jaxunshear.settings.splits import SPLITS, hashed
 from jaxunshear.settings.targets import Targets, moves_of, of_labels, slides_of
 from jaxunshear.storage import Json
 
@@ -37,7 +35,7 @@ Drag = Callable[
 
 def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0) -> "RecordedSet":
     """`seed` draws which slides are labelled, where not all are. Raises UserError where the set is missing or damaged."""
-    return RecordedSet(settings, open_set(RECORDED_SET, settings, data_dir, sensor), seed)
+    return RecordedSet(settings, open_set(settings, data_dir, sensor), seed)
 
 
 def frame_from(stored: Json) -> Frame:
@@ -253,5 +251,4 @@ def _numbered(rows: Batch) -> Batch:
 
 def _share(number: np.ndarray, seed: int) -> np.ndarray:
     """(N,) in [0, 1) by seed and contact: which labels are used does not depend on the order of the files."""
-    hashes = (hashlib.blake2b(f"label {seed} {n}".encode(), digest_size=8).digest() for n in number.tolist())
-    return np.array([int.from_bytes(each, "big") / 2**64 for each in hashes])
+    return np.array([hashed(f"label {seed} {n}") / 2**64 for n in number.tolist()])

@@ -123,7 +123,7 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
         gathered = gathered._replace(read=read_pins(readers[PIN_PLACES], lattice, gathered.images, true))
     further = {}
     for name, settings in further_tests(experiment).items():
-        reader = open_set("tactip_paired", settings, data_dir, experiment.sensor)
+        reader = open_set(settings, data_dir, experiment.sensor)
         count = sum(reader.length(split) for split in SPLITS)
         batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
         further[name] = gather(run, batches, count, 0, targets, f"evaluate {name}", inputs, readers=reads)

@@ -14,13 +14,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxunshear.dataset.factorial import FactorialReader
-from jaxunshear.dataset.making import read_metadata
 from jaxunshear.dataset.reading import Reader, SetReader, open_set
 from jaxunshear.dataset.recorded_reading import Drag, Read, RecordedSet, Render, open_recorded
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.parts import Net, Variables
-from jaxunshear.settings import configs
 from jaxunshear.settings.data import RENDERED, PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment, learnt_from, over_pins, recorded_of
 from jaxunshear.settings.registry import OF_TAPS, POSENET_SHEARED, RENDERER
@@ -127,11 +125,8 @@ def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples
 
 def open_simulated(settings: PairedData | PoseData, sensor: Sensor, data_dir: Path) -> SetReader:
     """Raises UserError where the set is missing or was made with other settings."""
-    if isinstance(settings, PairedData) and settings.poses_a_slide > 1:
-        return FactorialReader(
-            settings, configs.set_folder(settings, sensor, data_dir), read_metadata(settings, sensor, data_dir)
-        )
-    return open_set(configs.set_name(settings), settings, data_dir, sensor)
+    shared = isinstance(settings, PairedData) and settings.poses_a_slide > 1
+    return open_set(settings, data_dir, sensor, FactorialReader if shared else SetReader)
 
 
 def _render(folder: Path) -> Render:

@@ -101,7 +101,7 @@ def test_a_set_outlives_a_killed_worker_a_lost_node_and_a_stopped_command(nodes,
     os.kill(max(workers()), signal.SIGKILL)
     nodes.remove_node(next(iter(nodes.worker_nodes)), allow_graceful=False)
     assert process.wait(timeout=120) == 0, process.stderr.read()
-    sets = [open_set("tactip_paired", paired, tmp_path / name, sensor) for name in ("ray", "serial")]
+    sets = [open_set(paired, tmp_path / name, sensor) for name in ("ray", "serial")]
     for split in SPLITS:
         spread, serial = (each.rows(split) for each in sets)
         assert {name: values.tobytes() for name, values in spread.items()} == {

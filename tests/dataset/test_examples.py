@@ -196,7 +196,7 @@ def test_a_stored_set_gives_twist_and_tilt_where_they_vary(paired, sensor, engin
     ranges = dataclasses.replace(paired.ranges, twist_deg=5.0, tilt_deg=9.0)
     for settings, widths in ((paired, (4, 2)), (dataclasses.replace(paired, taps=1, ranges=ranges), (6, 3))):
         make_set(settings, sensor, tmp_path, engine)
-        rows = open_set("tactip_paired", settings, tmp_path, sensor).rows("test")
+        rows = open_set(settings, tmp_path, sensor).rows("test")
         assert (rows["pose"].shape[1], rows["move"].shape[1]) == widths
     shots = draw(settings)
     slides = shots.scenes.take(np.flatnonzero(shots.slid & (shots.split == SPLITS.index("test"))))

@@ -153,7 +153,7 @@ def _set(settings: PairedData | Recorded, experiment: object, data: Path) -> Act
     sensor = experiment.sensor  # type: ignore[attr-defined]
 
     def act() -> object:
-        reader = open_set(set_name(settings), settings, data, sensor)
+        reader = open_set(settings, data, sensor)
         return [bits(reader.rows(split)) for split in SPLITS], plain(reader.metadata)
 
     return act

@@ -12,7 +12,6 @@ from jaxunshear.evaluation.measurements import reproducible
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import read
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.settings.configs import set_name
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.training.checkpoint import digest_of
@@ -103,7 +102,7 @@ def _servo(work: Path) -> tuple[object, ...]:
 
 def _rows(work: Path) -> object:
     experiment = load_experiment(TINY)
-    sets = (open_set(set_name(one), one, work / "d", experiment.sensor) for one in (experiment.paired, experiment.pose))
+    sets = (open_set(one, work / "d", experiment.sensor) for one in (experiment.paired, experiment.pose))
     return [bits(reader.rows(split)) for reader in sets for split in SPLITS]
 
 
