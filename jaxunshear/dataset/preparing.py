@@ -4,7 +4,6 @@ What all frames have in common (crop, lattice of the untouched pins, the usual m
 training frames alone. A killed run goes on where it stopped, to the same bits.
 """
 
-import io
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -25,7 +24,7 @@ from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import write_npz
 
 if TYPE_CHECKING:
     from jaxunshear.image.preprocess import View
@@ -100,7 +99,7 @@ def frame_of_files(
     found = []
     for row in rows:
         try:
-            image = prepare_frame(_at(preprocess, size), read_image(files[row]), view)
+            image = prepare_frame(replace(preprocess, size=size), read_image(files[row]), view)
             found.append(detect(inverse(image) if turned else image))
         except UserError:
             continue  # reported once all frames are read
@@ -124,12 +123,12 @@ def prepare(
     with Progress(label, count, "frames", done=done) as progress:
         jobs = [(tuple(contacts.files[n] for n in numbers[i]), numbers[i], settings.preprocess, frame) for i in left]
         for i, chunk in zip(left, _each(_first_pass, jobs), strict=True):
-            _write(paths[i], chunk)
+            write_npz(paths[i], chunk)
             progress.advance(len(numbers[i]))
     usual = _usual(contacts, paths, frame)
     hard = [path for path in paths if usual is not None and _hard(path)]
     for path, chunk in zip(hard, _each(_second_pass, [(path, frame, usual) for path in hard]), strict=True):
-        _write(path, chunk)
+        write_npz(path, chunk)
     return paths
 
 
@@ -146,10 +145,6 @@ def _each(work: Callable[..., Done], jobs: list[tuple]) -> Iterator[Done]:
         yield from pool.map(work, *zip(*jobs, strict=True))
 
 
-def _at(preprocess: Preprocess, size: int) -> Preprocess:
-    return replace(preprocess, size=size)
-
-
 def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: Frame) -> dict:
     from jaxunshear.image.lattice import make_lattice
     from jaxunshear.image.pins import detect
@@ -157,7 +152,7 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
     from jaxunshear.image.tracking import follow_pins
 
     lattice = make_lattice(to_found(frame, frame.place), frame.shell)
-    size, large = preprocess.size, _at(preprocess, frame.pins_px)
+    size, large = preprocess.size, replace(preprocess, size=frame.pins_px)
     images = np.zeros((len(files), size, size), np.uint8)
     seen = np.zeros((len(files), frame.pins_px, frame.pins_px), np.uint8)
     pins = np.full((len(files), len(frame.place), 2), np.nan, np.float32)
@@ -186,7 +181,7 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
     }
 
 
-def _second_pass(path: Path, frame: Frame, usual: "Usual | None") -> dict:
+def _second_pass(path: Path, frame: Frame, usual: "Usual") -> dict:
     """The frames that were not sure once more, with the help of the motions that are usual in training."""
     from jaxunshear.image.lattice import make_lattice
     from jaxunshear.image.pins import detect
@@ -235,9 +230,3 @@ def to_found(frame: Frame, pins: np.ndarray) -> np.ndarray:
 
 def to_image(frame: Frame, pins: np.ndarray) -> np.ndarray:
     return (pins + 0.5) * (frame.size / frame.pins_px) - 0.5
-
-
-def _write(path: Path, chunk: dict) -> None:
-    buffer = io.BytesIO()
-    np.savez(buffer, **chunk)
-    write_bytes(path, buffer.getvalue())
