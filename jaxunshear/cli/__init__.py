@@ -129,12 +129,16 @@ class _Parser(argparse.ArgumentParser):
         return super().format_help() + FIELDS_HELP + "\n".join(lines) + "\n"
 
 
+def _commands(parser: argparse.ArgumentParser) -> argparse._SubParsersAction:
+    (commands,) = (action for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    return commands
+
+
 class _Commands(_Parser):
     """A line a command, in groups."""
 
     def format_help(self) -> str:
-        (commands,) = (action for action in self._actions if isinstance(action, argparse._SubParsersAction))
-        texts = {choice.dest: choice.help or "" for choice in commands._choices_actions}
+        texts = {choice.dest: choice.help or "" for choice in _commands(self)._choices_actions}
         if self.prog.endswith(CHECK):
             groups = {"commands": texts}
         else:
@@ -161,24 +165,31 @@ def _parser(check: bool) -> _Parser:
     return parser
 
 
+def _options(parser: _Parser) -> tuple[set[str], set[str]]:
+    """Those of the commands that take fields, and which of them no value follows."""
+    takers = (command for command in _commands(parser).choices.values() if command.get_default("takes_fields"))
+    actions = [action for command in takers for action in command._actions]
+    own = {name for action in actions for name in action.option_strings}
+    return own, {name for action in actions if action.nargs == 0 for name in action.option_strings}
+
+
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words = argv
+    check = argv[:1] == [CHECK]
+    parser = _parser(check)
     if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
         if (group := asked_for(argv)) is not None:
             print(help_on(group))
             return 0
         from jaxunshear.settings.fields import parse_overrides, split_overrides
 
-        words, fields = split_overrides(
-            argv, (stages if argv[0] in stages.COMMANDS else sweep).OWN_OPTIONS, sweep.FLAGS
-        )
+        words, fields = split_overrides(argv, *_options(parser))
         parse_overrides(fields)  # before anything is read: a typo is refused at once
-    check = words[:1] == [CHECK]
     if words and words[0] in checks.COMMANDS:
         raise UserError(f"write `jaxunshear {CHECK} {words[0]}`")
     try:
-        arguments = _parser(check).parse_args(checks.joined(words[1:]) if check else words)
+        arguments = parser.parse_args(checks.joined(words[1:]) if check else words)
     except SystemExit as leaving:  # --help and --version have printed
         return int(leaving.code or 0)
     check_links(vars(arguments).values())

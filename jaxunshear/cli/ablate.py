@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, add_data, add_json
+from jaxunshear.cli.options import Commands, add_data, add_json, new_parser
 from jaxunshear.errors import UserError
 
 COMMANDS = ("ablate",)
@@ -11,7 +11,7 @@ COMMANDS = ("ablate",)
 
 def add_parsers(commands: Commands) -> None:
     text = "show what the decoders make of swapped, blanked, shuffled and foreign codes (the paper's appendix D)"
-    parser = commands.add_parser("ablate", help=text, description=text)
+    parser = new_parser(commands, "ablate", text)
     parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
     add_data(parser)
     parser.add_argument("--leakage", action="store_true", help="what each code holds that it should not, by probes")

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands
+from jaxunshear.cli.options import Commands, add_results, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.storage import Json
 
@@ -11,15 +11,12 @@ COMMANDS = ("calibrate", "validate")
 
 
 def add_parsers(commands: Commands) -> None:
-    """Adds COMMANDS to an argparse subparsers object."""
-    text = "fit camera, pins, friction and stiffness to recordings"
-    parser = commands.add_parser("calibrate", help=text, description=text)
+    parser = new_parser(commands, "calibrate", "fit camera, pins, friction and stiffness to recordings")
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of recordings")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for figures")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions")
+    add_results(parser, "folder for figures")
 
     text = "simulate recorded contacts from their labels and compare the motion of every pin"
-    parser = commands.add_parser("validate", help=text, description=text)
+    parser = new_parser(commands, "validate", text)
     parser.add_argument("recordings", metavar="RECORDINGS", type=Path, help="a folder of labelled recordings")
     parser.add_argument(
         "--calibration", metavar="FILE", type=Path, help="calibration.json of `calibrate` (default: the fitted preset)"
@@ -37,8 +34,7 @@ def add_parsers(commands: Commands) -> None:
         "--as-labelled", action="store_true", help="leave edge and tilt of the object where the labels have them"
     )
     parser.add_argument("--seed", metavar="N", type=int, default=0, help="of the draw (0)")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for validate.png and validate.txt")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions")
+    add_results(parser, "folder for validate.png and validate.txt")
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands
+from jaxunshear.cli.options import Commands, new_parser
 from jaxunshear.errors import UserError
 
 COMMANDS = ("sensors", "stimuli")
@@ -11,8 +11,7 @@ COMMANDS = ("sensors", "stimuli")
 
 def add_parsers(commands: Commands) -> None:
     for name in COMMANDS:
-        text = f"list or draw the {name}"
-        parser = commands.add_parser(name, help=text, description=text)
+        parser = new_parser(commands, name, f"list or draw the {name}")
         parser.add_argument("action", choices=("list", "draw"), nargs="?", default="list")
         parser.add_argument("name", metavar="NAME", nargs="?", help="what to draw")
         parser.add_argument("--out", metavar="FILE", type=Path, help="PNG, SVG or PDF to draw to (default: NAME.png)")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jaxunshear.cli import bench
 from jaxunshear.cli.bench import Keep
-from jaxunshear.cli.options import Commands
+from jaxunshear.cli.options import ROWS, Commands, add_json, new_parser
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.storage import Json
@@ -19,28 +19,14 @@ COMMANDS = {
     "plan": "show what a contact needs, and what leaving out the rest saves and costs",
     "identify": "find friction and stiffness from simulated pins by gradient descent",
 }
-_CONTACT: Json = {
-    "stimulus": "disk",
-    "pose": "0,0,0,3",
-    "move": "0,0",
-    "twist": 0.0,
-    "tilt": "0,0",
-}  # of plan
+_CONTACT: Json = {"stimulus": "disk", "pose": "0,0,0,3", "move": "0,0", "twist": 0.0, "tilt": "0,0"}  # of plan
 
 
 def add_parsers(commands: Commands) -> None:
-    """Adds COMMANDS to an argparse subparsers object."""
-
-    def command(name: str, out: str | None = None) -> argparse.ArgumentParser:
-        parser = commands.add_parser(name, help=COMMANDS[name], description=COMMANDS[name])
-        parser.add_argument(
-            "--json", metavar="FILE", type=Path, help="write the rows, with command, machine and versions"
-        )
-        if out:
-            parser.add_argument("--out", metavar="DIR", type=Path, help=out)
-        return parser
-
-    parser = command("plan")
+    parsers = {name: new_parser(commands, name, text) for name, text in COMMANDS.items()}
+    for parser in parsers.values():
+        add_json(parser, ROWS)
+    parser = parsers["plan"]
     parser.add_argument("--stimulus", metavar="NAME", help="what is touched, or an outline's file (disk)")
     parser.add_argument("--pose", metavar="X,Y,YAW,DEPTH", help="mm, mm, deg, mm (0,0,0,3)")
     parser.add_argument("--move", metavar="DX,DY", help="slide that ends at the pose, mm (0,0)")
@@ -51,12 +37,10 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument("--sensor", metavar="NAME", default="tactip331", help="(tactip331)")
     parser.add_argument("--scenes", metavar="N", type=int, help="instead: how N random scenes of the paper are grouped")
 
-    command("verify")
+    parsers["stability"].add_argument("--only", metavar="NAME", help="only the cases whose name contains this")
 
-    parser = command("stability")
-    parser.add_argument("--only", metavar="NAME", help="only the cases whose name contains this")
-
-    parser = command("bench", "sim: folder for the figure")
+    parser = parsers["bench"]
+    parser.add_argument("--out", metavar="DIR", type=Path, help="sim: folder for the figure")
     parser.add_argument(
         "what",
         choices=tuple(bench.OPTIONS),
@@ -77,7 +61,7 @@ def add_parsers(commands: Commands) -> None:
         help="strangers: of 331 pins, beside simulated ones; repeat it",
     )
 
-    command("identify", "folder for the figure")
+    parsers["identify"].add_argument("--out", metavar="DIR", type=Path, help="folder for the figure")
 
 
 def joined(argv: list[str]) -> list[str]:

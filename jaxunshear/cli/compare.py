@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, add_json
+from jaxunshear.cli.options import Commands, add_json, new_parser
 
 COMMANDS = ("compare",)
 OUT = Path("runs/compare")
@@ -11,7 +11,7 @@ OUT = Path("runs/compare")
 
 def add_parsers(commands: Commands) -> None:
     text = "finished runs side by side on one page: settings, figures with paired intervals, images, training"
-    parser = commands.add_parser("compare", help=text, description=text)
+    parser = new_parser(commands, "compare", text)
     parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="folders of runs; the first is the reference")
     parser.add_argument("--out", metavar="DIR", type=Path, default=OUT, help=f"where the page goes ({OUT})")
     add_json(parser)

@@ -3,23 +3,19 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands
+from jaxunshear.cli.options import Commands, add_results, new_parser
 from jaxunshear.storage import check_beside
 
 COMMANDS = ("doctor",)
 
 
 def add_parsers(commands: Commands) -> None:
-    """Adds the commands of COMMANDS to an argparse subparsers object."""
     text = "say what a folder of recordings is, what is broken in it, and which commands can use it"
-    parser = commands.add_parser("doctor", help=text, description=text)
+    parser = new_parser(commands, "doctor", text)
     parser.add_argument(
         "path", metavar="PATH", type=Path, help="a folder of recordings, one above several, or an image"
     )
-    parser.add_argument("--out", metavar="DIR", type=Path, help="for doctor.png and doctor.json")
-    parser.add_argument(
-        "--json", metavar="FILE", type=Path, help="write what was found, with command, machine and versions"
-    )
+    add_results(parser, "for doctor.png and doctor.json", "what was found, with command, machine and versions")
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:

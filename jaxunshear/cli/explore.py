@@ -4,7 +4,7 @@ import argparse
 import importlib.util
 import socket
 
-from jaxunshear.cli.options import Commands, add_like, add_model, stimuli_of
+from jaxunshear.cli.options import Commands, add_like, add_model, new_parser, stimuli_of
 from jaxunshear.errors import UserError
 
 COMMANDS = ("explore",)
@@ -12,7 +12,7 @@ COMMANDS = ("explore",)
 
 def add_parsers(commands: Commands) -> None:
     text = "press and slide the dome over a shape with the mouse, on a page of this machine"
-    parser = commands.add_parser("explore", help=text, description=text)
+    parser = new_parser(commands, "explore", text)
     add_model(parser)
     add_like(parser)
     shapes = "outlines in files (.svg, .csv, .json) to be touched, too"

@@ -3,15 +3,14 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands
+from jaxunshear.cli.options import Commands, new_parser
 from jaxunshear.errors import UserError
 
 COMMANDS = ("export",)
 
 
 def add_parsers(commands: Commands) -> None:
-    text = "a trained model as one file for a robot's computer: ONNX, or StableHLO"
-    parser = commands.add_parser("export", help=text, description=text)
+    parser = new_parser(commands, "export", "a trained model as one file for a robot's computer: ONNX, or StableHLO")
     parser.add_argument(
         "model", metavar="MODEL", type=Path, help="a finished run (runs/demo), or released weights by name (standard)"
     )

@@ -3,16 +3,15 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, Model, add_model, new_parser
+from jaxunshear.cli.options import Commands, Model, add_model, add_results, new_parser
 from jaxunshear.results.applications import GeometryScores
 from jaxunshear.settings.experiment import simulated_of
 from jaxunshear.storage import check_beside, plain
 
 
 def add_parser(commands: Commands) -> None:
-    parser = new_parser(
-        commands, "geometry", "contact geometry of taps, sheared and unsheared images", "for the results (geometry)"
-    )
+    parser = new_parser(commands, "geometry", "contact geometry of taps, sheared and unsheared images")
+    add_results(parser, "for the results (geometry)")
     parser.add_argument("path", metavar="IMAGES", type=Path, nargs="?", help="also of these recordings")
     add_model(parser)
     parser.add_argument(

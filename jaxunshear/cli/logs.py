@@ -5,7 +5,7 @@ import time
 from functools import partial
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands
+from jaxunshear.cli.options import Commands, new_parser
 
 COMMANDS = ("logs",)
 EVERY_S = 2.0  # between two readings of a log that is followed
@@ -13,7 +13,7 @@ EVERY_S = 2.0  # between two readings of a log that is followed
 
 def add_parsers(commands: Commands) -> None:
     text = "training logs of runs and sweeps as event files for TensorBoard, also while they train"
-    parser = commands.add_parser("logs", help=text, description=text)
+    parser = new_parser(commands, "logs", text)
     parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="folders of runs or sweeps, finished or not")
     parser.add_argument("--tensorboard", metavar="DIR", type=Path, required=True, help="for `tensorboard --logdir DIR`")
     parser.add_argument("--follow", action="store_true", help="go on until the runs are finished, or Ctrl-C")

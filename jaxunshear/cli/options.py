@@ -12,8 +12,34 @@ from jaxunshear.settings.stimuli import Touched, stimulus_names
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # of the command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
 DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones
-ENGINE = ("--engine", "--ray-address", "--ray-cores")  # options of `add_engine`
 RAY_CORES = 2  # for each row or chunk
+ROWS = "the rows, with command, machine and versions"  # what `--json` writes, of commands that measure in rows
+
+
+def new_parser(commands: Commands, name: str, text: str, usage: str | None = None) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=text, description=text, usage=usage)
+
+
+def add_json(parser: argparse.ArgumentParser, what: str = "what was measured, with machine and versions") -> None:
+    parser.add_argument("--json", metavar="FILE", type=Path, help=f"write {what}")
+
+
+def add_results(parser: argparse.ArgumentParser, out: str, what: str = ROWS) -> None:
+    """A folder and a file; `out` says for what in the folder."""
+    parser.add_argument("--out", metavar="DIR", type=Path, help=out)
+    add_json(parser, what)
+
+
+def add_data(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
+
+
+def add_base(parser: argparse.ArgumentParser) -> None:
+    """What an experiment in a file is about, in the place of what the file says."""
+    text = "taps and slides that an experiment such as experiments/recorded.py is about"
+    parser.add_argument("--recordings", metavar="DIR", type=Path, help=text)
+    text = "a calibration.json of `jaxunshear calibrate`: its sensor, camera and friction in the simulated experiment"
+    parser.add_argument("--sensor-from", metavar="FILE", type=Path, help=text)
 
 
 def add_model(parser: argparse.ArgumentParser, default: Path = DEFAULT) -> None:
@@ -49,14 +75,6 @@ def stimuli_of(text: str) -> tuple[Touched, ...]:
     return found
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write what was measured, with machine and versions")
-
-
-def add_data(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
-
-
 def add_engine(parser: argparse.ArgumentParser, piece: str) -> None:
     """Who does the pieces of a command; `engine_asked` reads it."""
     text = f"one {piece} after the other, or all over a Ray cluster (serial)"
@@ -75,12 +93,3 @@ def engine_asked(arguments: argparse.Namespace) -> tuple[str | None, int] | None
     if cores is not None and cores < 1:
         raise UserError(f"--ray-cores {cores}: use at least 1")
     return (address, cores or RAY_CORES) if arguments.engine == "ray" else None
-
-
-def new_parser(commands: Commands, name: str, text: str, out: str) -> argparse.ArgumentParser:
-    """Of a command with results in a folder and rows in a file."""
-    parser = commands.add_parser(name, help=text, description=text)
-    parser.add_argument("--out", metavar="DIR", type=Path, help=out)
-    rows = "write the rows, with command, machine and versions"
-    parser.add_argument("--json", metavar="FILE", type=Path, help=rows)
-    return parser

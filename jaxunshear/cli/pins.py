@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, Model, new_parser
+from jaxunshear.cli.options import Commands, Model, add_results, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import PinRows
 from jaxunshear.settings.experiment import simulated_of
@@ -11,9 +11,8 @@ from jaxunshear.storage import check_beside
 
 
 def add_parser(commands: Commands) -> None:
-    parser = new_parser(
-        commands, "pins", "find, identify and draw the pins of recorded images", "for the results (pins)"
-    )
+    parser = new_parser(commands, "pins", "find, identify and draw the pins of recorded images")
+    add_results(parser, "for the results (pins)")
     parser.add_argument("path", metavar="IMAGES", type=Path, help="an image, or a folder of recordings")
     known = parser.add_mutually_exclusive_group()
     known.add_argument("--sensor", metavar="NAME", default="tactip331", help="whose pins they are (tactip331)")

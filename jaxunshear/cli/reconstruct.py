@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, Model, add_model, add_stimulus, new_parser, stimuli_of
+from jaxunshear.cli.options import Commands, Model, add_model, add_results, add_stimulus, new_parser, stimuli_of
 from jaxunshear.errors import UserError
 from jaxunshear.results.applications import ObjectScore, ObjectScores
 from jaxunshear.settings.experiment import simulated_of
@@ -11,9 +11,8 @@ from jaxunshear.settings.stimuli import stimulus_names
 
 
 def add_parser(commands: Commands) -> None:
-    parser = new_parser(
-        commands, "reconstruct", "complete objects from the walks that `servo` left", "where they are, and results go"
-    )
+    parser = new_parser(commands, "reconstruct", "complete objects from the walks that `servo` left")
+    add_results(parser, "where they are, and results go")
     add_model(parser)
     add_stimulus(parser)
 

@@ -3,14 +3,14 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands
+from jaxunshear.cli.options import Commands, new_parser
 
 COMMANDS = ("release",)
 
 
 def add_parsers(commands: Commands) -> None:
     text = "make weights with a model card of a finished run, for `unshear` and `pose`"
-    parser = commands.add_parser("release", help=text, description=text)
+    parser = new_parser(commands, "release", text)
     parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/standard")
     parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="a new folder; its name is the weights'")
 

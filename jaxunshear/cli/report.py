@@ -3,15 +3,14 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands
+from jaxunshear.cli.options import Commands, new_parser
 from jaxunshear.errors import UserError
 
 COMMANDS = ("report",)
 
 
 def add_parsers(commands: Commands) -> None:
-    text = "write the HTML page of a finished run"
-    parser = commands.add_parser("report", help=text, description=text)
+    parser = new_parser(commands, "report", "write the HTML page of a finished run")
     parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
 
 

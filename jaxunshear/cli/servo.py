@@ -3,14 +3,13 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, Model, add_model, add_stimulus, new_parser, stimuli_of
+from jaxunshear.cli.options import Commands, Model, add_model, add_results, add_stimulus, new_parser, stimuli_of
 from jaxunshear.results.applications import WalkScore, WalkScores
 
 
 def add_parser(commands: Commands) -> None:
-    parser = new_parser(
-        commands, "servo", "follow the outlines of objects by touch, in the simulator", "for the results (servo)"
-    )
+    parser = new_parser(commands, "servo", "follow the outlines of objects by touch, in the simulator")
+    add_results(parser, "for the results (servo)")
     add_model(parser)
     add_stimulus(parser)
     parser.add_argument("--starts", metavar="N", type=int, default=5, help="for each way of perceiving (5)")

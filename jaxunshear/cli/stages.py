@@ -2,14 +2,11 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from jaxunshear.cli.options import ENGINE, Commands, add_data, add_engine, add_json, engine_asked
+from jaxunshear.cli.options import Commands, add_base, add_data, add_engine, add_json, engine_asked, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
-
-if TYPE_CHECKING:
-    from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.experiment import Experiment, recorded_of, trained
 
 NETWORKS = "networks"  # stands for those of the experiment
 STAGES = {
@@ -19,11 +16,6 @@ STAGES = {
     "run": ("data", NETWORKS, "evaluate", "report"),
     "fit": ("data", NETWORKS, "evaluate", "report"),
 }
-OWN_OPTIONS = (
-    *("--help", "--out", "--data", "--json", "--network", "--recordings", "--taps", "--slides", "--pairs"),
-    "--sensor-from",
-    *ENGINE,
-)
 COMMANDS = tuple(STAGES)
 SIMULATING = ("run", "data")
 
@@ -35,19 +27,12 @@ def add_parsers(commands: Commands) -> None:
         ("train", "train the networks"),
         ("evaluate", "measure the networks on held-out poses"),
     ):
-        usage = f"jaxunshear {name} FILE [options] [--field value ...]"
-        command = commands.add_parser(name, help=text, description=text, usage=usage)
+        command = new_parser(commands, name, text, f"jaxunshear {name} FILE [options] [--field value ...]")
         command.set_defaults(takes_fields=True)
         command.add_argument("file", metavar="FILE", type=Path, help="a Python file, such as experiments/demo.py")
         command.add_argument("--out", metavar="DIR", type=Path, default=Path("runs"), help="results: DIR/<name> (runs)")
         add_data(command)
-        command.add_argument(
-            "--recordings",
-            metavar="DIR",
-            type=Path,
-            help="taps and slides that an experiment such as experiments/recorded.py is about",
-        )
-        _add_sensor(command)
+        add_base(command)
         if name in ("run", "evaluate"):
             add_json(command)
         if name in SIMULATING:
@@ -56,9 +41,8 @@ def add_parsers(commands: Commands) -> None:
             command.add_argument("--network", metavar="NAME", help="only this one of the experiment's (default: all)")
 
     text = "fit networks to your own recordings: writes an experiment about them, and runs it"
-    command = commands.add_parser(
-        "fit", help=text, description=text, usage="jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]"
-    )
+    usage = "jaxunshear fit --taps DIR --slides DIR [options] [--field value ...]"
+    command = new_parser(commands, "fit", text, usage)
     command.set_defaults(takes_fields=True)
     command.add_argument("--taps", metavar="DIR", type=Path, help="recorded taps")
     command.add_argument("--slides", metavar="DIR", type=Path, help="recorded slides")
@@ -70,29 +54,21 @@ def add_parsers(commands: Commands) -> None:
     add_json(command)
 
 
-def _add_sensor(command: argparse.ArgumentParser) -> None:
-    text = "a calibration.json of `jaxunshear calibrate`: its sensor, camera and friction in the simulated experiment"
-    command.add_argument("--sensor-from", metavar="FILE", type=Path, help=text)
-
-
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns the exit code."""
     from jaxunshear.folders import model_folder
-    from jaxunshear.settings.experiment import trained
 
     asked = engine_asked(arguments) if arguments.command in SIMULATING else None
     if arguments.command == "fit":
-        experiment = _fitted(arguments, arguments.fields)
+        experiment = _fitted(arguments)
     elif arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
         arguments.file = folder
-        experiment = _finished(arguments, arguments.fields)
+        experiment = _finished(arguments)
         if arguments.recordings:
             _score(experiment, arguments, command)
             return 0
     else:
-        experiment = _experiment(
-            arguments.file, arguments.fields, str(arguments.recordings or ""), arguments.sensor_from
-        )
+        experiment = _experiment(arguments)
     networks = trained(experiment)
     if getattr(arguments, "network", None):
         if arguments.network not in networks:
@@ -117,26 +93,27 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-def _experiment(file: Path, fields: list[str], recordings: str = "", preset: Path | None = None) -> "Experiment":
+def _experiment(arguments: argparse.Namespace) -> Experiment:
+    """That of a file, about what the command line says."""
     from jaxunshear.settings.fields import override
     from jaxunshear.settings.load import load_experiment
     from jaxunshear.settings.rules import validate
 
-    experiment = load_experiment(file)
-    if preset:
+    experiment = load_experiment(arguments.file)
+    if arguments.sensor_from:
         from jaxunshear.settings.preset import with_preset
 
-        experiment = with_preset(experiment, preset)
-    experiment = override(experiment, fields)
-    if recordings:
+        experiment = with_preset(experiment, arguments.sensor_from)
+    experiment = override(experiment, arguments.fields)
+    if arguments.recordings:
         from jaxunshear.fit import with_recordings
 
-        experiment = with_recordings(experiment, recordings, recordings)
+        experiment = with_recordings(experiment, str(arguments.recordings), str(arguments.recordings))
     validate(experiment)
     return experiment
 
 
-def _fitted(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
+def _fitted(arguments: argparse.Namespace) -> Experiment:
     """The experiment that `fit` writes beside its results."""
     from jaxunshear.fit import BASE, with_recordings, write_experiment
     from jaxunshear.settings.fields import override
@@ -144,7 +121,7 @@ def _fitted(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
 
     if not (arguments.taps or arguments.slides):
         raise UserError("name the folders of your recordings: --taps DIR --slides DIR")
-    experiment = override(BASE, ["--name", "fit", *fields])
+    experiment = override(BASE, ["--name", "fit", *arguments.fields])
     words = (str(folder or "") for folder in (arguments.taps, arguments.slides, arguments.pairs))
     experiment = with_recordings(experiment, *words)
     validate(experiment)
@@ -154,14 +131,14 @@ def _fitted(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
     return experiment
 
 
-def _finished(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
+def _finished(arguments: argparse.Namespace) -> Experiment:
     """The experiment of a finished run, which is named by its folder."""
     from dataclasses import replace
 
     from jaxunshear.folders import load_settings
 
-    if fields or arguments.sensor_from:
-        asked = fields[0] if fields else "--sensor-from"
+    if arguments.fields or arguments.sensor_from:
+        asked = arguments.fields[0] if arguments.fields else "--sensor-from"
         raise UserError(
             f"{asked}: the settings of a finished run stay as they are; name its experiment file to change them"
         )
@@ -171,12 +148,11 @@ def _finished(arguments: argparse.Namespace, fields: list[str]) -> "Experiment":
     return replace(experiment, name=folder.name)
 
 
-def _score(experiment: "Experiment", arguments: argparse.Namespace, command: str) -> None:
+def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
     from jaxunshear.applications.transfer import score_transfer
     from jaxunshear.evaluation.measurements import measurements
     from jaxunshear.evaluation.unseen import score_recordings, table
     from jaxunshear.results.stored import write
-    from jaxunshear.settings.experiment import recorded_of
 
     if recorded_of(experiment):
         results = score_recordings(experiment, arguments.file, arguments.recordings, arguments.data, command)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from jaxunshear.cli.options import SKIN, Commands, Model, add_like, add_model
+from jaxunshear.cli.options import SKIN, Commands, Model, add_json, add_like, add_model, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.results.applications import Streamed
@@ -17,7 +17,7 @@ from jaxunshear.storage import check_beside, check_new_file, check_new_folder, o
 
 def add_parser(commands: Commands) -> None:
     text = "perception for a robot: frames in; unsheared image, pose and confidence out, a JSON line each"
-    parser = commands.add_parser("stream", help=text, description=text)
+    parser = new_parser(commands, "stream", text)
     parser.add_argument("source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N")
     add_model(parser, SKIN)
     add_like(parser)
@@ -33,9 +33,7 @@ def add_parser(commands: Commands) -> None:
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--images", metavar="DIR", type=Path, help="for unsheared images (default: within the lines)")
     shown.add_argument("--no-images", action="store_true", help="leave them out")
-    parser.add_argument(
-        "--json", metavar="FILE", type=Path, help="write the summary, with command, machine and versions"
-    )
+    add_json(parser, "the summary, with command, machine and versions")
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:

@@ -3,46 +3,25 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import ENGINE, Commands, add_engine, engine_asked
+from jaxunshear.cli.options import Commands, add_base, add_data, add_engine, add_json, engine_asked, new_parser
 
 COMMANDS = ("sweep",)
-FLAGS = ("--help", "--version", "--retry-failed")  # no value follows
-OWN_OPTIONS = (
-    *FLAGS,
-    *ENGINE,
-    *(
-        "--out",
-        "--data",
-        "--json",
-        "--seeds",
-        "--recordings",
-        "--sensor-from",
-    ),
-)
 
 
 def add_parsers(commands: Commands) -> None:
-    """Adds `sweep` to an argparse subparsers object."""
     text = "run an experiment over grids of settings and seeds; continues where a stopped sweep left off"
-    usage = "jaxunshear sweep FILE [options] [--field value ...]"
-    parser = commands.add_parser("sweep", help=text, description=text, usage=usage)
+    parser = new_parser(commands, "sweep", text, "jaxunshear sweep FILE [options] [--field value ...]")
     parser.set_defaults(takes_fields=True)
     parser.add_argument(
         "file", metavar="FILE", type=Path, help="such as experiments/ablations/lambda_split.py, or an experiment"
     )
     parser.add_argument("--out", metavar="DIR", type=Path, default=Path("runs/sweeps"), help="DIR/<name> (runs/sweeps)")
-    parser.add_argument("--data", metavar="DIR", type=Path, default=Path("datasets"), help="data sets (datasets)")
-    parser.add_argument("--recordings", metavar="DIR", type=Path, help="taps and slides that the sweep's base is about")
-    parser.add_argument(
-        "--sensor-from",
-        metavar="FILE",
-        type=Path,
-        help="a calibration.json: its sensor, camera and friction in the base",
-    )
+    add_data(parser)
+    add_base(parser)
     parser.add_argument("--seeds", metavar="N,N,...", help="instead of those in FILE")
     add_engine(parser, "row")
     parser.add_argument("--retry-failed", action="store_true", help="also try rows again that failed")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write sweep.json here, too")
+    add_json(parser, "sweep.json here, too")
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:

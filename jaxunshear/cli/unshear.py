@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import SKIN, Commands, add_json, add_like, add_model
+from jaxunshear.cli.options import SKIN, Commands, add_json, add_like, add_model, new_parser
 
 COMMANDS = ("unshear", "pose")
 
@@ -13,7 +13,7 @@ def add_parsers(commands: Commands) -> None:
         ("unshear", "take the slide out of recorded images; also predicts their poses"),
         ("pose", "predict the poses of recorded images, as they are and unsheared"),
     ):
-        parser = commands.add_parser(name, help=text, description=text)
+        parser = new_parser(commands, name, text)
         parser.add_argument("path", metavar="PATH", type=Path, help="an image, or a folder of recordings")
         add_model(parser, SKIN)
         add_like(parser)
