@@ -181,7 +181,7 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_npz(path: Path, arrays: "Mapping[str, np.ndarray]", compressed: bool = False) -> None:
-    """Replace `path` by named arrays in one step."""
+    """Replace `path` by arrays by name in one step, for `read_npz`."""
     import numpy as np
 
     buffer = io.BytesIO()

@@ -6,6 +6,5 @@ from jaxunshear.dataset.builders.pose import TactipPose
 
 
 class Builder(TactipPose):
-    pkg_dir_path = tfds.core.Path(
-        __file__
-    ).parent  # else TFDS takes that of the class above, once it has been asked for
+    # else TFDS takes that of the class above, once it has been asked for
+    pkg_dir_path = tfds.core.Path(__file__).parent

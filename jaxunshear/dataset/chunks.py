@@ -16,6 +16,7 @@ from jaxunshear.cluster import Call, Died, Spread, here
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.dataset.shots import Shots
 from jaxunshear.errors import UserError
+from jaxunshear.image.png import png
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.configs import config_name, set_name
@@ -24,6 +25,7 @@ from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import BROKEN_NPZ, read_npz, write_npz
 
+PNG_LEVEL = 4
 RENDER = 16  # images rendered at once: one shape to compile, little memory
 
 
@@ -182,6 +184,11 @@ def _render() -> Callable[..., tuple[Array, Array]]:
 def pack(images: np.ndarray) -> np.ndarray:
     """(B, S, S) binary -> (B, bytes), one bit a pixel."""
     return np.packbits(images.reshape(len(images), -1) > 0, axis=-1)
+
+
+def png_of(chunk: dict[str, np.ndarray], place: int, size: int) -> bytes:
+    """One image of a chunk, as sets store it."""
+    return png(unpack(chunk["images"][place], size), PNG_LEVEL)
 
 
 def unpack(bits: np.ndarray, size: int) -> np.ndarray:

@@ -10,14 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, unpack, usable_rows
+from jaxunshear.dataset.chunks import load_chunk, png_of, usable_rows
 from jaxunshear.dataset.shots import Shots
-from jaxunshear.image.png import png
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import Json
-
-PNG_LEVEL = 4
 
 
 def summary(settings: PairedData | PoseData, shots: Shots, paths: list[Path]) -> dict:
@@ -87,7 +84,7 @@ def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split
     inside = shots.split == SPLITS.index(split)
     tap_images, tap_pins = {}, {}
     for chunk, place, row in usable_rows(paths, inside & ~shots.slid):
-        tap_images[row] = png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL)
+        tap_images[row] = png_of(chunk, place, settings.preprocess.size)
         tap_pins[row] = chunk["pins"][place]
     taps = _by_pose(shots, np.array(sorted(tap_images), int))
     keys = _pose_keys(shots)
@@ -101,7 +98,7 @@ def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split
             f"{labels['stimulus']}_{labels['pose_id']}_{slide}",
             {
                 "canonical": tap_images[tap],
-                "sheared": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
+                "sheared": png_of(chunk, place, settings.preprocess.size),
                 "canonical_pins": tap_pins[tap],
                 "sheared_pins": chunk["pins"][place],
                 **labels,
@@ -124,7 +121,7 @@ def pose_examples(settings: PoseData, shots: Shots, paths: list[Path], split: st
         yield (
             f"{labels['stimulus']}_{labels['pose_id']}",
             {
-                "image": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
+                "image": png_of(chunk, place, settings.preprocess.size),
                 "pins": chunk["pins"][place],
                 **labels,
                 "residual_mm": np.float32(chunk["residual_mm"][place]),

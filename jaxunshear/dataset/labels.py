@@ -71,6 +71,10 @@ class Problem(str):
         return problem
 
 
+def _refusal(file: Path, text: str, row: int | None = None) -> UserError:
+    return UserError(Problem.at(file, text, row))
+
+
 class Targets(NamedTuple):
     """Of N images, in their order."""
 
@@ -85,12 +89,12 @@ def read_table(file: Path) -> Table:
     try:
         data = file.read_bytes()
     except OSError as error:
-        raise UserError(Problem.at(file, f"cannot be read ({error.strerror or error})")) from None
+        raise _refusal(file, f"cannot be read ({error.strerror or error})") from None
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         row = data.count(b"\n", 0, error.start) + 1
-        raise UserError(Problem.at(file, "this is not UTF-8 text: save the table as CSV in UTF-8", row)) from None
+        raise _refusal(file, "this is not UTF-8 text: save the table as CSV in UTF-8", row) from None
     reader = csv.reader(io.StringIO(text, newline=""))
     lines: list[tuple[int, list[str]]] = []
     while True:
@@ -98,17 +102,17 @@ def read_table(file: Path) -> Table:
         try:
             cells = next(reader, None)
         except csv.Error as error:
-            raise UserError(Problem.at(file, f"this is not CSV ({error})", row)) from None
+            raise _refusal(file, f"this is not CSV ({error})", row) from None
         if cells is None:
             break
         if any(cell.strip() for cell in cells):
             lines.append((row, [cell.strip() for cell in cells]))
     if not lines:
-        raise UserError(Problem.at(file, "is empty"))
+        raise _refusal(file, "is empty")
     columns = tuple(lines[0][1])
     twice = next((name for i, name in enumerate(columns) if name and name in columns[:i]), None)
     if twice is not None:
-        raise UserError(Problem.at(file, f"the heading names column {_shown(twice)} twice", lines[0][0]))
+        raise _refusal(file, f"the heading names column {_shown(twice)} twice", lines[0][0])
     width = len(columns)
     return Table(
         file,
@@ -122,9 +126,7 @@ def read_targets(table: Table, names: Sequence[str]) -> tuple[Targets, list[Prob
     """The labels of images of these names. Raises UserError where the table names no images."""
     column = next((name for name in IMAGE_COLUMNS if name in table.columns), None)
     if column is None:
-        raise UserError(
-            Problem.at(table.file, f"has no column {' or '.join(IMAGE_COLUMNS)}: its poses are not used", 1)
-        )
+        raise _refusal(table.file, f"has no column {' or '.join(IMAGE_COLUMNS)}: its poses are not used", 1)
     by_name, problems = _by_name(table, column, set(names))
     missing = [name for name in names if name not in by_name]
     if missing:
@@ -242,22 +244,18 @@ def read_pair_table(file: str | Path) -> list[tuple[str, str]]:
     table = read_table(Path(file))
     for name in ("slide", "tap"):
         if name not in table.columns:
-            raise _at(table, 1, f"there is no column '{name}': pairs need the columns slide and tap")
+            raise _refusal(table.file, f"there is no column '{name}': pairs need the columns slide and tap", 1)
     if table.uneven:
         number, cells = table.uneven[0]
-        raise _at(table, number, f"{cells} cells where the heading has {len(table.columns)}")
+        raise _refusal(table.file, f"{cells} cells where the heading has {len(table.columns)}", number)
     if not table.rows:
-        raise _at(table, None, "names no pairs: give a row for each slide, with its tap")
+        raise _refusal(table.file, "names no pairs: give a row for each slide, with its tap")
     first: dict[str, int] = {}
     for row in table.rows:
         slide = row.cells["slide"]
         if not slide or not row.cells["tap"]:
-            raise _at(table, row.number, f"the {'tap' if slide else 'slide'} is not named")
+            raise _refusal(table.file, f"the {'tap' if slide else 'slide'} is not named", row.number)
         if slide in first:
-            raise _at(table, row.number, f"{slide} has a tap already, in row {first[slide]}")
+            raise _refusal(table.file, f"{slide} has a tap already, in row {first[slide]}", row.number)
         first[slide] = row.number
     return [(row.cells["slide"], row.cells["tap"]) for row in table.rows]
-
-
-def _at(table: Table, row: int | None, text: str) -> UserError:
-    return UserError(Problem.at(table.file, text, row))

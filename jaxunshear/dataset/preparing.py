@@ -27,6 +27,7 @@ from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import write_npz
 
 if TYPE_CHECKING:
+    from jaxunshear.image.lattice import Lattice
     from jaxunshear.image.preprocess import View
     from jaxunshear.image.tracking import Usual
 
@@ -146,12 +147,11 @@ def _each(work: Callable[..., Done], jobs: list[tuple]) -> Iterator[Done]:
 
 
 def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preprocess, frame: Frame) -> dict:
-    from jaxunshear.image.lattice import make_lattice
     from jaxunshear.image.pins import detect
     from jaxunshear.image.preprocess import prepare_frame
     from jaxunshear.image.tracking import follow_pins
 
-    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+    lattice = found_lattice(frame)
     size, large = preprocess.size, replace(preprocess, size=frame.pins_px)
     images = np.zeros((len(files), size, size), np.uint8)
     seen = np.zeros((len(files), frame.pins_px, frame.pins_px), np.uint8)
@@ -183,12 +183,11 @@ def _first_pass(files: tuple[Path, ...], number: np.ndarray, preprocess: Preproc
 
 def _second_pass(path: Path, frame: Frame, usual: "Usual") -> dict:
     """The frames that were not sure once more, with the help of the motions that are usual in training."""
-    from jaxunshear.image.lattice import make_lattice
     from jaxunshear.image.pins import detect
     from jaxunshear.image.tracking import follow_pins
 
     chunk = load_chunk(path)
-    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+    lattice = found_lattice(frame)
     rows = np.flatnonzero(chunk["usable"] & ~chunk["sure"])
     for row, image in zip(rows, unpack(chunk["seen"], frame.pins_px), strict=True):
         track = follow_pins(lattice, detect(image), usual)
@@ -200,14 +199,13 @@ def _second_pass(path: Path, frame: Frame, usual: "Usual") -> dict:
 
 def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> "Usual | None":
     """How pins usually move, in training frames; None where no frame needs it."""
-    from jaxunshear.image.lattice import make_lattice
     from jaxunshear.image.track import Track
     from jaxunshear.image.tracking import usual_motions
 
     if not any(map(_hard, paths)):
         return None
     chunks = [load_chunk(path) for path in paths]
-    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+    lattice = found_lattice(frame)
     train = contacts.split == SPLITS.index("train")
     tracks = [
         Track(to_found(frame, pins) - lattice.place, np.zeros(0, int), 0.0, 0, 0, True)
@@ -221,6 +219,13 @@ def _usual(contacts: Contacts, paths: list[Path], frame: Frame) -> "Usual | None
 def _hard(path: Path) -> bool:
     chunk = load_chunk(path)
     return bool((chunk["usable"] & ~chunk["sure"]).any() and not chunk["tried"])
+
+
+def found_lattice(frame: Frame) -> "Lattice":
+    """The untouched pins, px of the image that pins are found in."""
+    from jaxunshear.image.lattice import make_lattice
+
+    return make_lattice(to_found(frame, frame.place), frame.shell)
 
 
 def to_found(frame: Frame, pins: np.ndarray) -> np.ndarray:

@@ -47,17 +47,9 @@ class Contacts(NamedTuple):
     paired: bool = False  # by a table: `pose_id` then numbers its taps
 
     def take(self, rows: np.ndarray) -> "Contacts":
-        return Contacts(
-            tuple(self.files[i] for i in rows),
-            tuple(self.names[i] for i in rows),
-            self.pose[rows],
-            self.move[rows],
-            self.pose_id[rows],
-            self.slid[rows],
-            self.split[rows],
-            self.notes,
-            self.paired,
-        )
+        arrays = {name: getattr(self, name)[rows] for name in ("pose", "move", "pose_id", "slid", "split")}
+        files, names = (tuple(texts[i] for i in rows) for texts in (self.files, self.names))
+        return self._replace(files=files, names=names, **arrays)
 
 
 def survey(settings: Recorded) -> Contacts:
@@ -246,7 +238,7 @@ def _joined(parts: list[Contacts]) -> Contacts:
     parts = [
         part._replace(pose_id=np.where(part.pose_id < 0, -1, np.searchsorted(known, part.pose_id))) for part in parts
     ]
-    joined = Contacts(
+    return Contacts(
         tuple(file for part in parts for file in part.files),
         tuple(name for part in parts for name in part.names),
         np.concatenate([part.pose for part in parts]),
@@ -256,7 +248,6 @@ def _joined(parts: list[Contacts]) -> Contacts:
         np.concatenate([part.split for part in parts]),
         tuple(dict.fromkeys(note for part in parts for note in part.notes)),
     )
-    return joined
 
 
 def _paired(contacts: Contacts, table: Path) -> Contacts:

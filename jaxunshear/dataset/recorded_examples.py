@@ -9,17 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, unpack, usable_rows
+from jaxunshear.dataset.chunks import load_chunk, png_of, usable_rows
 from jaxunshear.dataset.preparing import Frame, frame_of, prepare
 from jaxunshear.dataset.recorded import Contacts, survey
 from jaxunshear.errors import UserError
-from jaxunshear.image.png import png
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.storage import Json
 
-PNG_LEVEL = 4
 NAMED = 20  # frames left out that metadata name, at most
 
 
@@ -89,7 +87,7 @@ def examples(settings: Recorded, contacts: Contacts, paths: list[Path], split: s
         yield (
             f"{row:08d}",
             {
-                "image": png(unpack(chunk["images"][place], settings.preprocess.size), PNG_LEVEL),
+                "image": png_of(chunk, place, settings.preprocess.size),
                 "pins": chunk["pins"][place].astype(np.float32),
                 "sure": int(chunk["sure"][place]),
                 "slid": int(contacts.slid[row]),

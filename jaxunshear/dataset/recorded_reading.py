@@ -28,9 +28,8 @@ from jaxunshear.storage import Json
 Render = Callable[[np.ndarray], np.ndarray]  # poses (N, 6) -> pins (N, P, 2) px
 # images (N, S, S) uint8, or None for those that read pins alone; pins (N, P, 2) px -> poses (N, 6)
 Read = Callable[[np.ndarray | None, np.ndarray], np.ndarray]
-Drag = Callable[
-    [str], Batch
-]  # split -> row (N,) of a labelled tap, sheared_pins (N, P, 2) px and move (N, 6): simulated slides
+# split -> row (N,) of a labelled tap, sheared_pins (N, P, 2) px and move (N, 6): simulated slides
+Drag = Callable[[str], Batch]
 
 
 def open_recorded(settings: Recorded, sensor: Sensor, data_dir: Path, seed: int = 0) -> "RecordedSet":
@@ -116,7 +115,6 @@ class RecordedSet:
 
     def taps(self) -> Reader:
         """Labelled taps: image, pins, sure, pose, pose_id, stimulus, number. One at each pose of its own."""
-
         return Reader(lambda split: _numbered(self.labelled_taps(split)), self.size)
 
     def labelled_taps(self, split: str) -> Batch:
@@ -181,8 +179,7 @@ class RecordedSet:
             if images:
                 partner["canonical"] = self._redrawn(batch["pose"], pins, targets, render)
             return _numbered(batch | partner | {"weight": np.ones(count, np.float32)})
-        taps = self._of(split, False) if split == "train" else _concatenated([self._of(s, False) for s in SPLITS])
-        taps = _taken(taps, np.isfinite(taps["pose"]).all(axis=1))
+        taps = _concatenated([self.labelled_taps(each) for each in (("train",) if split == "train" else SPLITS)])
         if way == "nearest":
             row, distance = pairing.nearest(targets, batch["pose"], taps["pose"])
             weight = pairing.weights_of(distance)
@@ -213,11 +210,8 @@ class RecordedSet:
         batch |= {"sheared_pins": sheared, "canonical_pins": taps["pins"][row], "move": slides["move"]}
         batch |= {"weight": np.ones(len(row), np.float32), "gap": np.zeros((len(row), 6), np.float32)}
         if images:
-            place = np.array(self.frame["place_px"])
-            spread = pairing.spread_over(place, self.frame["spacing_px"], self.size)
-            motion = np.nan_to_num(sheared - batch["canonical_pins"])
-            taken = taps["image"][row]
-            batch |= {"canonical": taken, "sheared": pairing.warped(unpack(taken, self.size), motion, spread)}
+            motion, taken = np.nan_to_num(sheared - batch["canonical_pins"]), taps["image"][row]
+            batch |= {"canonical": taken, "sheared": self._warped(taken, motion)}
         return _numbered(batch | {"number": np.arange(len(row), dtype=np.int32)})
 
     def _redrawn(self, poses: np.ndarray, pins: np.ndarray, targets: Targets, render: Render) -> np.ndarray:
@@ -225,11 +219,14 @@ class RecordedSet:
 
         Real dots and the real housing, which a PoseNet that learnt from taps knows; dots drawn anew appear foreign to it.
         """
-        taps = self._of("train", False)
-        taps = _taken(taps, np.isfinite(taps["pose"]).all(axis=1))
+        taps = self.labelled_taps("train")
         row, _ = pairing.nearest(targets, poses, taps["pose"])
+        return self._warped(taps["image"][row], pins - render(taps["pose"][row]))
+
+    def _warped(self, images: np.ndarray, motion: np.ndarray) -> np.ndarray:
+        """(N, S, S) uint8: images at one bit a pixel whose pins have moved by `motion` (N, P, 2) px."""
         spread = pairing.spread_over(np.array(self.frame["place_px"]), self.frame["spacing_px"], self.size)
-        return pairing.warped(unpack(taps["image"][row], self.size), pins - render(taps["pose"][row]), spread)
+        return pairing.warped(unpack(images, self.size), motion, spread)
 
     def _of(self, split: str, slid: bool) -> Batch:
         rows = self.stored.rows(split)

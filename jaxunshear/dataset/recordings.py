@@ -26,7 +26,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from jaxunshear.dataset.labels import TABLES, UNKNOWN_ID, Problem, Targets, no_targets, read_table, read_targets
-from jaxunshear.errors import UserError
+from jaxunshear.errors import UserError, first_line
 from jaxunshear.settings.image import Preprocess
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def read_image(file: Path | bytes) -> np.ndarray:
     except UserError:
         raise
     except Exception as error:  # decoders meet broken files with errors of every kind
-        raise UserError(f"no readable image ({_one_line(error)})") from None
+        raise UserError(f"no readable image ({first_line(error)})") from None
     return _unsigned(raw, tags)
 
 
@@ -177,7 +177,7 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
             if images[0].parent == folder and (hidden := _below(folder)) is not None:
                 notes.append(f"{folder} has images of its own, so those below it, such as in {hidden}, are not read")
     except OSError as error:
-        raise UserError(f"{path} cannot be searched: {_one_line(error)}") from None
+        raise UserError(f"{path} cannot be searched: {first_line(error)}") from None
     if not files:
         raise UserError(f"{path} holds no images ({', '.join(sorted(SUFFIXES))}), nor a known layout of recordings")
     poses, moves, ids, objects = (list(part) for part in zip(*targets, strict=True))
@@ -242,7 +242,7 @@ def _check_json(folder: Path, notes: list[str]) -> None:
         try:
             json.loads(file.read_text(encoding="utf-8"))
         except (ValueError, OSError, RecursionError) as error:
-            text = f"this JSON is broken ({_one_line(error)}); it is not needed, so the reading goes on without it"
+            text = f"this JSON is broken ({first_line(error)}); it is not needed, so the reading goes on without it"
             notes.append(Problem.at(file, text))
 
 
@@ -270,7 +270,3 @@ def _sizes(names: dict[tuple[int, ...], list[str]]) -> str:
     usual, *others = sorted(names, key=lambda size: -len(names[size]))
     parts = [f"{len(names[size])} of {size[1]} x {size[0]} ({names[size][0]})" for size in others[:3]]
     return ", ".join([f"{len(names[usual])} of {usual[1]} x {usual[0]}", *parts])
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
