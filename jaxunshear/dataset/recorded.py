@@ -48,7 +48,7 @@ class Contacts(NamedTuple):
 
     def take(self, rows: np.ndarray) -> "Contacts":
         arrays = {name: getattr(self, name)[rows] for name in ("pose", "move", "pose_id", "slid", "split")}
-        files, names = (tuple(texts[i] for i in rows) for texts in (self.files, self.names))
+        files, names = tuple(self.files[i] for i in rows), tuple(self.names[i] for i in rows)
         return self._replace(files=files, names=names, **arrays)
 
 

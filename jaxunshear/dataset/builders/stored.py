@@ -57,7 +57,7 @@ def standard_configs(name: str) -> list[SetConfig]:
 class StoredSet(tfds.core.GeneratorBasedBuilder, skip_registration=True):  # type: ignore[call-arg]
     """Makes the set, or goes on making it, when it is prepared. `file_format` need not be given: it is array_record."""
 
-    def _set_info(self, features: dict, keys: tuple[str, str] | None) -> tfds.core.DatasetInfo:
+    def _set_info(self, features: dict, keys: tuple[str, str]) -> tfds.core.DatasetInfo:
         info = self.dataset_info_from_configs(
             features=tfds.features.FeaturesDict(features),
             supervised_keys=keys,
