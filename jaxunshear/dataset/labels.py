@@ -19,7 +19,6 @@ from jaxunshear.errors import UserError
 
 TABLES = ("targets.csv", "targets_images.csv")  # the first that can be read is
 IMAGE_COLUMNS = ("sensor_image", "image_name")
-OBJECT_COLUMNS = ("obj_id", "object_label")
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")
 POSE_COLUMNS = tuple(f"pose_{i}" for i in range(1, 7)), tuple(f"pose_{axis}" for axis in AXES)
 MOVE_COLUMNS = tuple(f"move_{i}" for i in range(1, 7)), tuple(f"shear_{axis}" for axis in AXES)
@@ -81,7 +80,6 @@ class Targets(NamedTuple):
     poses: np.ndarray  # (N, 6) mm and degrees, NaN where unknown
     moves: np.ndarray  # (N, 6)
     pose_ids: np.ndarray  # (N,) int64, UNKNOWN_ID where unknown
-    objects: tuple[str, ...]  # "" where unknown
 
 
 def read_table(file: Path) -> Table:
@@ -136,9 +134,7 @@ def read_targets(table: Table, names: Sequence[str]) -> tuple[Targets, list[Prob
     poses, bad_poses = _six(table, rows, POSE_COLUMNS, "pose")
     moves, bad_moves = _six(table, rows, MOVE_COLUMNS, "slide")
     ids, bad_ids = _ids(table, rows)
-    kind = next((name for name in OBJECT_COLUMNS if name in table.columns), None)
-    objects = tuple(row.cells[kind] if row and kind else "" for row in rows)
-    return Targets(poses, moves, ids, objects), problems + bad_poses + bad_moves + bad_ids
+    return Targets(poses, moves, ids), problems + bad_poses + bad_moves + bad_ids
 
 
 def table_of(folder: Path) -> Path | None:
@@ -155,7 +151,7 @@ def columns_of(table: Table, choices: tuple[tuple[str, ...], ...]) -> tuple[str,
 def no_targets(images: int) -> Targets:
     """Of images that no table names."""
     unknown = np.full((images, 6), np.nan)
-    return Targets(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64), ("",) * images)
+    return Targets(unknown, unknown.copy(), np.full(images, UNKNOWN_ID, np.int64))
 
 
 def _by_name(table: Table, column: str, names: set[str]) -> tuple[dict[str, Row], list[Problem]]:

@@ -46,8 +46,8 @@ class Recordings:
     """What lies at `path`: N images, in order, that `frames` loads one at a time.
 
     `poses` and `moves` (N, 6) in mm and degrees, NaN in rows that are not labelled, or None where nothing is. `pose_ids` (N,) int64,
-    -1 where unknown, and `objects`, "" where unknown, or None likewise. `notes` says in a line each what is wrong, by file and row
-    (`Problem` where these are known); images that turn out to be unreadable, or unlike the others, are added while `frames` runs.
+    -1 where unknown, or None likewise. `notes` says in a line each what is wrong, by file and row (`Problem` where these are known);
+    images that turn out to be unreadable, or unlike the others, are added while `frames` runs.
     """
 
     path: Path
@@ -57,7 +57,6 @@ class Recordings:
     moves: np.ndarray | None
     notes: list[str] = field(default_factory=list)
     pose_ids: np.ndarray | None = None
-    objects: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.files)
@@ -180,8 +179,7 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
         raise UserError(f"{path} cannot be searched: {first_line(error)}") from None
     if not files:
         raise UserError(f"{path} holds no images ({', '.join(sorted(SUFFIXES))}), nor a known layout of recordings")
-    poses, moves, ids, objects = (list(part) for part in zip(*targets, strict=True))
-    pose_ids, kinds = np.concatenate(ids), tuple(kind for part in objects for kind in part)
+    poses, moves, ids = (np.concatenate(part) for part in zip(*targets, strict=True))
     return Recordings(
         path,
         preprocess,
@@ -189,8 +187,7 @@ def read_recordings(path: str | Path, preprocess: Preprocess) -> Recordings:
         _known(poses),
         _known(moves),
         notes,
-        pose_ids if (pose_ids != UNKNOWN_ID).any() else None,
-        kinds if any(kinds) else None,
+        ids if (ids != UNKNOWN_ID).any() else None,
     )
 
 
@@ -260,8 +257,7 @@ def _targets(folder: Path, images: list[Path], notes: list[str]) -> Targets:
     return no_targets(len(images))
 
 
-def _known(parts: list[np.ndarray]) -> np.ndarray | None:
-    values = np.concatenate(parts)
+def _known(values: np.ndarray) -> np.ndarray | None:
     return values if np.isfinite(values).any() else None
 
 

@@ -128,9 +128,9 @@ def test_broken_labels_are_reported_of_and_the_images_read(tmp_path, spoil, says
     assert any(says in note and "targets.csv" in note for note in recordings.notes)
 
 
-def test_pose_numbers_and_objects(tmp_path):
+def test_pose_numbers(tmp_path):
     root = older(tmp_path / "a" / "set")
-    assert read_recordings(root, PREPROCESS).pose_ids is read_recordings(root, PREPROCESS).objects is None
+    assert read_recordings(root, PREPROCESS).pose_ids is None
     write_images(tmp_path / "a" / "bare", ["x.png"])
     lines = (root / "targets.csv").read_text().splitlines()
     more = ["pose_id,obj_id", "7,3", ",3", "9,"]
@@ -139,7 +139,6 @@ def test_pose_numbers_and_objects(tmp_path):
     assert recordings.names[0] == "bare/x.png"
     assert recordings.pose_ids.dtype == np.int64
     np.testing.assert_array_equal(recordings.pose_ids, [-1, 7, -1, 9])
-    assert recordings.objects == ("", "3", "3", "")
 
 
 def test_images_of_other_sizes_are_reported_once(tmp_path):
@@ -210,7 +209,6 @@ def test_real_recordings(real_recordings, tmp_path):
     assert np.isfinite(recordings.poses).all()
     (note,) = recordings.notes  # broken as published
     assert "env_params.json: this JSON is broken" in note
-    assert sorted(set(recordings.objects)) == ["", "1"]
     np.testing.assert_array_equal(recordings.pose_ids == -1, ["franka" in name for name in recordings.names])
     raw = read_recordings(real_recordings / "raw", PREPROCESS)
     assert len(list(raw.frames())) == len(raw.poses) == 3
