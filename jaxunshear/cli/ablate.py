@@ -21,7 +21,7 @@ def add_parsers(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, command: str) -> int:
     from jaxunshear.evaluation import ablation, exchange, leakage
     from jaxunshear.settings.stored import from_json
-    from jaxunshear.storage import read_object, write_json
+    from jaxunshear.storage import read_object, write_bytes, write_json
 
     settings = arguments.run / "experiment.json"
     if not settings.is_file():
@@ -31,7 +31,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     experiment = from_json(read_object(settings), str(settings))
     if arguments.leakage:
         from jaxunshear.report.leakage_figure import leakage_figure
-        from jaxunshear.storage import write_bytes
 
         results = leakage.leakage(experiment, arguments.run, arguments.data, command)
         drawn = exchange.exchanged(experiment, arguments.run, arguments.data)

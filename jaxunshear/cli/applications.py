@@ -3,14 +3,15 @@
 import argparse
 import sys
 from pathlib import Path
+from types import ModuleType
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.cli import geometry, pins, reconstruct, servo, stream
 from jaxunshear.cli.options import Commands, Model
 from jaxunshear.owners import check_apart
-from jaxunshear.storage import Json, check_new_folder
+from jaxunshear.storage import check_new_folder
 
-WORK: Json = {
+WORK: dict[str, ModuleType] = {
     "pins": pins,
     "geometry": geometry,
     "servo": servo,

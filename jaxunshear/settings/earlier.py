@@ -1,4 +1,4 @@
-"""Settings that came, or went, after others had been stored: for all that reads or compares stored settings. Imports nothing.
+"""Settings that came, or went, after others had been stored: for all that reads or compares stored settings.
 
 A setting that is added does nothing at the value given here. So a file that lacks it is read as if that value stood in it, and the
 names of data sets, of rows and of trainings leave it out at that value: what was made before is found again.

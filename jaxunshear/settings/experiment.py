@@ -74,9 +74,8 @@ class Experiment:
     pose: PoseData | RecordedTaps = field(default_factory=PoseData)
     unshear: UnshearNet = field(default_factory=UnshearNet)
     posenet: PoseNet = field(default_factory=PoseNet)
-    pins: PinNet = field(
-        default_factory=PinNet
-    )  # all networks over pins: those of `unshear.input` "pins", and the renderer
+    # all networks over pins: those of `unshear.input` "pins", and the renderer
+    pins: PinNet = field(default_factory=PinNet)
     train: Training = field(default_factory=Training)  # UnshearNets, and the U-Net of the same widths
     train_posenet: Training = field(default_factory=Training)  # both PoseNets that are evaluated
     train_teacher: Training = field(default_factory=Training)  # the PoseNet of `train.pose_weight`
@@ -135,10 +134,7 @@ def learnt_from(experiment: Experiment, network: str) -> PairedData | PoseData |
 
 def takes_taps(experiment: Experiment) -> bool:
     """Whether a network of a simulated experiment learns from the taps without slides, `pose`."""
-    networks = trained(experiment)
-    return any(name in networks for name in OF_TAPS) or any(
-        training_of(experiment, name).tap_weight > 0 for name in networks
-    )
+    return any(name in OF_TAPS or training_of(experiment, name).tap_weight > 0 for name in trained(experiment))
 
 
 def training_of(experiment: Experiment, network: str) -> Training:

@@ -31,9 +31,8 @@ class Camera:
 
 
 FLUSH_CAMERA = Camera(mm_across=35.3)  # frames the wider ring of `sensor.TACTIP_331_FLUSH` alike
-FITTED_CAMERA = Camera(
-    mm_across=50.72, distance_mm=66.43, housing=1.262
-)  # to the contacts of `sensor.TACTIP_331_FITTED`
+# to the contacts of `sensor.TACTIP_331_FITTED`
+FITTED_CAMERA = Camera(mm_across=50.72, distance_mm=66.43, housing=1.262)
 
 
 @dataclass(frozen=True)

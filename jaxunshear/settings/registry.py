@@ -13,9 +13,8 @@ POSENET: Final = "posenet"
 ENTANGLED_LARGE: Final = "entangled_large"  # with as many parameters as the disentangled one
 UNET: Final = "unet"
 POSENET_SHEARED: Final = "posenet_sheared"  # PoseNet on slides
-TEACHER: Final = (
-    "posenet_teacher"  # the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
-)
+# the PoseNet of `train.pose_weight`: trained first, from another seed, and never evaluated
+TEACHER: Final = "posenet_teacher"
 RENDERER: Final = "renderer"  # pose to tap, learnt from recorded taps: draws the partners of recorded slides
 
 CONSTANTS = ("rest", "spread", "grid")  # variables of networks over pins that are not trained

@@ -30,14 +30,9 @@ SIMULATED = {  # name: the field of a simulated set and its column
     "tilt_y_deg": ("pose", 5),
 }
 RECORDED = {name: ("pose", i) for i, name in enumerate(("x_mm", "y_mm", "z_mm", "Rx_deg", "Ry_deg", "Rz_deg"))}
-SLIDES = {
-    f"slide_{name}": ("move", i) for name, (_, i) in RECORDED.items()
-}  # of recorded slides, in the labels' own frame
-FELT = {  # of simulated ones, in the sensor's frame
-    "slide_x_mm": ("felt", 0),
-    "slide_y_mm": ("felt", 1),
-    "slide_twist_deg": ("felt", 2),
-}
+# of recorded slides, in the labels' own frame; of simulated ones, in the sensor's
+SLIDES = {f"slide_{name}": ("move", i) for name, (_, i) in RECORDED.items()}
+FELT = {name: ("felt", i) for i, name in enumerate(("slide_x_mm", "slide_y_mm", "slide_twist_deg"))}
 # The paper's x and yaw, and two that an edge does not leave open; edge distance has the widest scale and would drown in the
 # ambiguous yaw.
 PAPER = ("x_mm", "yaw_deg", "edge_mm:range:4", "edge_deg:circle")
