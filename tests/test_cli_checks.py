@@ -22,7 +22,7 @@ def test_values_that_begin_with_a_minus_are_values():
     [
         ("check plan --pose 1,2,3", "give 4 numbers"),
         ("check plan --move a,b", "give 2 numbers"),
-        ("check plan --twist far", "not a number"),
+        ("check plan --twist far", "invalid float value: 'far'"),
         ("check plan --stimulus pyramid", "stimulus 'pyramid' is unknown"),
         ("check plan --sensor finger", "sensor 'finger' is unknown"),
         ("check plan --level best", "--level"),

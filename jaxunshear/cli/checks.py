@@ -30,9 +30,9 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument("--stimulus", metavar="NAME", help="what is touched, or an outline's file (disk)")
     parser.add_argument("--pose", metavar="X,Y,YAW,DEPTH", help="mm, mm, deg, mm (0,0,0,3)")
     parser.add_argument("--move", metavar="DX,DY", help="slide that ends at the pose, mm (0,0)")
-    parser.add_argument("--twist", metavar="DEG", type=_number, help="turn that ends at the pose (0)")
+    parser.add_argument("--twist", metavar="DEG", type=float, help="turn that ends at the pose (0)")
     parser.add_argument("--tilt", metavar="TX,TY", help="deg (0,0)")
-    parser.add_argument("--friction", metavar="MU", type=_number, help="0 to inf (default: that of the stimulus)")
+    parser.add_argument("--friction", metavar="MU", type=float, help="0 to inf (default: that of the stimulus)")
     parser.add_argument("--level", choices=tuple(LEVELS), default="auto", help="(auto)")
     parser.add_argument("--sensor", metavar="NAME", default="tactip331", help="(tactip331)")
     parser.add_argument("--scenes", metavar="N", type=int, help="instead: how N random scenes of the paper are grouped")
@@ -77,10 +77,8 @@ def joined(argv: list[str]) -> list[str]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of `add_parsers`' commands. Returns 0, or 1 where a check does not hold."""
-    return _RUN[arguments.command](arguments, _writer(arguments.json, command, RIVALS.get(arguments.command, ())))
-
-
-RIVALS = {"bench": ("torch",)}  # packages that are timed beside ours
+    rivals = ("torch",) if arguments.command == "bench" else ()  # timed beside ours
+    return _RUN[arguments.command](arguments, _writer(arguments.json, command, rivals))
 
 
 def _writer(file: Path | None, command: str, rivals: Sequence[str]) -> Keep:
@@ -95,13 +93,6 @@ def _writer(file: Path | None, command: str, rivals: Sequence[str]) -> Keep:
         write_json(file, {"command": command, "machine": machine(), "versions": versions(*rivals), "rows": rows})
 
     return keep
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number") from None
 
 
 def _numbers(text: str, count: int, option: str) -> tuple[float, ...]:
