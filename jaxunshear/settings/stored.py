@@ -28,32 +28,32 @@ def build(data: object, kind: Hint, source: str, name: str) -> Any:
     if groups(items) and isinstance(data, list):
         return tuple(item if isinstance(item, str) else build(item, items, source, name) for item in data)
     if kinds := groups(kind):
-        if isinstance(data, dict):
-            data = {field: value for field, value in data.items() if field not in GONE or not is_later(field, value)}
-        given = set(data) if isinstance(data, dict) else set()
-        own = next((each for each in kinds if _fills(given, set(hints(each)))), kinds[0])
-        fields = hints(own)
-        if not isinstance(data, dict) or not _fills(given, set(fields)):
-            odd = (
-                sorted((given ^ set(fields)) - (set(fields) & set(LATER))) if isinstance(data, dict) else ["all of it"]
-            )
-            raise UserError(
-                f"{source} does not fit this version: see {name or 'its top level'}, {', '.join(odd)}; run it again"
-            )
-        parts = {
-            field: build(data[field] if field in data else LATER[field], hint, source, f"{name}.{field}".lstrip("."))
-            for field, hint in fields.items()
-        }
-        return own(**parts)
+        return _group(data, kinds, source, name)
     value = _tupled(data)
     if not fits(value, kind):
         raise UserError(f"{source}: {name} takes {describe(kind)}, not {data!r}")
     return value
 
 
-def _fills(given: set[str], fields: set[str]) -> bool:
+def _group(data: object, kinds: list[type], source: str, name: str) -> Any:
+    """Settings of whichever of `kinds` has the fields in `data`."""
+    misfit = f"{source} does not fit this version: see {name or 'its top level'}"
+    if not isinstance(data, dict):
+        raise UserError(f"{misfit}, all of it; run it again")
+    given = {field: value for field, value in data.items() if field not in GONE or not is_later(field, value)}
+    own = next((each for each in kinds if _fills(given, hints(each))), kinds[0])
+    fields = hints(own)
+    if not _fills(given, fields):
+        odd = sorted((given.keys() ^ fields.keys()) - (fields.keys() & LATER.keys()))
+        raise UserError(f"{misfit}, {', '.join(odd)}; run it again")
+    values = LATER | given
+    parts = {field: build(values[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in fields.items()}
+    return own(**parts)
+
+
+def _fills(given: Json, fields: dict[str, Hint]) -> bool:
     """Whether a file that gives these has all that is not LATER, and nothing else."""
-    return given <= fields and fields - given <= set(LATER)
+    return given.keys() <= fields.keys() and fields.keys() - given.keys() <= LATER.keys()
 
 
 def _tupled(data: object) -> object:
