@@ -17,6 +17,7 @@ import numpy as np
 
 from jaxunshear.dataset.reading import Batch, SetReader
 from jaxunshear.dataset.shots import slide_leaders
+from jaxunshear.dataset.siblings import onward
 from jaxunshear.settings.data import PairedData
 
 FEEDS = "sheared_pins"  # the field that both are taken from
@@ -37,9 +38,8 @@ class Shared(NamedTuple):
     def partners(self, rows: np.ndarray, generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """For rows (B,) those, drawn, of another pose after another slide, and of the same pose after that slide: (B,) each."""
         group, place, slide = self.group[rows], self.place[rows], self.slide[rows]
-        elsewhere = (place + _step(generator, self.places[group])) % self.places[group]
-        slides = np.full(len(rows), self.row.shape[2])
-        after = (slide + _step(generator, slides)) % slides
+        elsewhere = onward(place, self.places[group], generator)
+        after = onward(slide, np.full(len(rows), self.row.shape[2]), generator)
         other, swapped = self.row[group, elsewhere, after], self.row[group, place, after]
         known = (other >= 0) & (swapped >= 0)
         return np.where(known, other, rows), np.where(known, swapped, rows)
@@ -89,8 +89,3 @@ class FactorialReader(SetReader):
 
 def _stored(fields: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in fields if name not in PARTNERS)
-
-
-def _step(generator: np.random.Generator, counts: np.ndarray) -> np.ndarray:
-    """(B,) from 1 to count - 1; 0 where there is but one."""
-    return np.where(counts > 1, 1 + generator.integers(np.maximum(counts - 1, 1)), 0)

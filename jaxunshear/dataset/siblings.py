@@ -29,8 +29,12 @@ class Siblings(NamedTuple):
     def others(self, rows: np.ndarray, generator: np.random.Generator) -> np.ndarray:
         """One of each row's group (B,), another one where there is one."""
         group = self.group[rows]
-        step = 1 + generator.integers(np.maximum(self.size[group] - 1, 1))
-        return self.members[self.start[group] + (self.rank[rows] + step) % self.size[group]]
+        return self.members[self.start[group] + onward(self.rank[rows], self.size[group], generator)]
+
+
+def onward(place: np.ndarray, size: np.ndarray, generator: np.random.Generator) -> np.ndarray:
+    """Another place (B,) below `size` (B,), any; the same where there is but one."""
+    return (place + 1 + generator.integers(np.maximum(size - 1, 1))) % size
 
 
 def siblings_of(stimulus: np.ndarray, pose: np.ndarray) -> Siblings:
