@@ -165,10 +165,9 @@ def _parser(check: bool) -> _Parser:
     return parser
 
 
-def _options(parser: _Parser) -> tuple[set[str], set[str]]:
-    """Those of the commands that take fields, and which of them no value follows."""
-    takers = (command for command in _commands(parser).choices.values() if command.get_default("takes_fields"))
-    actions = [action for command in takers for action in command._actions]
+def _options(parser: _Parser, names: tuple[str, ...]) -> tuple[set[str], set[str]]:
+    """Those of the commands of these names, and which of them no value follows."""
+    actions = [action for name in names for action in _commands(parser).choices[name]._actions]
     own = {name for action in actions for name in action.option_strings}
     return own, {name for action in actions if action.nargs == 0 for name in action.option_strings}
 
@@ -184,7 +183,8 @@ def _run(argv: list[str]) -> int:
             return 0
         from jaxunshear.settings.fields import parse_overrides, split_overrides
 
-        words, fields = split_overrides(argv, *_options(parser))
+        alike = stages.COMMANDS if argv[0] in stages.COMMANDS else sweep.COMMANDS
+        words, fields = split_overrides(argv, *_options(parser, alike))
         parse_overrides(fields)  # before anything is read: a typo is refused at once
     if words and words[0] in checks.COMMANDS:
         raise UserError(f"write `jaxunshear {CHECK} {words[0]}`")
