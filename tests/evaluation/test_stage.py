@@ -65,7 +65,7 @@ class Reader:
 
 def _opens(monkeypatch, count):
     for module in (STAGE, examples):
-        monkeypatch.setattr(module, "open_set", lambda spec, settings, data_dir, sensor: Reader(count))
+        monkeypatch.setattr(module, "open_set", lambda settings, data_dir, sensor, kind=None: Reader(count))
     monkeypatch.setattr(STAGE, "read_metadata", lambda settings, sensor, data_dir: Reader.metadata)
 
 

@@ -152,7 +152,7 @@ def asked(monkeypatch, tmp_path):
                 steps=1, parameters=1, best_step=1, best_loss=1.0, train_seconds=1.0, images_per_second=1.0
             )
 
-        monkeypatch.setattr(examples, "open_set", lambda name, *words: calls.append((name, words)) or Reader())
+        monkeypatch.setattr(examples, "open_set", lambda *words: calls.append(words) or Reader())
         monkeypatch.setattr(loop, "train", train)
         run.run_stages(experiment, (network,), tmp_path / str(len(list(tmp_path.iterdir()))), tmp_path, "none")
         return {"calls": calls}
