@@ -7,7 +7,6 @@ without harm. "Another image" is one half the test split further on or, where th
 after it at another; only a split of a single pose has none there.
 """
 
-import io
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -29,6 +28,7 @@ from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import Json, write_bytes, write_json
+from jaxunshear.style import png_of
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples
 from jaxunshear.training.origin import check_origin
@@ -199,6 +199,4 @@ def picture(shown: dict[str, np.ndarray]) -> bytes:
             axes.imshow(image, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
             axes.set(xticks=[], yticks=[])
         row[0].set_ylabel({"canonical": "tap"}.get(name, name), rotation=0, ha="right", va="center", fontsize=8)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
+    return png_of(figure)

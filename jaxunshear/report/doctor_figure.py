@@ -1,11 +1,10 @@
 """Some examined images, with the pins that were found in them."""
 
-import io
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from jaxunshear.applications.doctor import Diagnosis
+from jaxunshear.style import png_of
 
 COLUMNS = 4
 DRAWN = 12
@@ -32,6 +31,4 @@ def doctor_figure(diagnosis: Diagnosis) -> bytes | None:
         axes.scatter(*sample.pins.T, s=4, c="#ff7a1a")
         title = f"{name[-28:]}\n{sample.name[-20:]}: {len(sample.pins)} pins"
         axes.set_title(title.replace("$", r"\$"), fontsize=8)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+    return png_of(figure)

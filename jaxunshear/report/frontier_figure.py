@@ -1,6 +1,5 @@
 """The picture of a sweep over a list of settings: error against seconds of training, and against milliseconds an image."""
 
-import io
 from textwrap import wrap
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxunshear.results.sweep import CellResult, SweepResult
 from jaxunshear.settings.registry import DISENTANGLED, TEACHER
-from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
+from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, png_of
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "ms_ssim/disentangled": ("likeness to the tap, MS-SSIM", True),
@@ -112,7 +111,7 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
         return None
     number = {cell.label: str(place + 1) for place, cell in enumerate(summary.cells)}
     with rc_context(STYLE):
-        figure = Figure(figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained")
+        figure = Figure(figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained", dpi=100)
         places = figure.subplots(len(COSTS), len(metrics), squeeze=False)
         for row, (cost, cost_label) in zip(places, COSTS.items(), strict=True):
             for axes, metric in zip(row, metrics, strict=True):
@@ -126,9 +125,7 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
         names += "      hollow: another test" * (len(ranked(summary)) < len(number))
         figure.suptitle(f"{summary.sweep}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none")
         figure.supxlabel("\n".join(wrap(names, 42 * len(metrics))), fontsize=9)
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=100, metadata={"Software": ""})
-    return picture.getvalue()
+        return png_of(figure)
 
 
 def panel(axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict[str, str]) -> None:

@@ -1,7 +1,5 @@
 """Contact geometry as the paper's row of surfaces: tap, sheared, unsheared by each network; and the truth where it is known."""
 
-import io
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -10,7 +8,7 @@ from jaxunshear.applications.geometry import surface
 from jaxunshear.applications.geometry_scores import UNTOUCHED, Geometry, correlation
 from jaxunshear.applications.geometry_ways import AREAS, INVERSE
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN
+from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN, png_of
 
 CELLS, WIDTH = 48, 2.7
 TRUTH = "true indentation"
@@ -74,6 +72,4 @@ def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], 
             axes.set_title(title, fontsize=size)
             if column == 0:
                 axes.text2D(0.0, 0.92, name[-30:], transform=axes.transAxes, fontsize=size)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+    return png_of(figure)
