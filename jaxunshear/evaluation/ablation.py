@@ -20,6 +20,7 @@ from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics
 from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
+from jaxunshear.evenly import evenly
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.model.layers import in_precision
@@ -117,7 +118,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
 
 def _shown(batch: dict[str, np.ndarray], drawn: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
     """Images (K, S, S) of some of the `rows` of a batch, SHOWN at most, for `picture`."""
-    some = rows[np.linspace(0, len(rows) - 1, min(SHOWN, len(rows))).round().astype(int)]
+    some = rows[evenly(len(rows), SHOWN)]
     shown = {name: batch[name][some, ..., 0] / 255 for name in ("sheared", "canonical")}
     return shown | {name: image[some, ..., 0] for name, image in drawn.items()}
 

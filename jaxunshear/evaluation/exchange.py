@@ -18,6 +18,7 @@ from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.pins import half_pitch
 from jaxunshear.evaluation.slide import slipping
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
+from jaxunshear.evenly import evenly
 from jaxunshear.metrics.pins import pin_error
 from jaxunshear.model import pinnets, unshearnet
 from jaxunshear.model.parts import Net, Variables
@@ -106,7 +107,7 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
         return None
     road = _road(net)
     count = reader.length("test")
-    rows = np.linspace(0, count - 1, min(MOST, count)).round().astype(int)
+    rows = evenly(count, MOST)
     batch = reader.take("test", rows, ("stimulus", "pose_id"))
     others, swapped = reader.partners("test", rows)
     compared = partial(_compared, road, variables, reader, (rows, others, swapped))

@@ -13,6 +13,7 @@ import numpy as np
 
 from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.evaluation.gather import IMAGES, PINS
+from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import followed
 
@@ -34,7 +35,7 @@ class FoundPairs(NamedTuple):
 def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str], split: str = "test") -> FoundPairs | None:
     """None where no pair can be followed, as in images too small to show pins."""
     count = reader.length(split)
-    rows = np.unique(np.linspace(0, count - 1, min(MOST, count)).round().astype(int))
+    rows = evenly(count, MOST)
     batch = reader.take(split, rows, fields)
     reported: dict[str, dict[str, float]] = {}
     places: dict[str, np.ndarray] = {}

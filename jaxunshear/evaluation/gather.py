@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
+from jaxunshear.evenly import evenly
 from jaxunshear.image.png import eight_bit
 from jaxunshear.progress import Progress
 from jaxunshear.settings.targets import Targets, true_values
@@ -49,7 +50,7 @@ def gather(
     Shorter batches are filled up to BATCH by repeating their first contact, so `run` compiles once for all that it is fed; the surplus
     is dropped.
     """
-    kept = np.unique(np.linspace(0, total - 1, min(keep, total)).round().astype(np.int64))
+    kept = evenly(total, keep)
     scores: list[dict[str, np.ndarray]] = []
     labels: list[dict[str, np.ndarray]] = []
     images: list[dict[str, np.ndarray]] = []

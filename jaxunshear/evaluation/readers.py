@@ -20,6 +20,7 @@ import numpy as np
 from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.ridge import FEWEST, Ridge, answers, fitted
 from jaxunshear.evaluation.score import Outputs, pose_scores
+from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.model.posenet import pose_from_outputs, pose_targets
@@ -65,7 +66,7 @@ FEATURES = {PIXELS: pixels, PIN_PLACES: places}
 def learnt(name: str, taps: Reader, targets: Targets, most: int = MOST_TAPS) -> PoseReader | None:
     """PIXELS or PIN_PLACES from training taps alone, at most so many; None where there are too few."""
     count = taps.length("train")
-    rows = np.linspace(0, count - 1, min(most, count)).round().astype(int)
+    rows = evenly(count, most)
     fields = fields_of(targets)
     batch = taps.take("train", rows, (FIELD[name], *fields))
     return reader_of(FEATURES[name](batch[FIELD[name]]), {field: batch[field] for field in fields}, targets)
