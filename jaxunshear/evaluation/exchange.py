@@ -19,6 +19,7 @@ from jaxunshear.evaluation.pins import half_pitch
 from jaxunshear.evaluation.slide import slipping
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
 from jaxunshear.evenly import evenly
+from jaxunshear.image.png import eight_bit
 from jaxunshear.metrics.pins import pin_error
 from jaxunshear.model import pinnets, unshearnet
 from jaxunshear.model.parts import Net, Variables
@@ -145,9 +146,8 @@ def _compared(
 
 def _pins_of(images: np.ndarray, true: np.ndarray) -> dict[str, float]:
     """How far the pins that are found in images (B, S, S, 1) in [0, 1], matched one to one, lie from the true ones (B, P, 2) px."""
-    binary = np.where(images[..., 0] >= 0.5, 255, 0).astype(np.uint8)
-    error = pin_error(binary, true, 1.0, half_pitch(true))
-    return {"rms_px": error.rms_px, "missed_per_image": error.missed}
+    error = pin_error(eight_bit(images[..., 0]), true, half_pitch(true))
+    return {name: error[name] for name in ("rms_px", "missed_per_image")}
 
 
 def _errors(squares: dict[str, np.ndarray], poses: np.ndarray, inside: np.ndarray, unit: str) -> Json:

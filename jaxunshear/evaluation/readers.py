@@ -117,7 +117,7 @@ def read_pins(
     are not identified for sure."""
     errors: dict[str, np.ndarray] = {}
     for kind in (kind for kind in READ if kind in images):
-        found = places(lattice.place + motions_of(lattice, np.where(images[kind] >= 128, 255, 0).astype(np.uint8)))
+        found = places(lattice.place + motions_of(lattice, images[kind]))
         scores = pose_scores({kind: read(reader, found)}, true, f"read/{PIN_PLACES}")
         errors |= {name: np.where(np.isfinite(found[:, 0]), score, np.nan) for name, score in scores.items()}
     return errors

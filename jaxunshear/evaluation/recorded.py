@@ -255,7 +255,4 @@ def _pin_error(slides: Gathered | None, test: Test, over: bool) -> dict[str, dic
     if not sure.any():
         return {}
     kept = {kind: images[sure] for kind, images in slides.images.items()}
-    found = pin_errors(kept, slides.pins["canonical_pins"][sure], slides.pins["sheared_pins"][sure], 1.0)
-    return {
-        kind: {name: None if name == "rms_mm" else value for name, value in row.items()} for kind, row in found.items()
-    }
+    return pin_errors(kept, slides.pins["canonical_pins"][sure], slides.pins["sheared_pins"][sure], None)
