@@ -16,9 +16,9 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
+from jaxunshear.evaluation.cells import SPOILT, draw_cells
 from jaxunshear.evaluation.paper import PAPER
-from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics
+from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics, target_of
 from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
 from jaxunshear.evenly import evenly
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit

@@ -27,9 +27,8 @@ class Gathered(NamedTuple):
     kept: np.ndarray  # (K,) indices of contacts
     images: dict[str, np.ndarray]  # (K, S, S) uint8 by kind, without the baselines
     pins: dict[str, np.ndarray]  # (K, P, 2) px by PINS
-    read: Mapping[str, np.ndarray] = MappingProxyType(
-        {}
-    )  # (K,) errors of a reader of found pins, see `readers.read_pins`
+    # (K,) errors of a reader of found pins, see `readers.read_pins`
+    read: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 def gather(

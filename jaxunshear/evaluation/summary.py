@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
+from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, target_of
 from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, numbered_poses, redrawn_means
 from jaxunshear.results.run import PartPoses, Parts, Poses, PoseSpread, Span, Spread, Swapped, Tables
 
@@ -56,8 +56,8 @@ def tables(
         },
         difference=_by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
         swap={
-            cell: Swapped(target=target, **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS})
-            for cell, target in CELLS.items()
+            cell: Swapped(target=target_of(cell), **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS})
+            for cell in CELLS
             if f"swap/{cell}/mse" in scores
         },
         spread=Spread(
