@@ -20,12 +20,9 @@ ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "pose/disentangled/edge_deg": ("edge angle error, deg", False),
 }
 COSTS = {"train_seconds": "seconds of training", "ms_per_image": "ms an image"}
-NETWORK = DISENTANGLED
 TEST = ("paired.", "sensor")  # settings that decide which contacts the test holds, and how their images appear
-SIZES = (
-    "paired.preprocess.size",
-    "paired.camera.frame_px",
-)  # but for these: errors in mm and degrees compare across sizes
+# but for these: errors in mm and degrees compare across sizes
+SIZES = ("paired.preprocess.size", "paired.camera.frame_px")
 
 
 def frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
@@ -96,10 +93,10 @@ def _spent(cell: CellResult, cost: str) -> list[float]:
     """Of every seed that has it. The training of a taught network includes its teacher's."""
     spent = []
     for costs in cell.costs.values():
-        if cost == "ms_per_image" and NETWORK in costs.ms_per_image:
-            spent.append(costs.ms_per_image[NETWORK]["median"])
-        elif cost == "train_seconds" and NETWORK in costs.train_seconds:
-            spent.append(costs.train_seconds[NETWORK] + costs.train_seconds.get(TEACHER, 0.0))
+        if cost == "ms_per_image" and DISENTANGLED in costs.ms_per_image:
+            spent.append(costs.ms_per_image[DISENTANGLED]["median"])
+        elif cost == "train_seconds" and DISENTANGLED in costs.train_seconds:
+            spent.append(costs.train_seconds[DISENTANGLED] + costs.train_seconds.get(TEACHER, 0.0))
     return spent
 
 
@@ -132,10 +129,10 @@ def panel(axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict
     labels, x, y = points(summary, metric, cost)
     best = [labels.index(label) for label in efficient(summary)[metric][cost]]
     comparable = ranked(summary)
-    axes.plot(x[best], y[best], "-", color=COLOURS[NETWORK])
+    axes.plot(x[best], y[best], "-", color=COLOURS[DISENTANGLED])
     for index, label in enumerate(labels):
         on, full = index in best, label in comparable
-        inside = COLOURS[NETWORK] if on else FAINT if full else "white"
+        inside = COLOURS[DISENTANGLED] if on else FAINT if full else "white"
         axes.annotate(
             number[label],
             (x[index], y[index]),
