@@ -28,6 +28,7 @@ from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, of_batches, read_pins, readers_of
 from jaxunshear.evaluation.score import chance, shown_kind
+from jaxunshear.evaluation.speed import ms_per_image
 from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_size, tables, typical, with_readers
 from jaxunshear.evaluation.within import coverage, half_widths
@@ -44,6 +45,7 @@ from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
 from jaxunshear.storage import write_bytes
+from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
 
@@ -61,9 +63,6 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     Raises `UserError` where a network or the data set is missing, damaged or empty, or a network learnt from other data
     or is not trained to the end.
     """
-    from jaxunshear.evaluation.speed import ms_per_image
-    from jaxunshear.training.checkpoint import check_finished
-
     started = time.perf_counter()
     run_dir = Path(run_dir)
     for network in experiment.networks:
