@@ -31,11 +31,11 @@ class FoundPairs(NamedTuple):
     reported: dict[str, dict[str, float]]
 
 
-def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str], split: str = "test") -> FoundPairs | None:
+def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> FoundPairs | None:
     """None where no pair can be followed, as in images too small to show pins."""
-    count = reader.length(split)
+    count = reader.length("test")
     rows = evenly(count, MOST)
-    batch = reader.take(split, rows, fields)
+    batch = reader.take("test", rows, fields)
     reported: dict[str, dict[str, float]] = {}
     places: dict[str, np.ndarray] = {}
     sure = np.ones(len(rows), bool)

@@ -63,10 +63,9 @@ def places(pins: np.ndarray) -> np.ndarray:
 FEATURES = {PIXELS: pixels, PIN_PLACES: places}
 
 
-def learnt(name: str, taps: Reader, targets: Targets, most: int = MOST_TAPS) -> PoseReader | None:
-    """PIXELS or PIN_PLACES from training taps alone, at most so many; None where there are too few."""
-    count = taps.length("train")
-    rows = evenly(count, most)
+def learnt(name: str, taps: Reader, targets: Targets) -> PoseReader | None:
+    """PIXELS or PIN_PLACES from training taps alone; None where there are too few."""
+    rows = evenly(taps.length("train"), MOST_TAPS)
     fields = fields_of(targets)
     batch = taps.take("train", rows, (FIELD[name], *fields))
     return reader_of(FEATURES[name](batch[FIELD[name]]), {field: batch[field] for field in fields}, targets)

@@ -14,6 +14,7 @@ from jaxunshear.results.run import PartPoses, Parts, Poses, PoseSpread, Span, Sp
 
 Figure = TypeVar("Figure")
 PARTS = 3  # equal parts of the range of a size
+QUANTILES = (0.1, 0.5, 0.9)  # of the score of the contacts that are shown
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 
 
@@ -175,13 +176,13 @@ def contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[str, float]
     }
 
 
-def typical(scores: np.ndarray, stimulus: np.ndarray, quantiles: Sequence[float] = (0.1, 0.5, 0.9)) -> np.ndarray:
-    """Indices of contacts to show: for each stimulus those at these quantiles of the score, worst first, none twice."""
+def typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
+    """Indices of contacts to show: for each stimulus those at QUANTILES of the score, worst first, none twice."""
     chosen: list[int] = []
     for index in np.unique(stimulus):
         inside = np.flatnonzero(stimulus == index)
         ranked = inside[np.argsort(scores[inside], kind="stable")]
-        chosen += dict.fromkeys(int(ranked[round(q * (len(ranked) - 1))]) for q in quantiles)
+        chosen += dict.fromkeys(int(ranked[round(q * (len(ranked) - 1))]) for q in QUANTILES)
     return np.array(chosen, np.int64)
 
 

@@ -152,5 +152,5 @@ def test_contact_quality_known_answer():
 
 def test_typical_shows_low_middling_and_high_of_each_stimulus():
     scores = np.array([0.5, 0.1, 0.9, 0.4, 0.6, 0.3])
-    assert typical(scores, np.array([0, 0, 0, 1, 1, 1]), (0, 0.5, 1)).tolist() == [1, 0, 2, 5, 3, 4]
+    assert typical(scores, np.array([0, 0, 0, 1, 1, 1])).tolist() == [1, 0, 2, 5, 3, 4]
     assert typical(scores[:1], np.array([2])).tolist() == [0]
