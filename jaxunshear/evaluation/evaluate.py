@@ -249,15 +249,15 @@ def _further(settings: PairedData, gathered: Gathered) -> Further:
 def _tables(settings: PairedData, gathered: Gathered) -> Tables:
     """All that is reported of the scores of one test."""
     labels, ranges = gathered.labels, settings.ranges
-    drawn = (labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED)
     poses = numbered_poses(labels["stimulus"], labels["pose_id"])
     read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
     of_pins = {name.removeprefix("pins/"): s for name, s in gathered.scores.items() if name.startswith("pins/")}
+    found = tables(gathered.scores, settings.names, labels["stimulus"], poses, BOOTSTRAP_SEED)
     return replace(
-        with_readers(tables(gathered.scores, settings.names, *drawn), read, BOOTSTRAP_SEED),
+        with_readers(found, read, BOOTSTRAP_SEED),
         pins={kind: {"rms_px": float(np.mean(score, dtype=np.float64))} for kind, score in of_pins.items()},
         pose_by_depth=pose_by_size(
-            gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, *drawn
+            gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, poses, BOOTSTRAP_SEED
         ),
     )
 

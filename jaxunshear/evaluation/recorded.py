@@ -22,7 +22,7 @@ from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import Reads
 from jaxunshear.evaluation.recorded_facts import counts_of, pairing_of, recordings_of
 from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
-from jaxunshear.evaluation.spread import redrawn_means
+from jaxunshear.evaluation.spread import numbered_poses, redrawn_means
 from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.results.run import Results, Tables
@@ -172,15 +172,15 @@ def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) ->
     one = slides if slides is not None else taps
     assert one is not None
     scores = {} if slides is None else slides.scores
-    found = tables(scores, (), one.labels["stimulus"], one.labels["number"], SEED, (of_taps, tap_means))
+    poses = numbered_poses(one.labels["stimulus"], one.labels["number"])
+    found = tables(scores, (), one.labels["stimulus"], poses, SEED, (of_taps, tap_means))
     if slides is not None:
-        drawn = (slides.labels["stimulus"], slides.labels["number"], SEED)
         depth, length = slides.labels["pose"][:, 2], np.hypot(*slides.labels["move"][:, :2].T)
         if "z_mm" in names_of(targets):
-            by = pose_by_size(scores, depth, float(depth.min()), float(depth.max()), *drawn)
+            by = pose_by_size(scores, depth, float(depth.min()), float(depth.max()), poses, SEED)
             found = dataclasses.replace(found, pose_by_depth=by)
         if np.isfinite(length).all():
-            by = pose_by_size(scores, length, 0.0, float(length.max()), *drawn)
+            by = pose_by_size(scores, length, 0.0, float(length.max()), poses, SEED)
             found = dataclasses.replace(found, pose_by_slide=by)
     read = [(each.scores, each.labels["number"]) for each in (taps, slides) if each is not None]
     return _with_unsheared(with_readers(found, read, SEED))

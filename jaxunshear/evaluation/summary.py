@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, target_of
-from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, numbered_poses, redrawn_means
+from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, redrawn_means
 from jaxunshear.results.run import PartPoses, Parts, Poses, PoseSpread, Span, Spread, Swapped, Tables
 
 Figure = TypeVar("Figure")
@@ -22,7 +22,7 @@ def tables(
     scores: dict[str, np.ndarray],
     names: Sequence[str],
     stimulus: np.ndarray,
-    pose_id: np.ndarray,
+    poses: np.ndarray,
     seed: int,
     apart: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = ({}, {}),
 ) -> Tables:
@@ -30,13 +30,12 @@ def tables(
     Poses of each stimulus alone stand under `pose_by_stimulus`.
 
     `scores`: arrays (N,) by the names of `score.py`, of whichever networks there are; `names` of the stimuli, indexed by
-    `stimulus` (N,); `pose_id` (N,). A stimulus without test contacts is null. Ratio: error over that on sheared images.
+    `stimulus` (N,); `poses` (N,) as `numbered_poses`. A stimulus without test contacts is null. Ratio: error over that on sheared images.
     Recovery: the part of the slide's damage undone, (sheared - unsheared) / (sheared - tap); null where the slide does no damage.
     Difference: disentangled less another network, contact by contact. `apart`: scores of other contacts (M,) that join the tables of poses,
     with their redrawn means.
     """
     groups = {name: stimulus == index for index, name in enumerate(names)} | {"overall": np.ones(len(stimulus), bool)}
-    poses = numbered_poses(stimulus, pose_id)
     redrawn = {
         group: redrawn_means({name: score[inside] for name, score in scores.items()}, poses[inside], seed)
         for group, inside in groups.items()
@@ -79,13 +78,7 @@ def tables(
 
 
 def pose_by_size(
-    scores: dict[str, np.ndarray],
-    size: np.ndarray,
-    least: float,
-    most: float,
-    stimulus: np.ndarray,
-    pose_id: np.ndarray,
-    seed: int,
+    scores: dict[str, np.ndarray], size: np.ndarray, least: float, most: float, poses: np.ndarray, seed: int
 ) -> Parts:
     """What `tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
     shallow touch shows little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
@@ -94,7 +87,7 @@ def pose_by_size(
     if least == most or not felt:
         return {}
     bounds = np.linspace(least, most, PARTS + 1)
-    part, poses = np.digitize(size, bounds[1:-1]), numbered_poses(stimulus, pose_id)
+    part = np.digitize(size, bounds[1:-1])
     digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as distinguish the parts
     found: dict[str, PartPoses | None] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
