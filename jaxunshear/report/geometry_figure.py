@@ -27,22 +27,17 @@ def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContact
         here = np.flatnonzero((contacts.stimulus == index) & full)
         if len(here):
             row = int(here[np.argsort(sheared[here])[len(here) // 2]])
-            lines += [
-                (
-                    f"{name}, {way}",
-                    {TRUTH: contacts.indentation_mm[row], **{kind: height[kind, way][row] for kind in kinds}},
-                )
-                for way in DRAWN
-            ]
+            for way in DRAWN:
+                heights = {kind: height[kind, way][row] for kind in kinds}
+                lines.append((f"{name}, {way}", {TRUTH: contacts.indentation_mm[row], **heights}))
     return _surfaces(lattice, lines, TRUTH)
 
 
 def of_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:
     """A PNG: a line an image, without truth."""
     names, kinds = shown
-    return _surfaces(
-        lattice, [(name, {kind: height[i] for kind, height in kinds.items()}) for i, name in enumerate(names)], None
-    )
+    lines = [(name, {kind: height[i] for kind, height in kinds.items()}) for i, name in enumerate(names)]
+    return _surfaces(lattice, lines, None)
 
 
 def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], truth: str | None) -> bytes:
