@@ -1,9 +1,13 @@
 """How figures are styled. Imports no Matplotlib."""
 
+import io
 from textwrap import wrap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, ENTANGLED_LARGE, POSENET, POSENET_SHEARED, UNET
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 INK, FAINT = "#1c2330", "#8a93a3"
 COLOURS = {
@@ -34,14 +38,18 @@ STYLE: Any = {  # the names are a closed list of matplotlib's
     "axes.axisbelow": True,
     "legend.frameon": False,
 }
-ABREAST, PANEL_IN, DPI = (
-    3,
-    3.5,
-    110,
-)  # panels of a picture side by side: what a report's page shows without making it smaller
+# panels of a picture side by side: what a report's page shows without making it smaller
+ABREAST, PANEL_IN, DPI = 3, 3.5, 110
 HEAD, LABEL = 9, 8  # points: of titles, and of all that is smaller
 
 
 def headed(text: str, columns: int) -> str:
     """A title over `columns` panels, in as many lines as it takes."""
     return "\n".join(wrap(text, 48 * columns))
+
+
+def png_of(figure: "Figure") -> bytes:
+    """A PNG without the name and version of Matplotlib: the same drawing gives the same bytes."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": ""})
+    return buffer.getvalue()

@@ -7,7 +7,6 @@ without harm. "Another image" is one half the test split further on or, where th
 after it at another; only a split of a single pose has none there.
 """
 
-import io
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,10 +16,11 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
+from jaxunshear.evaluation.cells import SPOILT, draw_cells
 from jaxunshear.evaluation.paper import PAPER
-from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics
+from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics, target_of
 from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
+from jaxunshear.evenly import evenly
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.model.layers import in_precision
@@ -29,6 +29,7 @@ from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import Json, write_bytes, write_json
+from jaxunshear.style import png_of
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples
 from jaxunshear.training.origin import check_origin
@@ -117,7 +118,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
 
 def _shown(batch: dict[str, np.ndarray], drawn: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
     """Images (K, S, S) of some of the `rows` of a batch, SHOWN at most, for `picture`."""
-    some = rows[np.linspace(0, len(rows) - 1, min(SHOWN, len(rows))).round().astype(int)]
+    some = rows[evenly(len(rows), SHOWN)]
     shown = {name: batch[name][some, ..., 0] / 255 for name in ("sheared", "canonical")}
     return shown | {name: image[some, ..., 0] for name, image in drawn.items()}
 
@@ -199,6 +200,4 @@ def picture(shown: dict[str, np.ndarray]) -> bytes:
             axes.imshow(image, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
             axes.set(xticks=[], yticks=[])
         row[0].set_ylabel({"canonical": "tap"}.get(name, name), rotation=0, ha="right", va="center", fontsize=8)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
+    return png_of(figure)

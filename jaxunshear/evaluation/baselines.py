@@ -10,6 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxunshear.evenly import evenly
+
 MOST_TAPS = 2000  # of the training split are searched, evenly chosen
 REACH = 0.25  # of the image's side: how far a translation may go
 
@@ -21,8 +23,7 @@ def training_taps(batches: Iterable[Mapping[str, np.ndarray]]) -> np.ndarray:
         for stimulus, pose, tap in zip(batch["stimulus"], batch["pose_id"], batch["canonical"], strict=True):
             taps.setdefault((int(stimulus), int(pose)), tap)
     every = list(taps.values())
-    chosen = np.linspace(0, len(every) - 1, min(MOST_TAPS, len(every))).round().astype(int)
-    return np.stack([every[index] for index in chosen])
+    return np.stack([every[index] for index in evenly(len(every), MOST_TAPS)])
 
 
 def baseline_images(taps: Array, tap: Array, sheared: Array) -> dict[str, Array]:

@@ -30,11 +30,6 @@ SPOILT: dict[str, tuple[str, ...]] = {
 }
 
 
-def target_of(cell: str) -> str:
-    """What the cell's decoder ought to draw: "tap" or "sheared"."""
-    return CELLS.get(cell, "tap" if cell.startswith("DC") else "sheared")
-
-
 def draw_cells(
     net: UnshearNet, variables: Variables, sheared: Array, names: Iterable[str] = CELLS, key: Array | None = None
 ) -> dict[str, Array]:

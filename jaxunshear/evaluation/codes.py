@@ -1,6 +1,7 @@
 """Pose code and shear code of a disentangled network, over images or pins, a row for each input."""
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -17,15 +18,11 @@ Encode = Callable[[np.ndarray], dict[str, np.ndarray]]  # inputs -> codes (N, F)
 
 def encoder_of(net: Net, variables: Variables) -> Encode | None:
     """Inputs -> codes (N, F) by name; None without a shear code."""
-    if isinstance(net, PinUnshear):
-        run = jax.jit(lambda weights, pins: pinnets.encode(net, weights, pins))
-        held = bool(net.shear_code)
-    elif isinstance(net, UnshearNet) and net.disentangled:
+    if isinstance(net, PinUnshear) and net.shear_code:
+        run = jax.jit(partial(pinnets.encode, net))
+    elif isinstance(net, UnshearNet) and net.disentangled and net.shear_channels:
         run = jax.jit(lambda weights, images: unshearnet.encode(net, weights, images.astype(jnp.float32) / 255))
-        held = bool(net.shear_channels)
     else:
-        return None
-    if not held:
         return None
 
     def encode(seen: np.ndarray) -> dict[str, np.ndarray]:

@@ -28,6 +28,7 @@ from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, of_batches, read_pins, readers_of
 from jaxunshear.evaluation.score import chance, shown_kind
+from jaxunshear.evaluation.speed import ms_per_image
 from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_size, tables, typical, with_readers
 from jaxunshear.evaluation.within import coverage, half_widths
@@ -44,6 +45,7 @@ from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
 from jaxunshear.storage import write_bytes
+from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
 
@@ -61,9 +63,6 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     Raises `UserError` where a network or the data set is missing, damaged or empty, or a network learnt from other data
     or is not trained to the end.
     """
-    from jaxunshear.evaluation.speed import ms_per_image
-    from jaxunshear.training.checkpoint import check_finished
-
     started = time.perf_counter()
     run_dir = Path(run_dir)
     for network in experiment.networks:
@@ -250,15 +249,15 @@ def _further(settings: PairedData, gathered: Gathered) -> Further:
 def _tables(settings: PairedData, gathered: Gathered) -> Tables:
     """All that is reported of the scores of one test."""
     labels, ranges = gathered.labels, settings.ranges
-    drawn = (labels["stimulus"], labels["pose_id"], BOOTSTRAP_SEED)
     poses = numbered_poses(labels["stimulus"], labels["pose_id"])
     read = [(gathered.scores, poses), (gathered.read, poses[gathered.kept])]
     of_pins = {name.removeprefix("pins/"): s for name, s in gathered.scores.items() if name.startswith("pins/")}
+    found = tables(gathered.scores, settings.names, labels["stimulus"], poses, BOOTSTRAP_SEED)
     return replace(
-        with_readers(tables(gathered.scores, settings.names, *drawn), read, BOOTSTRAP_SEED),
+        with_readers(found, read, BOOTSTRAP_SEED),
         pins={kind: {"rms_px": float(np.mean(score, dtype=np.float64))} for kind, score in of_pins.items()},
         pose_by_depth=pose_by_size(
-            gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, *drawn
+            gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, poses, BOOTSTRAP_SEED
         ),
     )
 

@@ -18,6 +18,8 @@ from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.pins import half_pitch
 from jaxunshear.evaluation.slide import slipping
 from jaxunshear.evaluation.spread import interval, numbered_poses, redrawn_means
+from jaxunshear.evenly import evenly
+from jaxunshear.image.png import eight_bit
 from jaxunshear.metrics.pins import pin_error
 from jaxunshear.model import pinnets, unshearnet
 from jaxunshear.model.parts import Net, Variables
@@ -51,8 +53,9 @@ class _Road(NamedTuple):
     encode: Callable[[Variables, Array], tuple[Array, Array | None]]
     draw: Callable[[Variables, Array, Array], Array]
 
-    def seen(self, stored: np.ndarray) -> np.ndarray:
-        """Images in [0, 1], pins as they are."""
+    def seen(self, reader: Reader, rows: np.ndarray) -> np.ndarray:
+        """Of test contacts: images in [0, 1], pins as they are."""
+        stored = reader.take("test", rows, (self.field,))[self.field]
         return stored / np.float32(255) if stored.dtype == np.uint8 else stored
 
     def squares(self, drawn: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -63,8 +66,7 @@ class _Road(NamedTuple):
 
 def _road(net: Net) -> _Road:
     if isinstance(net, PinUnshear):
-        encode, sheared = jax.jit(partial(pinnets.encode, net)), jax.jit(partial(pinnets.decode_sheared, net))
-        return _Road(FEEDS, "px", encode, sheared)
+        return _Road(FEEDS, "px", jax.jit(partial(pinnets.encode, net)), jax.jit(partial(pinnets.decode_sheared, net)))
 
     @jax.jit
     def draw(variables: Variables, z_p: Array, z_s: Array) -> Array:
@@ -86,7 +88,7 @@ def exchanged(experiment: Experiment, run_dir: Path, data_dir: Path) -> Exchange
     full = [rows[:side, :side] for rows in table if np.all(rows[:side, :side] >= 0)]
     if not full:
         return None
-    stored = road.seen(reader.take("test", full[0].reshape(-1), (road.field,))[road.field])
+    stored = road.seen(reader, full[0].reshape(-1))
     true = stored.reshape(side, side, *stored.shape[1:])
     z_p, z_s = road.encode(variables, jnp.asarray(true[np.arange(side), np.arange(side)]))
     assert z_s is not None
@@ -105,8 +107,7 @@ def errors_of(net: Net, variables: Variables, reader: Reader) -> Json | None:
     if not isinstance(reader, FactorialReader):
         return None
     road = _road(net)
-    count = reader.length("test")
-    rows = np.linspace(0, count - 1, min(MOST, count)).round().astype(int)
+    rows = evenly(reader.length("test"), MOST)
     batch = reader.take("test", rows, ("stimulus", "pose_id"))
     others, swapped = reader.partners("test", rows)
     compared = partial(_compared, road, variables, reader, (rows, others, swapped))
@@ -135,7 +136,7 @@ def _compared(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """What DS draws of `some` contacts, from which codes, and what it should draw. `partners`: rows of these contacts, of others after
     other slides, and of the own poses after those slides."""
-    seen = [road.seen(reader.take("test", rows[some], (road.field,))[road.field]) for rows in partners]
+    seen = [road.seen(reader, rows[some]) for rows in partners]
     codes: list[Any] = [road.encode(variables, jnp.asarray(each)) for each in seen]
     pairs = {EXCHANGED: (0, 1), OWN: (2, 2), "shear code not exchanged": (0, 0)}
     drawn = {name: road.draw(variables, codes[p][0], codes[s][1]) for name, (p, s) in pairs.items()}
@@ -144,9 +145,8 @@ def _compared(
 
 def _pins_of(images: np.ndarray, true: np.ndarray) -> dict[str, float]:
     """How far the pins that are found in images (B, S, S, 1) in [0, 1], matched one to one, lie from the true ones (B, P, 2) px."""
-    binary = np.where(images[..., 0] >= 0.5, 255, 0).astype(np.uint8)
-    error = pin_error(binary, true, 1.0, half_pitch(true))
-    return {"rms_px": error.rms_px, "missed_per_image": error.missed}
+    error = pin_error(eight_bit(images[..., 0]), true, half_pitch(true))
+    return {name: error[name] for name in ("rms_px", "missed_per_image")}
 
 
 def _errors(squares: dict[str, np.ndarray], poses: np.ndarray, inside: np.ndarray, unit: str) -> Json:

@@ -13,33 +13,33 @@ import numpy as np
 
 from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.evaluation.gather import IMAGES, PINS
+from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import followed
 
 FOUND = "found"  # the name of this test
 MOST = 480  # slides, evenly chosen, each with its tap: some 15 ms an image
 SEEN_TAP = "seen_tap"
-INPUTS = (PINS[0], PINS[1], SEEN_TAP)  # the true tap, the slide and the tap as found
+INPUTS = (*PINS, SEEN_TAP)  # the true tap, the slide and the tap as found
 
 
 class FoundPairs(NamedTuple):
     """Test pairs whose tap and slide were both followed for sure."""
 
     pairs: Batch  # `sheared_pins` and SEEN_TAP (N, P, 2) px, NaN where a pin is not seen; `canonical_pins` true ones
-    reported: dict[
-        str, dict[str, float]
-    ]  # of taps and slides, what share was followed, how far found pins are off, how many are missing
+    # of taps and slides, what share was followed, how far found pins are off, how many are missing
+    reported: dict[str, dict[str, float]]
 
 
-def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str], split: str = "test") -> FoundPairs | None:
+def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str]) -> FoundPairs | None:
     """None where no pair can be followed, as in images too small to show pins."""
-    count = reader.length(split)
-    rows = np.unique(np.linspace(0, count - 1, min(MOST, count)).round().astype(int))
-    batch = reader.take(split, rows, fields)
+    count = reader.length("test")
+    rows = evenly(count, MOST)
+    batch = reader.take("test", rows, fields)
     reported: dict[str, dict[str, float]] = {}
     places: dict[str, np.ndarray] = {}
     sure = np.ones(len(rows), bool)
-    for kind, image, true in (("tap", *_named(0)), ("sheared", *_named(1))):
+    for kind, image, true in zip(("tap", "sheared"), IMAGES, PINS, strict=True):
         motion, known = followed(lattice, batch[image][..., 0], alone=True)
         places[true] = (lattice.place + motion).astype(np.float32)
         reported[kind] = _reported(places[true][known], batch[true][known], len(rows))
@@ -54,10 +54,6 @@ def found_pairs(reader: Reader, lattice: Lattice, fields: Sequence[str], split: 
 def batches_of(found: FoundPairs, batch: int) -> Iterator[Batch]:
     for start in range(0, len(found.pairs[SEEN_TAP]), batch):
         yield {name: values[start : start + batch] for name, values in found.pairs.items()}
-
-
-def _named(index: int) -> tuple[str, str]:
-    return IMAGES[index], PINS[index]
 
 
 def _reported(found: np.ndarray, true: np.ndarray, images: int) -> dict[str, float]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.evaluation.score import BASELINES, Outputs, differences, pose_scores
+from jaxunshear.evenly import evenly
 from jaxunshear.image.png import eight_bit
 from jaxunshear.progress import Progress
 from jaxunshear.settings.targets import Targets, true_values
@@ -26,9 +27,8 @@ class Gathered(NamedTuple):
     kept: np.ndarray  # (K,) indices of contacts
     images: dict[str, np.ndarray]  # (K, S, S) uint8 by kind, without the baselines
     pins: dict[str, np.ndarray]  # (K, P, 2) px by PINS
-    read: Mapping[str, np.ndarray] = MappingProxyType(
-        {}
-    )  # (K,) errors of a reader of found pins, see `readers.read_pins`
+    # (K,) errors of a reader of found pins, see `readers.read_pins`
+    read: Mapping[str, np.ndarray] = MappingProxyType({})
 
 
 def gather(
@@ -49,7 +49,7 @@ def gather(
     Shorter batches are filled up to BATCH by repeating their first contact, so `run` compiles once for all that it is fed; the surplus
     is dropped.
     """
-    kept = np.unique(np.linspace(0, total - 1, min(keep, total)).round().astype(np.int64))
+    kept = evenly(total, keep)
     scores: list[dict[str, np.ndarray]] = []
     labels: list[dict[str, np.ndarray]] = []
     images: list[dict[str, np.ndarray]] = []

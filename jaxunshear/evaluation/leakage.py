@@ -22,6 +22,7 @@ from jaxunshear.evaluation.probes import LEAST, PROBES
 from jaxunshear.evaluation.readers import pixels, places
 from jaxunshear.evaluation.slide import slides_read, slipping
 from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
+from jaxunshear.evenly import evenly
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.settings.data import PairedData, Ranges
@@ -193,7 +194,7 @@ def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: 
     rows = np.flatnonzero(kept & (batch["sure"] == 1) if sure else kept)
     if not len(rows):
         raise UserError(f"no {split} slide has labels of its pose and its slide: there is nothing to probe for")
-    rows = rows[np.linspace(0, len(rows) - 1, min(most, len(rows))).round().astype(int)]
+    rows = rows[evenly(len(rows), most)]
     more = () if recorded_of(experiment) else ("felt", "edge", "stuck", "slipping")
     return reader.take(split, rows, (seen, *LABELS, *more))
 
@@ -257,7 +258,7 @@ def _with_interval(
 def _independence(what: str, code: str, codes: np.ndarray, wanted: Known, poses: np.ndarray) -> Json:
     """Of one slide at each pose: rows are independent draws."""
     first = np.unique(poses, return_index=True)[1]
-    rows = first[np.linspace(0, len(first) - 1, min(MOST_COMPARED, len(first))).round().astype(int)]
+    rows = first[evenly(len(first), MOST_COMPARED)]
     known = np.concatenate(list(wanted.values()), axis=1)
     one, other = ((x - x.mean(axis=0)) / np.maximum(x.std(axis=0), LEAST) for x in (codes, known))
     statistic, p = hsic(one[rows], other[rows], SEED)

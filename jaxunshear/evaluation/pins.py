@@ -13,28 +13,23 @@ from jaxunshear.metrics.pins import pin_error
 
 
 def pin_errors(
-    images: Mapping[str, np.ndarray], tap_pins: np.ndarray, sheared_pins: np.ndarray, mm_per_px: float
-) -> dict[str, dict[str, float]]:
+    images: Mapping[str, np.ndarray], tap_pins: np.ndarray, sheared_pins: np.ndarray, mm_per_px: float | None
+) -> dict[str, dict[str, float | None]]:
     """Root-mean-square distance of matched pins in px and mm, missed and extra pins an image, by kind of image. A mm is one at the
-    height of the apex' pin: pins of the rim, nearer to the camera, move by less than it says (`tactip331-fitted`: a tenth).
+    height of the apex' pin: pins of the rim, nearer to the camera, move by less than it says (`tactip331-fitted`: a tenth). None of these
+    where `mm_per_px` is not known.
 
-    `images`: (N, S, S) uint8, binarised here at half of full scale; pins: (N, P, 2) true (column, row) in px. Partners
+    `images`: (N, S, S) uint8; pins: (N, P, 2) true (column, row) in px. Partners
     lie within half the tap's pitch. NaN where no pin found a partner.
     """
     limit = half_pitch(tap_pins)
-    found = {}
-    for kind, stack in images.items():
-        error = pin_error(np.where(stack >= 128, 255, 0).astype(np.uint8), tap_pins, mm_per_px, limit)
-        found[kind] = {
-            "rms_px": float(error.rms_px),
-            "rms_mm": float(error.rms_mm),
-            "missed_per_image": float(error.missed),
-            "extra_per_image": float(error.extra),
-        }
+    found = {kind: pin_error(stack, tap_pins, limit) for kind, stack in images.items()}
     squares = np.sum(np.square(sheared_pins.astype(np.float64) - tap_pins), axis=-1)
-    slide = float(np.sqrt(squares.mean()))
-    found["true_slide"] = {"rms_px": slide, "rms_mm": slide * mm_per_px}
-    return found
+    found["true_slide"] = {"rms_px": float(np.sqrt(squares.mean()))}
+    return {
+        kind: {"rms_px": row["rms_px"], "rms_mm": None if mm_per_px is None else row["rms_px"] * mm_per_px, **row}
+        for kind, row in found.items()
+    }
 
 
 def half_pitch(pins: np.ndarray) -> float:

@@ -20,6 +20,7 @@ import numpy as np
 from jaxunshear.dataset.reading import Reader
 from jaxunshear.evaluation.ridge import FEWEST, Ridge, answers, fitted
 from jaxunshear.evaluation.score import Outputs, pose_scores
+from jaxunshear.evenly import evenly
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.model.posenet import pose_from_outputs, pose_targets
@@ -62,10 +63,9 @@ def places(pins: np.ndarray) -> np.ndarray:
 FEATURES = {PIXELS: pixels, PIN_PLACES: places}
 
 
-def learnt(name: str, taps: Reader, targets: Targets, most: int = MOST_TAPS) -> PoseReader | None:
-    """PIXELS or PIN_PLACES from training taps alone, at most so many; None where there are too few."""
-    count = taps.length("train")
-    rows = np.linspace(0, count - 1, min(most, count)).round().astype(int)
+def learnt(name: str, taps: Reader, targets: Targets) -> PoseReader | None:
+    """PIXELS or PIN_PLACES from training taps alone; None where there are too few."""
+    rows = evenly(taps.length("train"), MOST_TAPS)
     fields = fields_of(targets)
     batch = taps.take("train", rows, (FIELD[name], *fields))
     return reader_of(FEATURES[name](batch[FIELD[name]]), {field: batch[field] for field in fields}, targets)
@@ -116,7 +116,7 @@ def read_pins(
     are not identified for sure."""
     errors: dict[str, np.ndarray] = {}
     for kind in (kind for kind in READ if kind in images):
-        found = places(lattice.place + motions_of(lattice, np.where(images[kind] >= 128, 255, 0).astype(np.uint8)))
+        found = places(lattice.place + motions_of(lattice, images[kind]))
         scores = pose_scores({kind: read(reader, found)}, true, f"read/{PIN_PLACES}")
         errors |= {name: np.where(np.isfinite(found[:, 0]), score, np.nan) for name, score in scores.items()}
     return errors

@@ -22,7 +22,7 @@ from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import Reads
 from jaxunshear.evaluation.recorded_facts import counts_of, pairing_of, recordings_of
 from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
-from jaxunshear.evaluation.spread import redrawn_means
+from jaxunshear.evaluation.spread import numbered_poses, redrawn_means
 from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.results.run import Results, Tables
@@ -75,7 +75,7 @@ def gathered_of(
     """Scores of a split's slides and of its taps, by the networks `run` and by `readers`.
 
     Raises UserError where no slide and no tap is labelled."""
-    inputs = ("canonical_pins", "sheared_pins") if over_pins(experiment) else IMAGES
+    inputs = PINS if over_pins(experiment) else IMAGES
     slides = taps = None
     if test.slides is not None and (count := test.slides.length(split)):
         if test.paired:
@@ -85,9 +85,9 @@ def gathered_of(
         slides = gather(run, batches, count, KEPT, targets, inputs=inputs, named=LABELS, readers=readers)
         slides = slides._replace(scores=_of_slides(slides.scores, test.paired))
     if test.taps is not None and (count := test.taps.length(split)):
-        field = inputs[0].replace("canonical_", "").replace("canonical", "image")
-        batches = _as_pairs(test.taps.split(split, BATCH, ("image", "pins", *(n for n in LABELS if n != "move"))))
+        field = "pins" if over_pins(experiment) else "image"
         named = tuple(name for name in LABELS if name != "move")
+        batches = _as_pairs(test.taps.split(split, BATCH, ("image", "pins", *named)))
         taps = gather(run, batches, count, 0, targets, f"evaluate taps ({field})", inputs, named, readers)
         of_taps = ("pose/tap/", *(f"read/{name}/tap/" for name in readers))
         taps = taps._replace(scores={n: s for n, s in taps.scores.items() if n.startswith(of_taps)})
@@ -172,40 +172,34 @@ def _tables(slides: Gathered | None, taps: Gathered | None, targets: Targets) ->
     one = slides if slides is not None else taps
     assert one is not None
     scores = {} if slides is None else slides.scores
-    found = tables(scores, (), one.labels["stimulus"], one.labels["number"], SEED, (of_taps, tap_means))
+    poses = numbered_poses(one.labels["stimulus"], one.labels["number"])
+    found = tables(scores, (), one.labels["stimulus"], poses, SEED, (of_taps, tap_means))
     if slides is not None:
-        drawn = (slides.labels["stimulus"], slides.labels["number"], SEED)
         depth, length = slides.labels["pose"][:, 2], np.hypot(*slides.labels["move"][:, :2].T)
         if "z_mm" in names_of(targets):
-            by = pose_by_size(scores, depth, float(depth.min()), float(depth.max()), *drawn)
+            by = pose_by_size(scores, depth, float(depth.min()), float(depth.max()), poses, SEED)
             found = dataclasses.replace(found, pose_by_depth=by)
         if np.isfinite(length).all():
-            by = pose_by_size(scores, length, 0.0, float(length.max()), *drawn)
+            by = pose_by_size(scores, length, 0.0, float(length.max()), poses, SEED)
             found = dataclasses.replace(found, pose_by_slide=by)
     read = [(each.scores, each.labels["number"]) for each in (taps, slides) if each is not None]
     return _with_unsheared(with_readers(found, read, SEED))
 
 
 def _with_unsheared(found: Tables) -> Tables:
+    """With what the run's network unshears once more, as UNSHEARED."""
     kind = shown_kind(found.pose_mae)
     if kind == "sheared":
         return found
-    spread = dataclasses.replace(
-        found.spread,
-        pose_mae=_renamed(found.spread.pose_mae, kind),
-        pose_recovery=_renamed(found.spread.pose_recovery, kind),
-    )
+
+    def named(table: Mapping[str, Row]) -> Mapping[str, Row]:
+        return {**table, UNSHEARED: table[kind]} if kind in table else table
+
+    spread = found.spread
+    spread = dataclasses.replace(spread, pose_mae=named(spread.pose_mae), pose_recovery=named(spread.pose_recovery))
     return dataclasses.replace(
-        found,
-        pose_mae=_renamed(found.pose_mae, kind),
-        pose_recovery=_renamed(found.pose_recovery, kind),
-        spread=spread,
+        found, pose_mae=named(found.pose_mae), pose_recovery=named(found.pose_recovery), spread=spread
     )
-
-
-def _renamed(table: Mapping[str, Row], kind: str) -> dict[str, Row]:
-    """With the row `kind` once more, as UNSHEARED."""
-    return {**table, UNSHEARED: table[kind]} if kind in table else {**table}
 
 
 def _of_slides(scores: dict[str, np.ndarray], paired: bool) -> dict[str, np.ndarray]:
@@ -249,13 +243,9 @@ def _pin_error(slides: Gathered | None, test: Test, over: bool) -> dict[str, dic
         }
         means["true_slide"] = means.pop("sheared")
         return {kind: {"rms_px": value, "rms_mm": None} for kind, value in means.items()}
-    sure = np.isfinite(slides.pins["sheared_pins"]).all(axis=(1, 2)) & np.isfinite(slides.pins["canonical_pins"]).all(
-        axis=(1, 2)
-    )
+    sure = np.all([np.isfinite(slides.pins[name]).all(axis=(1, 2)) for name in PINS], axis=0)
     if not sure.any():
         return {}
     kept = {kind: images[sure] for kind, images in slides.images.items()}
-    found = pin_errors(kept, slides.pins["canonical_pins"][sure], slides.pins["sheared_pins"][sure], 1.0)
-    return {
-        kind: {name: None if name == "rms_mm" else value for name, value in row.items()} for kind, row in found.items()
-    }
+    tap_pins, sheared_pins = (slides.pins[name][sure] for name in PINS)
+    return pin_errors(kept, tap_pins, sheared_pins, None)

@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg
 
+from jaxunshear.evenly import evenly
+
 FEWEST = 10  # examples
 TRIED_ON = 1000  # examples at most, by which kernel and ridge are chosen
 WIDTHS = (None, 0.25, 0.5, 1.0, 2.0)  # of a Gaussian, over the median square distance of two examples; None: linear
@@ -36,7 +38,7 @@ def fitted(features: np.ndarray, outputs: np.ndarray) -> Ridge:
     known = features - middle
     scale = float(np.sqrt(np.mean(np.sum(known**2, axis=1)))) or 1.0
     known /= scale
-    some = np.linspace(0, len(known) - 1, min(TRIED_ON, len(known))).round().astype(int)
+    some = evenly(len(known), TRIED_ON)
     width, ridge = _chosen(known[some], outputs[some])
     mean = outputs.mean(axis=0)
     weights = _solved(_kernel(known, known, width), outputs - mean, ridge)

@@ -21,12 +21,7 @@ LEARNT = (LEARNT_SHEARED, LEARNT_CODE, LEARNT_BOTH)
 KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
 PARTNER = "partner"  # of a recorded slide: what a perfect network would unshear it to
 POSE_KINDS = ("tap", PARTNER, "sheared", *LEARNT, *BASELINES, *UNSHEARING)
-CELLS = {  # appendix D: which decoder is fed which codes, and what it should draw
-    "DC(z_p)": "tap",
-    "DC(z_s)": "tap",
-    "DS(z_p,z_s)": "sheared",
-    "DS(z_p,z_p)": "sheared",
-}
+CELLS = ("DC(z_p)", "DC(z_s)", "DS(z_p,z_s)", "DS(z_p,z_p)")  # appendix D: which decoder is fed which codes
 CELL_METRICS = ("mse", "ssim", "ms_ssim")
 
 
@@ -37,6 +32,11 @@ class Outputs(NamedTuple):
     cells: dict[str, Array]  # by cell: CELLS, or fewer where the network has no shear code or codes of two widths
     poses: Mapping[str, Mapping[str, np.ndarray | Array]]  # by kind, those of POSE_KINDS that the run has
     pins: Mapping[str, Array]  # (B, P, 2) px by kind, of networks over pins
+
+
+def target_of(cell: str) -> str:
+    """What the cell's decoder ought to draw: "tap" or "sheared"."""
+    return "tap" if cell.startswith("DC") else "sheared"
 
 
 def cell_metrics(size: int) -> dict[str, Callable[[Array, Array], Array]]:
@@ -55,7 +55,7 @@ def image_scores(images: dict[str, Array], cells: dict[str, Array]) -> dict[str,
     scores = {f"ms_ssim/{kind}": metrics["ms_ssim"](images[kind], images["tap"]) for kind in kinds}
     for cell, drawn in cells.items():
         for metric in CELL_METRICS:
-            scores[f"swap/{cell}/{metric}"] = metrics[metric](drawn, images[CELLS[cell]])
+            scores[f"swap/{cell}/{metric}"] = metrics[metric](drawn, images[target_of(cell)])
     return scores
 
 

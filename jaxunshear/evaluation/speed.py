@@ -48,10 +48,10 @@ def _input_of(net: Net, variables: Variables) -> np.ndarray:
     return (np.random.default_rng(0).random((1, net.size, net.size, 1)) < 0.2).astype(np.float32)
 
 
-def timed(run: Callable[[np.ndarray], Array], image: np.ndarray, calls: int = CALLS) -> dict[str, float]:
+def timed(run: Callable[[np.ndarray], Array], image: np.ndarray) -> dict[str, float]:
     """Milliseconds of one call with one image (1, S, S, 1) float32, or one contact's pins."""
     spent = []
-    for _ in range(calls + 3):  # the first compile and warm up
+    for _ in range(CALLS + 3):  # the first compile and warm up
         started = time.perf_counter()
         np.asarray(run(image))
         spent.append(1e3 * (time.perf_counter() - started))

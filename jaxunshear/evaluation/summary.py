@@ -8,12 +8,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS
-from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, numbered_poses, redrawn_means
+from jaxunshear.evaluation.score import CELL_METRICS, CELLS, KINDS, POSE_KINDS, target_of
+from jaxunshear.evaluation.spread import LEVEL, OVER, RESAMPLES, interval, intervals, redrawn_means
 from jaxunshear.results.run import PartPoses, Parts, Poses, PoseSpread, Span, Spread, Swapped, Tables
 
 Figure = TypeVar("Figure")
 PARTS = 3  # equal parts of the range of a size
+QUANTILES = (0.1, 0.5, 0.9)  # of the score of the contacts that are shown
 CONTACT_FIELDS = ("residual_mm", "iterations", "stuck", "slipping", "free")
 
 
@@ -21,7 +22,7 @@ def tables(
     scores: dict[str, np.ndarray],
     names: Sequence[str],
     stimulus: np.ndarray,
-    pose_id: np.ndarray,
+    poses: np.ndarray,
     seed: int,
     apart: tuple[dict[str, np.ndarray], dict[str, np.ndarray]] = ({}, {}),
 ) -> Tables:
@@ -29,13 +30,12 @@ def tables(
     Poses of each stimulus alone stand under `pose_by_stimulus`.
 
     `scores`: arrays (N,) by the names of `score.py`, of whichever networks there are; `names` of the stimuli, indexed by
-    `stimulus` (N,); `pose_id` (N,). A stimulus without test contacts is null. Ratio: error over that on sheared images.
+    `stimulus` (N,); `poses` (N,) as `numbered_poses`. A stimulus without test contacts is null. Ratio: error over that on sheared images.
     Recovery: the part of the slide's damage undone, (sheared - unsheared) / (sheared - tap); null where the slide does no damage.
     Difference: disentangled less another network, contact by contact. `apart`: scores of other contacts (M,) that join the tables of poses,
     with their redrawn means.
     """
     groups = {name: stimulus == index for index, name in enumerate(names)} | {"overall": np.ones(len(stimulus), bool)}
-    poses = numbered_poses(stimulus, pose_id)
     redrawn = {
         group: redrawn_means({name: score[inside] for name, score in scores.items()}, poses[inside], seed)
         for group, inside in groups.items()
@@ -56,8 +56,8 @@ def tables(
         },
         difference=_by_kind({place: _mean(scores[name]) for place, name in differences.items()}),
         swap={
-            cell: Swapped(target=target, **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS})
-            for cell, target in CELLS.items()
+            cell: Swapped(target=target_of(cell), **{m: _mean(scores[f"swap/{cell}/{m}"]) for m in CELL_METRICS})
+            for cell in CELLS
             if f"swap/{cell}/mse" in scores
         },
         spread=Spread(
@@ -78,13 +78,7 @@ def tables(
 
 
 def pose_by_size(
-    scores: dict[str, np.ndarray],
-    size: np.ndarray,
-    least: float,
-    most: float,
-    stimulus: np.ndarray,
-    pose_id: np.ndarray,
-    seed: int,
+    scores: dict[str, np.ndarray], size: np.ndarray, least: float, most: float, poses: np.ndarray, seed: int
 ) -> Parts:
     """What `tables` says of poses, by a size (N,) of the slides, mm, in PARTS equal parts of its range: their indentation depth, as a
     shallow touch shows little of a pose even as a tap, or their length. A part without test contacts is null; a range of zero has no
@@ -93,7 +87,7 @@ def pose_by_size(
     if least == most or not felt:
         return {}
     bounds = np.linspace(least, most, PARTS + 1)
-    part, poses = np.digitize(size, bounds[1:-1]), numbered_poses(stimulus, pose_id)
+    part = np.digitize(size, bounds[1:-1])
     digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as distinguish the parts
     found: dict[str, PartPoses | None] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
@@ -175,13 +169,13 @@ def contact_quality(fields: dict[str, np.ndarray]) -> dict[str, dict[str, float]
     }
 
 
-def typical(scores: np.ndarray, stimulus: np.ndarray, quantiles: Sequence[float] = (0.1, 0.5, 0.9)) -> np.ndarray:
-    """Indices of contacts to show: for each stimulus those at these quantiles of the score, worst first, none twice."""
+def typical(scores: np.ndarray, stimulus: np.ndarray) -> np.ndarray:
+    """Indices of contacts to show: for each stimulus those at QUANTILES of the score, worst first, none twice."""
     chosen: list[int] = []
     for index in np.unique(stimulus):
         inside = np.flatnonzero(stimulus == index)
         ranked = inside[np.argsort(scores[inside], kind="stable")]
-        chosen += dict.fromkeys(int(ranked[round(q * (len(ranked) - 1))]) for q in quantiles)
+        chosen += dict.fromkeys(int(ranked[round(q * (len(ranked) - 1))]) for q in QUANTILES)
     return np.array(chosen, np.int64)
 
 

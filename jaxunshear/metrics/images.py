@@ -98,13 +98,13 @@ def _ms_ssim(a: Array, b: Array, scales: int) -> Array:
         weights = np.array(WEIGHTS)  # these sum to 1.0001, and every library leaves them so
     a, b = a[..., 0], b[..., 0]
     value = jnp.ones(a.shape[0], a.dtype)
-    for scale, weight in enumerate(weights.tolist()):
-        similarity, contrast = _local(a, b)
-        if scale == scales - 1:
-            return value * _power(similarity, weight)
+    *finer, coarsest = weights.tolist()
+    for weight in finer:
+        _, contrast = _local(a, b)
         value = value * _power(contrast, weight)
         a, b = _both_sides(_halving, a), _both_sides(_halving, b)
-    raise AssertionError("unreachable: scales >= 1")
+    similarity, _ = _local(a, b)
+    return value * _power(similarity, coarsest)
 
 
 @jax.jit

@@ -11,8 +11,6 @@ from scipy.optimize import linear_sum_assignment
 
 from jaxunshear.image.pins import find_pins
 
-__all__ = ["PinError", "PinMatch", "find_pins", "match_pins", "pin_error"]
-
 
 class PinMatch(NamedTuple):
     """Pins matched one to one: distances (K,) of the pairs, how many true pins were missed, how many found are extra."""
@@ -20,15 +18,6 @@ class PinMatch(NamedTuple):
     error_px: np.ndarray
     missed: int
     extra: int
-
-
-class PinError(NamedTuple):
-    """Over a batch of images: root mean square error of the matched pins, and missed and extra pins per image."""
-
-    rms_px: float
-    rms_mm: float
-    missed: float
-    extra: float
 
 
 def match_pins(found: Float[np.ndarray, "N 2"], true: Float[np.ndarray, "P 2"], limit_px: float) -> PinMatch:
@@ -44,14 +33,15 @@ def match_pins(found: Float[np.ndarray, "N 2"], true: Float[np.ndarray, "P 2"], 
 
 
 def pin_error(
-    images: UInt8[np.ndarray, "B S S"], true_px: Float[np.ndarray, "B P 2"], mm_per_px: float, limit_px: float
-) -> PinError:
-    """Binary images against true pins px as (column, row), matched within `limit_px`.
-
-    NaN errors where no pin matched at all.
+    images: UInt8[np.ndarray, "B S S"], true_px: Float[np.ndarray, "B P 2"], limit_px: float
+) -> dict[str, float]:
+    """`rms_px`, the root mean square distance of the pins found in images, white from half of full scale on, from true pins px as
+    (column, row), matched within `limit_px`, NaN where none matched; `missed_per_image` and `extra_per_image`.
     """
     matches = [match_pins(find_pins(image), true, limit_px) for image, true in zip(images, true_px, strict=True)]
     squares = np.concatenate([match.error_px for match in matches]) ** 2
-    rms = float(np.sqrt(squares.mean())) if squares.size else float("nan")
-    missed, extra = (float(np.mean([match[i] for match in matches])) for i in (1, 2))
-    return PinError(rms, rms * mm_per_px, missed, extra)
+    return {
+        "rms_px": float(np.sqrt(squares.mean())) if squares.size else float("nan"),
+        "missed_per_image": float(np.mean([match.missed for match in matches])),
+        "extra_per_image": float(np.mean([match.extra for match in matches])),
+    }

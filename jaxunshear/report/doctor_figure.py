@@ -1,11 +1,10 @@
 """Some examined images, with the pins that were found in them."""
 
-import io
-
-import numpy as np
 from matplotlib.figure import Figure
 
 from jaxunshear.applications.doctor import Diagnosis
+from jaxunshear.evenly import evenly
+from jaxunshear.style import png_of
 
 COLUMNS = 4
 DRAWN = 12
@@ -20,8 +19,7 @@ def doctor_figure(diagnosis: Diagnosis) -> bytes | None:
     shown = []
     for part in parts[:DRAWN]:
         samples = part.seen.samples if part.seen else ()
-        rows = np.unique(np.linspace(0, len(samples) - 1, share).round().astype(int))
-        shown += [(part.name, samples[row]) for row in rows]
+        shown += [(part.name, samples[row]) for row in evenly(len(samples), share)]
     width, height = min(COLUMNS, len(shown)), -(-len(shown) // COLUMNS)
     figure = Figure(figsize=(3.6 * width, 4.0 * height), layout="constrained", dpi=110)
     panels = figure.subplots(height, width, squeeze=False).ravel()
@@ -32,6 +30,4 @@ def doctor_figure(diagnosis: Diagnosis) -> bytes | None:
         axes.scatter(*sample.pins.T, s=4, c="#ff7a1a")
         title = f"{name[-28:]}\n{sample.name[-20:]}: {len(sample.pins)} pins"
         axes.set_title(title.replace("$", r"\$"), fontsize=8)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+    return png_of(figure)

@@ -34,12 +34,7 @@ GROUPS = ("train", "validation", "kernels")  # of a line of log.jsonl
 Line = Json
 
 
-def write_events(
-    folders: Sequence[Path],
-    out: Path,
-    follow: Callable[[], object] | None,
-    log: Callable[[str], None] = print,
-) -> None:
+def write_events(folders: Sequence[Path], out: Path, follow: Callable[[], object] | None) -> None:
     """Writes the logs of runs, and of all rows of sweeps, below `out`; with `follow`, which waits a while, until all of them are
     evaluated.
 
@@ -62,7 +57,7 @@ def write_events(
                 break
             follow()
     logs = [len(stream.lines) for source, stream in streams.items() if not is_run(source)]
-    log(f"{sum(logs)} validations of {len(logs)} networks: {out}")
+    print(f"{sum(logs)} validations of {len(logs)} networks: {out}")
 
 
 def is_run(folder: Path) -> bool:

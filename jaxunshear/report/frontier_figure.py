@@ -1,6 +1,5 @@
 """The picture of a sweep over a list of settings: error against seconds of training, and against milliseconds an image."""
 
-import io
 from textwrap import wrap
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from jaxunshear.results.sweep import CellResult, SweepResult
 from jaxunshear.settings.registry import DISENTANGLED, TEACHER
-from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
+from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, png_of
 
 ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "ms_ssim/disentangled": ("likeness to the tap, MS-SSIM", True),
@@ -21,12 +20,9 @@ ERRORS = {  # of the disentangled network: metric, label, whether more is better
     "pose/disentangled/edge_deg": ("edge angle error, deg", False),
 }
 COSTS = {"train_seconds": "seconds of training", "ms_per_image": "ms an image"}
-NETWORK = DISENTANGLED
 TEST = ("paired.", "sensor")  # settings that decide which contacts the test holds, and how their images appear
-SIZES = (
-    "paired.preprocess.size",
-    "paired.camera.frame_px",
-)  # but for these: errors in mm and degrees compare across sizes
+# but for these: errors in mm and degrees compare across sizes
+SIZES = ("paired.preprocess.size", "paired.camera.frame_px")
 
 
 def frontier(cost: ArrayLike, error: ArrayLike) -> list[int]:
@@ -97,10 +93,10 @@ def _spent(cell: CellResult, cost: str) -> list[float]:
     """Of every seed that has it. The training of a taught network includes its teacher's."""
     spent = []
     for costs in cell.costs.values():
-        if cost == "ms_per_image" and NETWORK in costs.ms_per_image:
-            spent.append(costs.ms_per_image[NETWORK]["median"])
-        elif cost == "train_seconds" and NETWORK in costs.train_seconds:
-            spent.append(costs.train_seconds[NETWORK] + costs.train_seconds.get(TEACHER, 0.0))
+        if cost == "ms_per_image" and DISENTANGLED in costs.ms_per_image:
+            spent.append(costs.ms_per_image[DISENTANGLED]["median"])
+        elif cost == "train_seconds" and DISENTANGLED in costs.train_seconds:
+            spent.append(costs.train_seconds[DISENTANGLED] + costs.train_seconds.get(TEACHER, 0.0))
     return spent
 
 
@@ -112,7 +108,7 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
         return None
     number = {cell.label: str(place + 1) for place, cell in enumerate(summary.cells)}
     with rc_context(STYLE):
-        figure = Figure(figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained")
+        figure = Figure(figsize=(4.0 * len(metrics), 3.6 * len(COSTS) + 0.8), layout="constrained", dpi=100)
         places = figure.subplots(len(COSTS), len(metrics), squeeze=False)
         for row, (cost, cost_label) in zip(places, COSTS.items(), strict=True):
             for axes, metric in zip(row, metrics, strict=True):
@@ -126,19 +122,17 @@ def frontier_figure(summary: SweepResult) -> bytes | None:
         names += "      hollow: another test" * (len(ranked(summary)) < len(number))
         figure.suptitle(f"{summary.sweep}: means over {seeds} seed{'s' * (seeds > 1)}; joined: beaten by none")
         figure.supxlabel("\n".join(wrap(names, 42 * len(metrics))), fontsize=9)
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=100, metadata={"Software": ""})
-    return picture.getvalue()
+        return png_of(figure)
 
 
 def panel(axes: Axes, summary: SweepResult, metric: str, cost: str, number: dict[str, str]) -> None:
     labels, x, y = points(summary, metric, cost)
     best = [labels.index(label) for label in efficient(summary)[metric][cost]]
     comparable = ranked(summary)
-    axes.plot(x[best], y[best], "-", color=COLOURS[NETWORK])
+    axes.plot(x[best], y[best], "-", color=COLOURS[DISENTANGLED])
     for index, label in enumerate(labels):
         on, full = index in best, label in comparable
-        inside = COLOURS[NETWORK] if on else FAINT if full else "white"
+        inside = COLOURS[DISENTANGLED] if on else FAINT if full else "white"
         axes.annotate(
             number[label],
             (x[index], y[index]),

@@ -1,7 +1,5 @@
 """Contact geometry as the paper's row of surfaces: tap, sheared, unsheared by each network; and the truth where it is known."""
 
-import io
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -10,7 +8,7 @@ from jaxunshear.applications.geometry import surface
 from jaxunshear.applications.geometry_scores import UNTOUCHED, Geometry, correlation
 from jaxunshear.applications.geometry_ways import AREAS, INVERSE
 from jaxunshear.image.lattice import Lattice
-from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN
+from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN, png_of
 
 CELLS, WIDTH = 48, 2.7
 TRUTH = "true indentation"
@@ -29,22 +27,17 @@ def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContact
         here = np.flatnonzero((contacts.stimulus == index) & full)
         if len(here):
             row = int(here[np.argsort(sheared[here])[len(here) // 2]])
-            lines += [
-                (
-                    f"{name}, {way}",
-                    {TRUTH: contacts.indentation_mm[row], **{kind: height[kind, way][row] for kind in kinds}},
-                )
-                for way in DRAWN
-            ]
+            for way in DRAWN:
+                heights = {kind: height[kind, way][row] for kind in kinds}
+                lines.append((f"{name}, {way}", {TRUTH: contacts.indentation_mm[row], **heights}))
     return _surfaces(lattice, lines, TRUTH)
 
 
 def of_recordings(lattice: Lattice, shown: tuple[list[str], dict[str, np.ndarray]]) -> bytes:
     """A PNG: a line an image, without truth."""
     names, kinds = shown
-    return _surfaces(
-        lattice, [(name, {kind: height[i] for kind, height in kinds.items()}) for i, name in enumerate(names)], None
-    )
+    lines = [(name, {kind: height[i] for kind, height in kinds.items()}) for i, name in enumerate(names)]
+    return _surfaces(lattice, lines, None)
 
 
 def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], truth: str | None) -> bytes:
@@ -74,6 +67,4 @@ def _surfaces(lattice: Lattice, lines: list[tuple[str, dict[str, np.ndarray]]], 
             axes.set_title(title, fontsize=size)
             if column == 0:
                 axes.text2D(0.0, 0.92, name[-30:], transform=axes.transAxes, fontsize=size)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+    return png_of(figure)

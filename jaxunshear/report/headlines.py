@@ -9,12 +9,8 @@ from jaxunshear.report import page, words
 from jaxunshear.report.page import number
 from jaxunshear.results.run import Results, Table
 
-READ = (
-    "unsheared",
-    "sheared_learnt",
-    "sheared",
-    "tap",
-)  # of a recorded run: the first of these that it has is what it is about
+# of a recorded run: the first of these that it has is what it is about
+READ = ("unsheared", "sheared_learnt", "sheared", "tap")
 
 
 def headlines(results: Results) -> Markup:

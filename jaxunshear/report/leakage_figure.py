@@ -1,11 +1,11 @@
 """What each code holds, as bars; and where poses share slides, what DS draws of exchanged codes, beside the contacts of just these."""
 
-import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxunshear.storage import Json
+from jaxunshear.style import png_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import FigureBase
@@ -31,9 +31,7 @@ def leakage_figure(results: Json, exchanged: "Exchanged | None") -> bytes:
     _bars(parts[0], results)
     if exchanged is not None:
         _matrix(parts[1], exchanged)
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png")
-    return stream.getvalue()
+    return png_of(figure)
 
 
 def _bars(figure: "FigureBase", results: Json) -> None:

@@ -1,6 +1,5 @@
 """Sheared, unsheared and tapped images side by side: for the report, and as one picture."""
 
-import io
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ from jaxunshear.evaluation.score import shown_kind
 from jaxunshear.report import page, pictures, words
 from jaxunshear.results.run import Results
 from jaxunshear.storage import BROKEN_NPZ, read_npz
+from jaxunshear.style import png_of
 
 WIDE = 22  # letters that do not fit above an image
 Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
@@ -75,9 +75,7 @@ def drawing(shown: Shown, results: Results) -> bytes:
             if row == rows[0]:
                 axes.set_title(head if len(head) < WIDE else head.replace(" against", "\nagainst"), fontsize=9)
         line[0].set_ylabel("\n".join(described(shown, row, said)), rotation=0, ha="right", va="center", fontsize=8)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+    return png_of(figure)
 
 
 def typical(shown: Shown) -> tuple[list[int], list[int]]:

@@ -1,14 +1,12 @@
 """Complete objects as they were felt: evidence or heights along the walk, and the shape made of it against the true one."""
 
-import io
-
 import numpy as np
 from matplotlib.figure import Figure
 
 from jaxunshear.applications.makers import EVIDENCE, SKIN, VORONOI
 from jaxunshear.applications.objects import Solid
 from jaxunshear.report.walk_figure import WORDS
-from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed
+from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 
 PICTURES = {  # by maker: the end of a file's name, and what is shown
     EVIDENCE: ("object", "felt to be over the object (red) or beside it (blue)"),
@@ -49,6 +47,4 @@ def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
                 axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]))
     text = f"{stimulus}: {shown}, and the shape made of it (simulated), mm"
     figure.suptitle(headed(text, columns), fontsize=HEAD + 1)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+    return png_of(figure)

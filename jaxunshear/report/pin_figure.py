@@ -1,7 +1,5 @@
 """Some images with their pins by identity: the motion of each as a line from where it stands untouched."""
 
-import io
-
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.collections import LineCollection
@@ -9,6 +7,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.track import Track
+from jaxunshear.style import png_of
 
 COLUMNS = 4
 
@@ -34,9 +33,7 @@ def pin_figure(lattice: Lattice, shown: list[tuple[str, np.ndarray, Track]]) -> 
         lost = lattice.place[~seen]
         axes.scatter(*lost.T, s=18, facecolors="none", edgecolors="yellow", linewidths=0.8)
     figure.suptitle("Lines lead from where each pin stands untouched to where it is; circled: not found", fontsize=9)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+    return png_of(figure)
 
 
 def _words(lattice: Lattice, track: Track) -> str:

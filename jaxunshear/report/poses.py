@@ -114,7 +114,6 @@ def _by_part(results: Results, parts: Parts | None, by: str) -> Markup:
     """Each of `parts`, for the network that `poses` names; folded away. Recovery, or where nothing is known of
     taps errors. Nothing of runs evaluated by an earlier version."""
     names, kind = words.targets(results), shown_kind(results.pose_mae)
-    digits = [words.digits(results, q) for q in names]
     recovered, rows = False, []
     for part, found in (parts or {}).items():
         if not found:
@@ -123,16 +122,9 @@ def _by_part(results: Results, parts: Parts | None, by: str) -> Markup:
             recovered, spread = True, found.spread.pose_recovery[kind]
             rows.append([part, *(spanned(found.pose_recovery[kind].get(q), spread.get(q), 2) for q in names)])
         elif not results.simulated and {"sheared", kind} <= set(found.pose_mae) and kind != "sheared":
-            felt, unsheared = found.pose_mae["sheared"], found.pose_mae[kind]
-            rows.append(
-                [
-                    part,
-                    *(
-                        f"{number(felt[q], d)} \u2192 {number(unsheared[q], d)}"
-                        for q, d in zip(names, digits, strict=True)
-                    ),
-                ]
-            )
+            errors = (found.pose_mae["sheared"], found.pose_mae[kind])
+            cells = [" \u2192 ".join(number(error[q], words.digits(results, q)) for error in errors) for q in names]
+            rows.append([part, *cells])
     if not rows:
         return Markup()
     head = (

@@ -1,7 +1,6 @@
 """The picture of a sweep: heat maps over a grid of two axes, lines over one axis, a panel a metric."""
 
 import fnmatch
-import io
 import textwrap
 from collections.abc import Sequence
 
@@ -11,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxunshear.results.sweep import CellResult, Failure, Figures, SweepResult
-from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE
+from jaxunshear.style import COLOURS, FAINT, INK, LABEL, STYLE, png_of
 
 SHOWN = (  # in this order; a metric that is the same in all cells says nothing and is left out
     "ms_ssim/*",
@@ -38,7 +37,7 @@ def sweep_figure(summary: SweepResult) -> bytes | None:
     rows = -(-len(panels) // COLUMNS)
     columns = min(COLUMNS, len(panels))
     with rc_context(STYLE):
-        figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained")
+        figure = Figure(figsize=(4.2 * columns, 3.6 * rows), layout="constrained", dpi=110)
         places = figure.subplots(rows, columns, squeeze=False).ravel()
         for axes, name in zip(places, panels, strict=False):
             draw(axes, summary, name)
@@ -46,9 +45,7 @@ def sweep_figure(summary: SweepResult) -> bytes | None:
         for axes in places[len(panels) :]:
             axes.set_axis_off()
         figure.suptitle(f"{summary.sweep}: means over {len(summary.seeds)} seeds and the test contacts")
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=110, metadata={"Software": ""})
-    return picture.getvalue()
+        return png_of(figure)
 
 
 def shown_metrics(summary: SweepResult) -> list[str]:

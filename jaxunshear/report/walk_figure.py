@@ -1,7 +1,5 @@
 """Where the sensor went around an object, for each way of perceiving; the start is a red dot, as in the paper."""
 
-import io
-
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
@@ -9,7 +7,7 @@ from matplotlib.patches import Polygon
 from jaxunshear.applications.contour import Contour
 from jaxunshear.applications.servo import CLOSED, ENDS, Walks
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
-from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed
+from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 
 WORDS = {
     "true": "true pose",
@@ -44,6 +42,4 @@ def walk_figure(walks: Walks, line: Contour, stimulus: str) -> bytes:
         axes.set_aspect("equal")
         axes.tick_params(labelsize=LABEL)
     figure.suptitle(headed(f"{stimulus}: the sensor's way, mm (simulated)", columns), fontsize=HEAD + 1)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+    return png_of(figure)

@@ -105,12 +105,11 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
     Rows with equal parts share that training.
     """
     plain = Experiment(name="", claim="")
-    taught = len(needed(experiment, network)) > 1
-    unused = ("name", "claim", *TESTS, *(UNUSED_BY_TAUGHT if taught else REGISTRY[network].unused))
-    if recorded_of(experiment) or over_pins(
-        experiment
-    ):  # one set for taps and slides; one training for all networks over pins
-        unused = ("name", "claim", *TESTS)
+    unused: tuple[str, ...] = ("name", "claim", *TESTS)
+    # recordings: one set for taps and slides; pins: one training for all networks
+    if not recorded_of(experiment) and not over_pins(experiment):
+        taught = len(needed(experiment, network)) > 1
+        unused += UNUSED_BY_TAUGHT if taught else REGISTRY[network].unused
     part = dataclasses.replace(experiment, **{field: getattr(plain, field) for field in unused})
     if over_pins(experiment) and network in (*POSENETS, RENDERER):
         part = dataclasses.replace(
@@ -163,7 +162,12 @@ def name_of(fields: Fields, sweep: Sweep) -> str:
 
 def value_label(fields: Fields, value: Value) -> str:
     """`8:120` for fields that vary together."""
-    return show(value) if isinstance(fields, str) else ":".join(show(part) for part in value)
+    return ":".join(show(part) for _, part in parts_of(fields, value))
+
+
+def parts_of(fields: Fields, value: Value) -> Iterator[tuple[str, Value]]:
+    """Each field that a change sets, with its own value."""
+    return zip(names_of(fields), (value,) if isinstance(fields, str) else value, strict=True)
 
 
 def _changes(sweep: Sweep) -> Iterator[tuple[str | None, tuple[str, ...] | None, tuple[Change, ...]]]:
@@ -180,7 +184,7 @@ def _changes(sweep: Sweep) -> Iterator[tuple[str | None, tuple[str, ...] | None,
 def _changed(sweep: Sweep, changes: tuple[Change, ...], label: str) -> Experiment:
     experiment = base_of(sweep)
     for fields, value in changes:
-        for name, part in zip(names_of(fields), (value,) if isinstance(fields, str) else value, strict=True):
+        for name, part in parts_of(fields, value):
             experiment = replaced(experiment, name, part)
     try:
         validate(experiment)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.results.run import Notes
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.settings.stimuli import stimulus_names
@@ -16,15 +17,8 @@ SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 
 # of the paired data: names, how contacts appear, what is made of recorded ones
 NOT_CONTACTS = (
-    "config",
-    "camera",
-    "nuisance",
-    "preprocess",
-    "pairing",
-    "pairs",
-    "labelled",
-    "tap_folder",
-    "slide_folder",
+    *("config", "camera", "nuisance", "preprocess"),
+    *("pairing", "pairs", "labelled", "tap_folder", "slide_folder"),
 )
 
 
@@ -69,8 +63,10 @@ def metric_of(rows: Mapping[int, Measured]) -> Notes:
     return next(iter(rows.values())).outcome.evaluated.metric if rows else {}
 
 
-def called(test: str, name: str) -> str:
-    return f"{test}: {name}" if test else name
+def called(test: str, name: str, shape: str = "") -> str:
+    """`<test>, <shape>: <name>`, without what is empty."""
+    of = ", ".join(filter(None, (test, shape)))
+    return f"{of}: {name}" if of else name
 
 
 def stacked(rows: Mapping[int, Measured], test: str, name: str) -> np.ndarray:
@@ -80,20 +76,20 @@ def stacked(rows: Mapping[int, Measured], test: str, name: str) -> np.ndarray:
 
 def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
     """Which contacts (N,) of a test are with which shape."""
-    first = next(iter(rows.values()))
-    results = first.outcome.evaluated
-    names = stimulus_names(results.settings["paired"].get("stimuli", ()))  # of recordings none is known
+    results = next(iter(rows.values())).outcome.evaluated
+    stimuli = results.settings["paired"].get("stimuli", ())  # of recordings none is known
     if test:
-        names = stimulus_names(results.tests[test].stimuli if test in results.tests else ())
-    stimulus = np.asarray(first.tests[test]["stimulus"])
+        stimuli = results.tests[test].stimuli if test in results.tests else ()
+    names, stimulus = stimulus_names(stimuli), _labels(rows, test)["stimulus"]
     return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
 
 
 def same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], test: str) -> bool:
     """Whether both were drawn from the same settings, and none was lost that the other has."""
-    return _drawn_from(rows, test) == _drawn_from(other, test) and np.array_equal(
-        poses_of(rows, test), poses_of(other, test)
-    )
+    if _drawn_from(rows, test) != _drawn_from(other, test):
+        return False
+    one, two = _labels(rows, test), _labels(other, test)
+    return all(np.array_equal(one[name], two[name]) for name in ("stimulus", "pose_id"))
 
 
 def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, object]:
@@ -110,6 +106,10 @@ def _drawn_from(rows: Mapping[int, Measured], test: str) -> dict[str, object]:
 
 def poses_of(rows: Mapping[int, Measured], test: str) -> np.ndarray:
     """(N,) which pose of which stimulus a contact belongs to."""
-    labels = next(iter(rows.values())).tests[test]
-    pairs = np.stack([labels["stimulus"], labels["pose_id"]], axis=1).astype(np.int64)
-    return pairs[:, 0] * (pairs[:, 1].max() + 1) + pairs[:, 1]
+    labels = _labels(rows, test)
+    return numbered_poses(labels["stimulus"], labels["pose_id"])
+
+
+def _labels(rows: Mapping[int, Measured], test: str) -> Mapping[str, np.ndarray]:
+    """Those of a test's contacts, which all seeds share."""
+    return next(iter(rows.values())).tests[test]

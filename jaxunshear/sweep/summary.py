@@ -12,9 +12,9 @@ from jaxunshear.results.sweep import Axis, CellResult, Costs, Failure, Figure, S
 from jaxunshear.settings.experiment import recorded_of
 from jaxunshear.settings.fields import show
 from jaxunshear.settings.stored import to_json
-from jaxunshear.settings.sweep import Fields, Sweep, Value, base_of, names_of
+from jaxunshear.settings.sweep import Sweep, base_of, names_of
 from jaxunshear.sweep.bootstrap import interval, resampled, spread_of
-from jaxunshear.sweep.rows import Cell, axis_values, name_of
+from jaxunshear.sweep.rows import Cell, axis_values, name_of, parts_of
 from jaxunshear.sweep.scores import Measured, called, metric_of, names_in, poses_of, same_contacts, shapes_of, stacked
 
 TABLES = ("pin_error", "half_width", "coverage")  # of a run's results: figures that are no means over contacts
@@ -63,7 +63,7 @@ def _cell(
     return CellResult(
         label=cell.label,
         point=cell.point,
-        settings={name: text for fields, value in cell.changes for name, text in _settings(fields, value)},
+        settings={name: show(part) for fields, value in cell.changes for name, part in parts_of(fields, value)},
         seeds=list(rows),
         metric=metric_of(rows),
         metrics=metrics(rows),
@@ -77,11 +77,6 @@ def _cell(
     )
 
 
-def _settings(fields: Fields, value: Value) -> list[tuple[str, str]]:
-    values = (value,) if isinstance(fields, str) else value
-    return [(name, show(part)) for name, part in zip(names_of(fields), values, strict=True)]
-
-
 def metrics(rows: Mapping[int, Measured]) -> dict[str, Figure]:
     """By metric: `mean` over seeds and contacts, its `interval`, and the mean of every seed; figures of `TABLES` without one.
 
@@ -92,7 +87,7 @@ def metrics(rows: Mapping[int, Measured]) -> dict[str, Figure]:
         values, poses = stacked(rows, test, name), poses_of(rows, test)
         found[called(test, name)] = _figure(rows, values, poses)
         for shape, inside in shapes_of(rows, test).items() if name.startswith("ms_ssim/") else ():
-            found[called(f"{test}, {shape}" if test else shape, name)] = _figure(rows, values[:, inside], poses[inside])
+            found[called(test, name, shape)] = _figure(rows, values[:, inside], poses[inside])
     found |= recoveries(rows)
     plain = {
         seed: {
@@ -130,7 +125,7 @@ def recoveries(rows: Mapping[int, Measured]) -> dict[str, Figure]:
         found |= {called(test, own): figure} if figure else {}
         for shape, inside in shapes_of(rows, test).items() if errors[0][0] == test else ():
             figure = _recovery(list(rows), [(values[:, inside], poses[inside]) for _, values, poses in errors])
-            found |= {called(f"{test}, {shape}" if test else shape, own): figure} if figure else {}
+            found |= {called(test, own, shape): figure} if figure else {}
     return found
 
 

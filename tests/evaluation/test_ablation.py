@@ -9,7 +9,8 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.ablation import ablate, cell_scores, partners, picture, rows_of, table
-from jaxunshear.evaluation.cells import SPOILT, draw_cells, target_of
+from jaxunshear.evaluation.cells import SPOILT, draw_cells
+from jaxunshear.evaluation.score import target_of
 from jaxunshear.model import unshearnet
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.networks import UnshearNet

@@ -99,7 +99,7 @@ def test_the_montage_is_there_once_a_run_is_evaluated(made_up_run, tmp_path):
     run, _ = made_up_run
     experiment = to_json(Experiment(name="made up", claim="none"))
     (run / "experiment.json").write_text(json.dumps(experiment))
-    write_events([run], tmp_path / "events", None, print)
+    write_events([run], tmp_path / "events", None)
     found = [value for event in read(tmp_path / "events" / run.name) for value in event.summary.value]
     (image,) = (value.image for value in found if value.tag == "montage")
     results = stored.read(run / "results.json", Results, "again")
@@ -113,11 +113,11 @@ def test_written_again_no_step_is_there_twice(tmp_path):
     folder = tmp_path / "events" / "demo" / "disentangled"
     for held in (lines[:2], lines, [*lines[:1], line(20, 0.5)]):  # the last: gone back to a checkpoint
         write(tmp_path / "demo", held)
-        write_events([tmp_path / "demo"], tmp_path / "events", None, print)
+        write_events([tmp_path / "demo"], tmp_path / "events", None)
         assert logged(folder) == expected(held)
         assert len(list(folder.iterdir())) == 1
     (folder / "events.out.tfevents.1.other").write_bytes(b"")
-    write_events([tmp_path / "demo"], tmp_path / "events", None, print)
+    write_events([tmp_path / "demo"], tmp_path / "events", None)
     assert len(list(folder.iterdir())) == 2  # what others wrote stays
 
 
@@ -142,7 +142,7 @@ def test_a_growing_log_is_followed_to_its_end(tmp_path):
             (run / "results.json").write_text("{}")
             done.set()
 
-    write_events([run], out, wait, print)
+    write_events([run], out, wait)
     assert done.is_set()
     assert logged(out / "demo" / "disentangled") == expected([line(10), line(20, 0.5), line(30)])
     assert logged(out / "demo" / "posenet") == expected([line(5)])
@@ -153,7 +153,7 @@ def test_a_growing_log_is_followed_to_its_end(tmp_path):
 def test_rows_of_a_sweep_have_folders_of_their_own(tmp_path):
     for seed in (0, 1):
         write(tmp_path / "wide" / "rows" / f"base_seed-{seed}", [line(10, seed)])
-    write_events([tmp_path / "wide"], tmp_path / "events", None, print)
+    write_events([tmp_path / "wide"], tmp_path / "events", None)
     for seed in (0, 1):
         assert logged(tmp_path / "events" / "wide" / f"base_seed-{seed}" / "disentangled") == expected([line(10, seed)])
 
