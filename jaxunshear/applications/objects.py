@@ -74,7 +74,7 @@ def solids(
     for name, maker in makers.items():
         fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), full)
         shape = maker.shape(fused)
-        true = _distance(stimulus_of(course.stimulus), np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
+        true = _distance(stimulus_of(course.stimulus), fused.xy) < 0
         off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
         rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
         unmatched = int(np.isnan(motion[:, 0, 0]).sum())
