@@ -1,16 +1,14 @@
 """Lists and drawings of the sensors and the stimuli."""
 
 import io
-from functools import partial
 from pathlib import Path
 
-import jax
 import numpy as np
 from matplotlib.axes import Axes
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, signed_distance, stimulus_of
+from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, distances, stimulus_of
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.outlines import touched
 from jaxunshear.settings.sensor import SENSORS, Sensor, sensor_named
@@ -72,7 +70,7 @@ def _draw_stimulus(axes: Axes, stimulus: Stimulus) -> None:
     reach, points = 2.1 * stimulus.extent_mm, 500
     side = np.linspace(-reach, reach, points, dtype=np.float32)
     xy = np.stack(np.meshgrid(side, side), axis=-1)
-    distance = np.asarray(jax.lax.map(partial(signed_distance, stimulus), xy))  # row by row: outlines have many sides
+    distance = distances(stimulus, xy)
     axes.contourf(side, side, distance, levels=[distance.min(), 0], colors=["0.8"])
     if distance.max() > 0:
         axes.contour(side, side, distance, levels=[0], colors=["black"])
