@@ -5,6 +5,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.pins import pin_tips
@@ -41,8 +43,6 @@ def draw(kind: str, name: str, out: Path) -> None:
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"--out {out}: name a file that ends in {', '.join(SUFFIXES)}")
     subject = sensor_named(name) if kind == "sensors" else stimulus_of(touched(name))
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(6, 6), layout="constrained")
     axes = figure.add_subplot(aspect="equal", xlabel="x / mm", ylabel="y / mm")
     if isinstance(subject, Sensor):
@@ -55,8 +55,6 @@ def draw(kind: str, name: str, out: Path) -> None:
 
 
 def _draw_sensor(axes: Axes, sensor: Sensor) -> None:
-    from matplotlib.patches import Circle
-
     axes.add_patch(Circle((0, 0), sensor.dome_radius_mm, fill=False, color="0.5"))
     for x, y, _ in pin_tips(sensor):
         axes.add_patch(Circle((x, y), sensor.pin_radius_mm, color="black"))

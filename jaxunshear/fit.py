@@ -16,6 +16,7 @@ from jaxunshear.settings.networks import PinNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import Value
+from jaxunshear.storage import write_text
 
 BASE = Experiment(
     name="recorded",
@@ -102,8 +103,6 @@ def _constructed(thing: Value, modules: dict[str, set[str]], depth: int) -> str:
 
 def write_experiment(experiment: Experiment, file: Path) -> None:
     """The experiment as a file to run again, and to change. Raises UserError where another one is there."""
-    from jaxunshear.storage import write_text
-
     source = as_python(experiment)
     if file.exists() and file.read_text() != source:
         raise UserError(

@@ -43,7 +43,6 @@ def release(run_dir: Path, out: Path) -> Path:
     from jaxunshear.training.checkpoint import MODEL, holds_model, write_weights
     from jaxunshear.training.examples import FRAME
 
-    run_dir, out = Path(run_dir), Path(out)
     for name in ("experiment.json", "results.json"):
         if not (run_dir / name).is_file():
             raise UserError(f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo")
