@@ -4,7 +4,6 @@
 """
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -37,9 +36,7 @@ INPUTS = {
 }
 
 
-def export_model(
-    model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None, log: Callable[[str], None] = print
-) -> float:
+def export_model(model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None) -> float:
     """Writes `out`; `batch`: how many images it takes at once, None for any; `preprocess`: frames of a camera, which the file then takes
     as they come. Returns the largest difference to JAX, of an output's range. Raises UserError, and then leaves nothing behind."""
     _check(out, batch, preprocess)
@@ -60,7 +57,7 @@ def export_model(
             f"{out} would differ from JAX by {off:.1e} of an output's range, more than {MOST:g}: not written"
         )
     write_bytes(out, data)
-    log(f"{out}: {len(data) / 1e6:.1f} MB, differs from JAX by at most {off:.1e} of an output's range")
+    print(f"{out}: {len(data) / 1e6:.1f} MB, differs from JAX by at most {off:.1e} of an output's range")
     return off
 
 

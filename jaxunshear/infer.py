@@ -6,6 +6,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import islice
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING
@@ -58,9 +59,7 @@ def learnt_note(experiment: Experiment) -> str:
     return f"{seen}: for recordings take the weights `skin`, or learn from your own with `jaxunshear fit`."
 
 
-def unshear_recordings(
-    path: Path, model: Path, out: Path, log: Log = print, force: bool = False, like: Path | None = None
-) -> Measured:
+def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None) -> Measured:
     """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`.
 
     `like` is a folder of contacts of the same sensor and camera, for a `path` that holds too few to know where pins stand. Returns what
@@ -94,9 +93,9 @@ def unshear_recordings(
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
     note, frame = learnt_note(experiment), OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES
     write_text(out / "NOTE.txt", "\n".join([note, frame, f"Networks: {model.name}", *notes]) + "\n")
-    log(f"{len(table)} images unsheared, {len(recordings) - len(table)} left out; see {out / 'poses.csv'}")
-    errors.report(log)
-    _print_summary([*notes, note], log)
+    print(f"{len(table)} images unsheared, {len(recordings) - len(table)} left out; see {out / 'poses.csv'}")
+    errors.report(print)
+    _print_summary([*notes, note], print)
     return _measured(
         [
             _row("unshear.images", len(table), "1"),
@@ -107,17 +106,10 @@ def unshear_recordings(
     )
 
 
-def pose_of_recordings(
-    path: Path,
-    model: Path,
-    log: Log = print,
-    note: Log | None = None,
-    force: bool = False,
-    like: Path | None = None,
-) -> Measured:
-    """Logs, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
+def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path | None = None) -> Measured:
+    """Prints, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
 
-    Notes and errors against the labels go to `note` (stderr), so that the CSV can be piped on. Returns the same as rows. Raises as
+    Notes and errors against the labels go to stderr, so that the CSV can be piped on. Returns the same as rows. Raises as
     `unshear_recordings`.
     """
     model = model_folder(model)
@@ -141,8 +133,8 @@ def pose_of_recordings(
                     unit = quantity.split("_")[-1]
                     measured.append(_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
             table.append(line | _recorded(recordings, row))
-    log(csv_text(table).rstrip("\n"))
-    note = note or (lambda text: print(text, file=sys.stderr))
+    print(csv_text(table).rstrip("\n"))
+    note = partial(print, file=sys.stderr)
     errors.report(note)
     _print_summary([*recordings.notes, learnt_note(experiment)], note)
     return _measured([*measured, *errors.rows()])

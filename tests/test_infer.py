@@ -140,7 +140,7 @@ def test_images_that_are_not_the_sensors_are_refused_by_name(command, model, fol
 @pytest.mark.parametrize("images", ["images/image_1.png", "images"])
 def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(monkeypatch, model, folder, tmp_path, images):
     monkeypatch.setattr(infer, "time", SimpleNamespace(perf_counter=itertools.count().__next__))  # a second each batch
-    measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", log=lambda line: None, force=True)
+    measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", force=True)
     assert measured.rows[-1].name == "unshear.time_per_image"
     assert measured.rows[-1].value == pytest.approx(1 / infer.BATCH)
 
