@@ -34,11 +34,7 @@ STYLE: Any = {  # the names are a closed list of matplotlib's
     "axes.axisbelow": True,
     "legend.frameon": False,
 }
-ABREAST, PANEL_IN, DPI = (
-    3,
-    3.5,
-    110,
-)  # panels of a picture side by side: what a report's page shows without making it smaller
+ABREAST, PANEL_IN, DPI = 3, 3.5, 110  # panels side by side: what a report's page shows without making them smaller
 HEAD, LABEL = 9, 8  # points: of titles, and of all that is smaller
 
 
