@@ -17,9 +17,8 @@ def run() -> int:
         print("jaxunshear: error: out of memory before there was anything to do", file=sys.stderr)
         return 2
     code = main()
-    if (
-        code == INTERRUPTED
-    ):  # threads of readers and checkpoints may be at work still, and crash in an interpreter that is taken down
+    if code == INTERRUPTED:
+        # threads of readers and checkpoints may be at work still, and crash in an interpreter that is taken down
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
         os._exit(code)

@@ -52,8 +52,6 @@ __all__ = [
     "servo",
 ]
 
-NETWORK = DISENTANGLED
-
 
 class Codes(NamedTuple):
     """Of B images, each code as a row of numbers."""
@@ -70,9 +68,8 @@ class Model:
     folder: Path
     experiment: Experiment
     perceiver: Perceiver
-    encoder: (
-        Callable[[np.ndarray], tuple[Array, Array | None]] | None
-    )  # what networks read -> both codes; None where nothing unshears
+    # what networks read -> both codes; None where nothing unshears
+    encoder: Callable[[np.ndarray], tuple[Array, Array | None]] | None
     slides: Targets = ()  # what the shear code says of the slide
 
     @property
@@ -88,7 +85,9 @@ class Model:
         """(B, S, S) float32 in [0, 1]: as a tap at the same poses would appear. Raises UserError."""
         answers = self._answers(images)
         if answers.unsheared is None:
-            raise UserError(f"{self.folder} holds no network that unshears: train {NETWORK}, or load another model")
+            raise UserError(
+                f"{self.folder} holds no network that unshears: train {DISENTANGLED}, or load another model"
+            )
         return np.where(answers.sure[:, None, None], answers.unsheared, np.nan)
 
     def pose(self, images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
@@ -105,7 +104,7 @@ class Model:
     def codes(self, images: np.ndarray) -> Codes:
         """Pose code and shear code. Raises UserError."""
         if self.encoder is None:
-            raise UserError(f"{self.folder} holds no network with codes: train {NETWORK}, or load another model")
+            raise UserError(f"{self.folder} holds no network with codes: train {DISENTANGLED}, or load another model")
         encoder = self.encoder
         z_p, z_s = self._in_batches(images, lambda part: encoder(self.perceiver.read(part)))
         return Codes(z_p.reshape(len(z_p), -1), None if z_s is None else z_s.reshape(len(z_s), -1))
@@ -154,8 +153,8 @@ def load_model(name: str | Path, like: str | Path | None = None) -> Model:
     frame = None if like is None else frame_for(Path(like), experiment)
     encoder = None
     slides: Targets = ()
-    if holds_model(folder / NETWORK):
-        net = read_net(folder / NETWORK)
-        encoder = ready(lambda variables, seen: encode(net, variables, seen), load_best(folder / NETWORK))
-        slides = read_slides(folder / NETWORK)
+    if holds_model(folder / DISENTANGLED):
+        net = read_net(folder / DISENTANGLED)
+        encoder = ready(lambda variables, seen: encode(net, variables, seen), load_best(folder / DISENTANGLED))
+        slides = read_slides(folder / DISENTANGLED)
     return Model(folder, experiment, perceiver(folder, experiment, True, frame), encoder, slides)

@@ -1,16 +1,16 @@
 """Lists and drawings of the sensors and the stimuli."""
 
 import io
-from functools import partial
 from pathlib import Path
 
-import jax
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, signed_distance, stimulus_of
+from jaxunshear.scene.stimuli import STIMULI, TRAINING, UNSEEN, Stimulus, distances, stimulus_of
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.outlines import touched
 from jaxunshear.settings.sensor import SENSORS, Sensor, sensor_named
@@ -43,8 +43,6 @@ def draw(kind: str, name: str, out: Path) -> None:
     if out.suffix.lower() not in SUFFIXES:
         raise UserError(f"--out {out}: name a file that ends in {', '.join(SUFFIXES)}")
     subject = sensor_named(name) if kind == "sensors" else stimulus_of(touched(name))
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(6, 6), layout="constrained")
     axes = figure.add_subplot(aspect="equal", xlabel="x / mm", ylabel="y / mm")
     if isinstance(subject, Sensor):
@@ -57,8 +55,6 @@ def draw(kind: str, name: str, out: Path) -> None:
 
 
 def _draw_sensor(axes: Axes, sensor: Sensor) -> None:
-    from matplotlib.patches import Circle
-
     axes.add_patch(Circle((0, 0), sensor.dome_radius_mm, fill=False, color="0.5"))
     for x, y, _ in pin_tips(sensor):
         axes.add_patch(Circle((x, y), sensor.pin_radius_mm, color="black"))
@@ -72,7 +68,7 @@ def _draw_stimulus(axes: Axes, stimulus: Stimulus) -> None:
     reach, points = 2.1 * stimulus.extent_mm, 500
     side = np.linspace(-reach, reach, points, dtype=np.float32)
     xy = np.stack(np.meshgrid(side, side), axis=-1)
-    distance = np.asarray(jax.lax.map(partial(signed_distance, stimulus), xy))  # row by row: outlines have many sides
+    distance = distances(stimulus, xy)
     axes.contourf(side, side, distance, levels=[distance.min(), 0], colors=["0.8"])
     if distance.max() > 0:
         axes.contour(side, side, distance, levels=[0], colors=["black"])

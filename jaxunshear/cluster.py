@@ -105,9 +105,8 @@ def _connect(address: str | None) -> None:
     # Ray would give BLAS as many threads as a call has cores, and the order of its sums goes by their number
     threads = os.environ.get("OMP_NUM_THREADS") or str(cores())
     try:
-        with warnings.catch_warnings(
-            action="ignore", category=RuntimeWarning
-        ):  # it starts processes, after JAX threads
+        # it starts processes, after JAX threads
+        with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
             ray.init(
                 address=address or "local",
                 include_dashboard=False if address is None else None,

@@ -4,7 +4,6 @@
 """
 
 import json
-from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -19,12 +18,11 @@ from jaxunshear.infer import FRAMES, OWN_FRAME, learnt_note
 from jaxunshear.owners import check_apart
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
-from jaxunshear.storage import check_new_folder, read_object, write_bytes
+from jaxunshear.storage import check_new_folder, write_bytes
 
 if TYPE_CHECKING:
     from jaxunshear.applications.exported.frames import Camera
     from jaxunshear.applications.exported.parts import Parts
-    from jaxunshear.image.preprocess import View
 
 ONNX, STABLEHLO = ".onnx", ".stablehlo"
 EXTRA = "pip install -c constraints.txt '.[onnx]'"
@@ -38,9 +36,7 @@ INPUTS = {
 }
 
 
-def export_model(
-    model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None, log: Callable[[str], None] = print
-) -> float:
+def export_model(model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None) -> float:
     """Writes `out`; `batch`: how many images it takes at once, None for any; `preprocess`: frames of a camera, which the file then takes
     as they come. Returns the largest difference to JAX, of an output's range. Raises UserError, and then leaves nothing behind."""
     _check(out, batch, preprocess)
@@ -52,9 +48,8 @@ def export_model(
     from jaxunshear.applications.exported.parts import MOST, parts_of
 
     parts = parts_of(folder, experiment)
-    view = _view_of(folder, experiment)
     if out.suffix == ONNX:
-        data, off = _onnx(parts, experiment, batch, preprocess, view)
+        data, off = _onnx(parts, folder, experiment, batch, preprocess)
     else:
         data, off = _stablehlo(parts, batch)
     if not off <= MOST:
@@ -62,7 +57,7 @@ def export_model(
             f"{out} would differ from JAX by {off:.1e} of an output's range, more than {MOST:g}: not written"
         )
     write_bytes(out, data)
-    log(f"{out}: {len(data) / 1e6:.1f} MB, differs from JAX by at most {off:.1e} of an output's range")
+    print(f"{out}: {len(data) / 1e6:.1f} MB, differs from JAX by at most {off:.1e} of an output's range")
     return off
 
 
@@ -90,22 +85,18 @@ def _check_extra(suffix: str) -> None:
         raise UserError(f"a file that ends in {suffix} needs {error.name}: {EXTRA}") from None
 
 
-def _view_of(folder: Path, experiment: Experiment) -> "View | None":
-    """The crop of the frames that a model learnt from, where it learnt from recordings."""
-    from jaxunshear.dataset.recorded_reading import frame_from
-    from jaxunshear.training.examples import FRAME
-
-    return frame_from(read_object(folder / FRAME)).view if isinstance(experiment.paired, Recorded) else None
-
-
 def _onnx(
-    parts: "Parts", experiment: Experiment, batch: int | None, preprocess: Path | None, view: "View | None"
+    parts: "Parts", folder: Path, experiment: Experiment, batch: int | None, preprocess: Path | None
 ) -> tuple[bytes, float]:
     from jaxunshear.applications.exported.frames import camera_of, prepared
     from jaxunshear.applications.exported.onnx_file import onnx_of, runner
     from jaxunshear.applications.exported.parts import difference, examples
+    from jaxunshear.applications.perceiver import frame_learnt
 
-    camera = None if preprocess is None else camera_of(preprocess, experiment.paired.preprocess, view)
+    camera = None
+    if preprocess is not None:
+        learnt = frame_learnt(folder, experiment)
+        camera = camera_of(preprocess, experiment.paired.preprocess, learnt.view if learnt else None)
     data = onnx_of(parts, batch, camera, _metadata(parts, experiment, camera))
     run = runner(data, parts)
     if camera is None:

@@ -16,6 +16,7 @@ from jaxunshear.settings.networks import PinNet, UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, POSENETS, Network
 from jaxunshear.settings.training import Training
 from jaxunshear.settings.types import Value
+from jaxunshear.storage import write_text
 
 BASE = Experiment(
     name="recorded",
@@ -80,45 +81,28 @@ def allowed(networks: tuple[Network, ...], taps: bool, slides: bool) -> tuple[Ne
 
 def as_python(experiment: Experiment) -> str:
     """The source of an experiment file: every field that is not at its default."""
-    names: set[str] = set()
-    body = _constructed(experiment, names, 0)
-    modules: dict[str, list[str]] = {}
-    for name in sorted(names):
-        modules.setdefault(_MODULES[name], []).append(name)
-    imports = "\n".join(f"from {module} import {', '.join(found)}" for module, found in sorted(modules.items()))
+    modules: dict[str, set[str]] = {}
+    body = _constructed(experiment, modules, 0)
+    imports = "\n".join(f"from {module} import {', '.join(sorted(names))}" for module, names in sorted(modules.items()))
     return f'"""{experiment.claim}\n\n    jaxunshear run {{this file}}\n"""\n\n{imports}\n\nexperiment = {body}\n'
 
 
-_MODULES = {
-    "Experiment": "jaxunshear.settings.experiment",
-    "Recorded": "jaxunshear.settings.data",
-    "RecordedTaps": "jaxunshear.settings.data",
-    "Preprocess": "jaxunshear.settings.image",
-    "Sensor": "jaxunshear.settings.sensor",
-    "Training": "jaxunshear.settings.training",
-    "UnshearNet": "jaxunshear.settings.networks",
-    "PoseNet": "jaxunshear.settings.networks",
-    "PinNet": "jaxunshear.settings.networks",
-}
-
-
-def _constructed(thing: Value, names: set[str], depth: int) -> str:
+def _constructed(thing: Value, modules: dict[str, set[str]], depth: int) -> str:
+    """The source of a dataclass of settings; `modules` gains the name of each that it takes, by the module that has it."""
     kind = type(thing).__name__
-    names.add(kind)
+    modules.setdefault(type(thing).__module__, set()).add(kind)
     parts = []
     for field in dataclasses.fields(thing):
         value = getattr(thing, field.name)
         default = field.default_factory() if callable(field.default_factory) else field.default
         if value != default:
-            inner = _constructed(value, names, depth + 1) if dataclasses.is_dataclass(value) else repr(value)
+            inner = _constructed(value, modules, depth + 1) if dataclasses.is_dataclass(value) else repr(value)
             parts.append(f"{'    ' * (depth + 1)}{field.name}={inner},")
     return f"{kind}(\n" + "\n".join(parts) + f"\n{'    ' * depth})" if parts else f"{kind}()"
 
 
 def write_experiment(experiment: Experiment, file: Path) -> None:
     """The experiment as a file to run again, and to change. Raises UserError where another one is there."""
-    from jaxunshear.storage import write_text
-
     source = as_python(experiment)
     if file.exists() and file.read_text() != source:
         raise UserError(

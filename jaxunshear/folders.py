@@ -14,10 +14,8 @@ RELEASED = Path(__file__).parent / "weights"  # a folder for each name, with a m
 
 def model_folder(model: Path) -> Path:
     """`model` itself where it is a folder, else that of the released weights of this name. Raises `UserError`."""
-    released = {folder.name: folder for folder in sorted(RELEASED.glob("*")) if (folder / "experiment.json").is_file()}
-    if model.exists() or str(model) not in released:
-        return model
-    return released[str(model)]
+    is_name = len(model.parts) == 1 and not model.exists()
+    return RELEASED / model if is_name and (RELEASED / model / "experiment.json").is_file() else model
 
 
 def load_settings(model: Path) -> Experiment:

@@ -6,8 +6,10 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
+from itertools import islice
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,14 +17,14 @@ from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.progress import Progress
+from jaxunshear.results.rows import Measured, Measurement
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
-from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.targets import RECORDED, SLIDES
 from jaxunshear.storage import Json, check_beside, csv_text, write_bytes, write_text
 
 if TYPE_CHECKING:
-    from jaxunshear.applications.frames import Understood
+    from jaxunshear.applications.frames import Frames
     from jaxunshear.applications.perceiver import Answers, Perceiver
     from jaxunshear.dataset.recordings import Recordings
 
@@ -57,9 +59,7 @@ def learnt_note(experiment: Experiment) -> str:
     return f"{seen}: for recordings take the weights `skin`, or learn from your own with `jaxunshear fit`."
 
 
-def unshear_recordings(
-    path: Path, model: Path, out: Path, log: Log = print, force: bool = False, like: Path | None = None
-) -> Json:
+def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None) -> Measured:
     """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`.
 
     `like` is a folder of contacts of the same sensor and camera, for a `path` that holds too few to know where pins stand. Returns what
@@ -73,13 +73,12 @@ def unshear_recordings(
     network = _perceiver(
         model, experiment, over_pins(experiment) or isinstance(experiment.paired, Recorded), like or path
     )
-    recordings = _read(path, network.preprocess)
-    understood = _understood(recordings, network, force)
+    recordings, frames = _read(path, network, force)
     targets = _targets(recordings.names)
     table: list[Json] = []
     seconds: list[float] = []
     errors = _Errors(network.names, recordings)
-    for rows, names, answers, spent in _answers(recordings, network, understood, "unshear"):
+    for rows, names, answers, spent in _answers(recordings, network, frames, "unshear"):
         if answers.unsheared is None:
             raise UserError(f"{model} has no network that unshears: it learnt poses alone; use `jaxunshear pose`")
         seconds.append(spent / BATCH)
@@ -92,12 +91,11 @@ def unshear_recordings(
     notes = list(recordings.notes)
     if not network.names:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
-    frames = OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES
-    note = learnt_note(experiment)
-    write_text(out / "NOTE.txt", "\n".join([note, frames, f"Networks: {model.name}", *notes]) + "\n")
-    log(f"{len(table)} images unsheared, {len(recordings) - len(table)} left out; see {out / 'poses.csv'}")
-    errors.report(log)
-    _print_summary([*notes, *([note] if note else [])], log)
+    note, frame = learnt_note(experiment), OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES
+    write_text(out / "NOTE.txt", "\n".join([note, frame, f"Networks: {model.name}", *notes]) + "\n")
+    print(f"{len(table)} images unsheared, {len(recordings) - len(table)} left out; see {out / 'poses.csv'}")
+    errors.report(print)
+    _print_summary([*notes, note], print)
     return _measured(
         [
             _row("unshear.images", len(table), "1"),
@@ -108,17 +106,10 @@ def unshear_recordings(
     )
 
 
-def pose_of_recordings(
-    path: Path,
-    model: Path,
-    log: Log = print,
-    note: Log | None = None,
-    force: bool = False,
-    like: Path | None = None,
-) -> Json:
-    """Logs, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
+def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path | None = None) -> Measured:
+    """Prints, as CSV, the pose that PoseNet reads from every image at `path`, as it was recorded and unsheared.
 
-    Notes and errors against the labels go to `note` (stderr), so that the CSV can be piped on. Returns the same as rows. Raises as
+    Notes and errors against the labels go to stderr, so that the CSV can be piped on. Returns the same as rows. Raises as
     `unshear_recordings`.
     """
     model = model_folder(model)
@@ -128,12 +119,11 @@ def pose_of_recordings(
         raise UserError(
             f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
         )
-    recordings = _read(path, network.preprocess)
-    understood = _understood(recordings, network, force)
+    recordings, frames = _read(path, network, force)
     table: list[Json] = []
-    rows_out: list[Json] = []
+    measured: list[Measurement] = []
     errors = _Errors(network.names, recordings)
-    for rows, names, answers, _ in _answers(recordings, network, understood, "pose"):
+    for rows, names, answers, _ in _answers(recordings, network, frames, "pose"):
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
             line: Json = {"name": name}
@@ -141,13 +131,13 @@ def pose_of_recordings(
                 for quantity, values in poses.items():
                     line[f"{way}_{quantity}"] = f"{values[i]:.4f}"
                     unit = quantity.split("_")[-1]
-                    rows_out.append(_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
+                    measured.append(_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
             table.append(line | _recorded(recordings, row))
-    log(csv_text(table).rstrip("\n"))
-    note = note or (lambda text: print(text, file=sys.stderr))
+    print(csv_text(table).rstrip("\n"))
+    note = partial(print, file=sys.stderr)
     errors.report(note)
     _print_summary([*recordings.notes, learnt_note(experiment)], note)
-    return _measured([*rows_out, *errors.rows()])
+    return _measured([*measured, *errors.rows()])
 
 
 class _Errors:
@@ -177,7 +167,7 @@ class _Errors:
         found = {name: np.concatenate(parts) for name, parts in self._found.items()}
         return {name: float(errors.mean(dtype=np.float64)) for name, errors in found.items() if len(errors)}
 
-    def rows(self) -> list[Json]:
+    def rows(self) -> list[Measurement]:
         return [_row(f"pose_mae.{name}", value, name.rpartition("_")[2]) for name, value in self.means().items()]
 
     def report(self, log: Log) -> None:
@@ -201,16 +191,12 @@ def _settings_for(path: Path, model: Path) -> Experiment:
     return load_settings(model)
 
 
-def _read(path: Path, preprocess: Preprocess) -> "Recordings":
+def _read(path: Path, network: "Perceiver", force: bool) -> "tuple[Recordings, Frames]":
+    from jaxunshear.applications.frames import understood
     from jaxunshear.dataset.recordings import read_recordings
 
-    return read_recordings(path, preprocess)
-
-
-def _understood(recordings: "Recordings", network: "Perceiver", force: bool) -> "Understood":
-    from jaxunshear.applications.frames import Understood
-
-    return Understood(recordings, network, force)
+    recordings = read_recordings(path, network.preprocess)
+    return recordings, understood(recordings, network, force)
 
 
 def _targets(names: tuple[str, ...]) -> list[str]:
@@ -226,14 +212,14 @@ def _targets(names: tuple[str, ...]) -> list[str]:
 
 
 def _answers(
-    recordings: "Recordings", network: "Perceiver", understood: "Understood", label: str
+    recordings: "Recordings", network: "Perceiver", frames: "Frames", label: str
 ) -> "Iterator[tuple[list[int], list[str], Answers, float]]":
     """Batches of rows, names and answers, and the seconds the networks took for the full BATCH, compilation apart."""
     size = recordings.preprocess.size
     network.answer(np.zeros((BATCH, size, size), np.uint8))
     with Progress(label, len(recordings)) as progress:
         seen = 0
-        for batch in _batches(understood.frames()):
+        while batch := list(islice(frames, BATCH)):
             rows, names, images = zip(*batch, strict=True)
             padded = np.zeros((BATCH, size, size), np.uint8)  # one shape to compile
             padded[: len(images)] = images
@@ -243,20 +229,6 @@ def _answers(
             progress.advance(rows[-1] + 1 - seen)
             seen = rows[-1] + 1
         progress.advance(len(recordings) - seen)  # left out at the end
-
-
-Item = TypeVar("Item")
-
-
-def _batches(frames: Iterator[Item]) -> Iterator[list[Item]]:
-    batch: list[Item] = []
-    for frame in frames:
-        batch.append(frame)
-        if len(batch) == BATCH:
-            yield batch
-            batch = []
-    if batch:
-        yield batch
 
 
 def _recorded(recordings: "Recordings", row: int) -> dict[str, str]:
@@ -276,19 +248,11 @@ def _print_summary(notes: list[str], log: Log) -> None:
         log(f"note: and {len(notes) - 10} more")
 
 
-def _row(name: str, value: float, unit: str) -> Json:
-    return {
-        "name": name,
-        "value": value,
-        "unit": unit,
-        "bar": None,
-        "sense": None,
-        "ok": None,
-        "metric": name.split(".")[-1],
-    }
+def _row(name: str, value: float, unit: str) -> Measurement:
+    return Measurement(name, value, unit, None, None, None, name.split(".")[-1])
 
 
-def _measured(rows: list[Json]) -> Json:
+def _measured(rows: list[Measurement]) -> Measured:
     from jaxunshear.metrics.machine import machine, versions
 
-    return {"rows": rows, "machine": machine(), "versions": versions()}
+    return Measured(rows, machine(), versions())

@@ -7,20 +7,20 @@ from jaxunshear.errors import UserError
 from jaxunshear.storage import read_object_if_sound
 
 RUN, SWEEP, SET = "a run or weights", "a sweep", "a data set"
-MARKS = {"experiment.json": RUN, "sweep.json": SWEEP, "task.json": SWEEP, "shards.json": SET}
-FIELDS = {
-    "experiment.json": "unshear",
-    "sweep.json": "cells",
-    "task.json": "kind",
-}  # others have files of these names, too
+MARKS = {  # file: whose it is, and a field that theirs has, where others have files of that name, too
+    "experiment.json": (RUN, "unshear"),
+    "sweep.json": (SWEEP, "cells"),
+    "task.json": (SWEEP, "kind"),
+    "shards.json": (SET, None),
+}
 
 
 def owner_of(path: Path) -> tuple[Path, str] | None:
     """The nearest folder that `path` is or lies in that holds a run, weights, a sweep or a data set, and which; None where none does."""
     place = Path(os.path.realpath(path))
     for folder in (place, *place.parents):
-        for name, kind in MARKS.items():
-            if (folder / name).is_file() and _is_ours(folder / name):
+        for name, (kind, field) in MARKS.items():
+            if (folder / name).is_file() and _has(folder / name, field):
                 return folder, kind
     return None
 
@@ -42,7 +42,7 @@ def check_apart(path: Path | None, option: str, home: Path | None = None) -> Non
         )
 
 
-def _is_ours(mark: Path) -> bool:
-    """A damaged one may be."""
+def _has(mark: Path, field: str | None) -> bool:
+    """A damaged one may have it."""
     held = read_object_if_sound(mark)
-    return not isinstance(held, dict) or FIELDS.get(mark.name) in (None, *held)
+    return held is None or field is None or field in held

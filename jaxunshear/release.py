@@ -39,18 +39,10 @@ def release(run_dir: Path, out: Path) -> Path:
     The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
     Raises `UserError` where the run is not finished or evaluated.
     """
-    from jaxunshear.training.checkpoint import (
-        MODEL,
-        check_finished,
-        holds_model,
-        load_best,
-        read_net,
-        read_targets,
-        write_weights,
-    )
+    from jaxunshear.applications.perception import trained
+    from jaxunshear.training.checkpoint import MODEL, holds_model, write_weights
     from jaxunshear.training.examples import FRAME
 
-    run_dir, out = Path(run_dir), Path(out)
     for name in ("experiment.json", "results.json"):
         if not (run_dir / name).is_file():
             raise UserError(f"{run_dir} holds no {name}: name the folder of a finished run, such as runs/demo")
@@ -66,12 +58,7 @@ def release(run_dir: Path, out: Path) -> Path:
     names = [name for name in PARTS if name in needed or holds_model(run_dir / name)]
     if not names:
         raise UserError(f"{run_dir} holds no trained network: name the folder of a finished run")
-    targets = {}
-    for name in names:
-        check_finished(run_dir / name)
-        read_net(run_dir / name)  # refuses a damaged one
-        targets[name] = read_targets(run_dir / name)
-    variables = {name: load_best(run_dir / name) for name in names}
+    _, variables, targets = trained(run_dir, names)
     part = out.with_name(f"{out.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     for name in names:
@@ -129,7 +116,7 @@ def _recorded_card(results: Results, name: str) -> str:
     lines = [
         f"# {name}",
         "",
-        f"{results.claim}",
+        results.claim,
         "",
         f"Networks for a soft optical tactile sensor of {recordings.pins} pins; they read {reads} of {metric['image_px']} px. "
         "Kernels are stored as float16; the figures below are of the networks as trained.",
@@ -172,7 +159,7 @@ def _simulated_card(results: Results, name: str) -> str:
     lines = [
         f"# {name}",
         "",
-        f"{settings['claim']}",
+        settings["claim"],
         "",
         f"Networks for {given} of a soft optical tactile sensor: Disentangled UnshearNet (encoder, pose code, canonical decoder), "
         "which turns a sheared image into the one that a tap would give, and a PoseNet, which learnt from taps alone. Beside them, "

@@ -79,9 +79,8 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
     """experiment.json, or a refusal to mix the work of two different experiments in one folder."""
     path = folder / "experiment.json"
     wanted = to_json(experiment)
-    started = any(
-        each.name not in (path.name, LOCK, TIMES) for each in folder.iterdir()
-    )  # else data at most, which lie elsewhere
+    # before that there are data at most, which lie elsewhere
+    started = any(each.name not in (path.name, LOCK, TIMES) for each in folder.iterdir())
     if path.exists():
         try:
             stored = to_json(from_json(read_object(path), str(path)))

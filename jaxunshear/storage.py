@@ -108,14 +108,14 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
     """Refuses, before there is work to lose, a file for JSON that is a folder, lies in a file, or holds what no command wrote there."""
     if path is None:
         return
-    if Path(path).is_dir():
+    if path.is_dir():
         raise UserError(f"{option} {path} is a folder: name a file")
-    above = _file_above(Path(path))
+    above = _file_above(path)
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
-    if Path(path).is_file() and Path(path).stat().st_size and not _measured(Path(path)):
+    if path.is_file() and path.stat().st_size and not _measured(path):
         raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
-    _check_writable(Path(path).absolute().parent, f"{option} {path}")
+    _check_writable(path.absolute().parent, f"{option} {path}")
 
 
 def _measured(path: Path) -> bool:
@@ -133,12 +133,12 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
     """Refuses, before there is work to lose, a folder for results that is a file or lies in one."""
     if path is None:
         return
-    if Path(path).exists() and not Path(path).is_dir():
+    if path.exists() and not path.is_dir():
         raise UserError(f"{option} {path} is a file: name a folder")
-    above = _file_above(Path(path))
+    above = _file_above(path)
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name another folder")
-    _check_writable(Path(path).absolute(), f"{option} {path}")
+    _check_writable(path.absolute(), f"{option} {path}")
 
 
 def _check_writable(folder: Path, named: str) -> None:
@@ -165,7 +165,6 @@ def check_beside(recordings: Path, out: Path, option: str) -> None:
 
 def write_bytes(path: Path, data: bytes) -> None:
     """Replace `path` by `data` in one step; missing folders are made. Raises `UserError` that names the path."""
-    path = Path(path)
     part = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -202,7 +201,6 @@ def write_json(path: Path, obj: object) -> None:
 
 def read_json(path: Path) -> object:
     """What `path` holds, without its seal. Raises `UserError` where it is missing, is no JSON, or is not what was sealed."""
-    path = Path(path)
     try:
         held = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear import infer
+from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges
@@ -111,7 +112,7 @@ def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, 
     for row in (rows[0], rows[5], rows[-1]):
         number = int(row["name"].removeprefix("images/image_").removesuffix(".png"))
         assert (float(row["recorded_pose_x_mm"]), float(row["recorded_pose_rz_deg"])) == (number, -number)
-        recordings = infer._read(folder / "images" / f"image_{number}.png", SEEN)
+        recordings = read_recordings(folder / "images" / f"image_{number}.png", SEEN)
         ((_, _, image),) = recordings.frames()
         alone = image[None, :, :, None] / np.float32(255)
         expected = unshearnet.unshear(NET, variables["disentangled"], alone)
@@ -139,9 +140,9 @@ def test_images_that_are_not_the_sensors_are_refused_by_name(command, model, fol
 @pytest.mark.parametrize("images", ["images/image_1.png", "images"])
 def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(monkeypatch, model, folder, tmp_path, images):
     monkeypatch.setattr(infer, "time", SimpleNamespace(perf_counter=itertools.count().__next__))  # a second each batch
-    measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", log=lambda line: None, force=True)
-    assert measured["rows"][-1]["name"] == "unshear.time_per_image"
-    assert measured["rows"][-1]["value"] == pytest.approx(1 / infer.BATCH)
+    measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", force=True)
+    assert measured.rows[-1].name == "unshear.time_per_image"
+    assert measured.rows[-1].value == pytest.approx(1 / infer.BATCH)
 
 
 def test_pose_gives_both_readings_of_each_image(command, model, folder, tmp_path):

@@ -127,7 +127,7 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, head):
     made = release(run, tmp_path / "weights" / "mine")
     frames = image_in(tmp_path / "frames")
     for model, out in ((run, "by_run"), (made, "by_weights")):
-        infer.unshear_recordings(frames, Path(model), tmp_path / out, log=lambda text: None, force=True)
+        infer.unshear_recordings(frames, Path(model), tmp_path / out, force=True)
     pictures = [np.asarray(Image.open(tmp_path / out / "a.png"), float) for out in ("by_run", "by_weights")]
     assert np.ptp(pictures[0]) > 20
     assert np.abs(pictures[0] - pictures[1]).mean() <= 3  # kernels are float16

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from skimage.measure import find_contours
 
 from jaxunshear.contact.obstacle import REACH_MM
-from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance
+from jaxunshear.scene.stimuli import Stimulus, distances, outward_normal, signed_distance
 
 GRID_MM = 0.25
 SPACING_MM = 0.1
@@ -34,8 +34,7 @@ class Contour(NamedTuple):
 def outline(stimulus: Stimulus) -> Contour:
     """The longest closed curve on which the signed distance is zero, to about 0.01 mm."""
     line = np.arange(-REACH_MM, REACH_MM + GRID_MM / 2, GRID_MM)
-    xy = np.stack(np.meshgrid(line, line), -1).astype(np.float32)
-    distance = np.asarray(jax.jit(lambda rows: jax.lax.map(lambda row: signed_distance(stimulus, row), rows))(xy))
+    distance = distances(stimulus, np.stack(np.meshgrid(line, line), -1))
     curves = [line[0] + GRID_MM * curve[:, ::-1] for curve in find_contours(distance, 0.0)]
     curve = max(curves, key=_length)
     x, y = curve.T

@@ -1,6 +1,6 @@
 """The paper's controller (appendix C): proportional and integral, towards a pose normal to the edge, with a step along it.
 
->>> move, turn, memory = control(Gains(), at_rest(1), edge_mm=jnp.array([1.0]), edge_deg=jnp.array([10.0]))
+>>> move, turn, memory = control(Gains(), Memory(jnp.zeros(1), jnp.zeros(1)), edge_mm=jnp.array([1.0]), edge_deg=jnp.array([10.0]))
 >>> move, turn                                    # ([[-0.8, 0.5]] mm and [6.] deg, in the sensor frame)
 """
 
@@ -24,14 +24,10 @@ class Gains:
 
 
 class Memory(NamedTuple):
-    """Sums of the errors so far."""
+    """Sums of the errors so far, zero at the start."""
 
     normal_mm: Array  # (B,)
     turn_deg: Array  # (B,)
-
-
-def at_rest(count: int) -> Memory:
-    return Memory(jnp.zeros(count), jnp.zeros(count))
 
 
 def control(gains: Gains, memory: Memory, edge_mm: Array, edge_deg: Array) -> tuple[Array, Array, Memory]:

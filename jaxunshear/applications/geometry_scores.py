@@ -16,14 +16,14 @@ from jaxunshear.applications import fresh
 from jaxunshear.applications.fresh import FreshContacts, fresh_contacts, untouched_images
 from jaxunshear.applications.geometry import read_at
 from jaxunshear.applications.geometry_ways import GROWTH, Way, ways_of
-from jaxunshear.applications.perception import Unshear, unshearers, unshearing_of
+from jaxunshear.applications.perception import Unshear, lattice_of, unshearers, unshearing_of
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.spread import intervals
-from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.results.applications import GeometryScore, GeometryScores
 from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.storage import Json
 
 SEED = 0
 UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact
@@ -57,7 +57,7 @@ def geometry(folder: Path, experiment: Experiment, count: int = 300) -> Felt:
     networks = unshearers(folder, experiment, unshearing_of(folder))
     if not networks:
         raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
-    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
+    lattice = lattice_of(experiment)
     ways = ways_of(experiment, lattice, fresh_contacts(experiment, fresh.KNOWN, seed=1))
     contacts = fresh_contacts(experiment, count)
     found = geometry_of(lattice, contacts, untouched_images(experiment, len(contacts.stimulus)), ways, networks)
@@ -115,19 +115,20 @@ def _scores(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry)
                 ms_per_image=geometry.ms[kind, way],
             )
             if matched.any():
-                true = contacts.indentation_mm[matched]
-                score = {"correlation": correlation(height[matched], true)}
-                if kind == UNTOUCHED:
-                    row = replace(row, largest_mm=float(np.abs(height[matched]).max()))
-                else:
-                    score["rmse_mm"] = np.sqrt(np.mean((height[matched] - true) ** 2, axis=-1))
-                spans = intervals(score, np.flatnonzero(matched), SEED)
-                likeness = float(score["correlation"].mean())
-                row = replace(row, correlation=likeness, correlation_interval=spans["correlation"])
-                if "rmse_mm" in score:
-                    row = replace(row, rmse_mm=float(score["rmse_mm"].mean()), rmse_mm_interval=spans["rmse_mm"])
+                row = replace(row, **_agreement(kind, height[matched], contacts.indentation_mm[matched], matched))
             rows.append(row)
     return rows
+
+
+def _agreement(kind: str, height: np.ndarray, true: np.ndarray, matched: np.ndarray) -> Json:
+    """Fields of a score: of heights (M, P) mm of the `matched` ones of N contacts; the untouched sensor has no true height."""
+    each = {"correlation": correlation(height, true)}
+    if kind != UNTOUCHED:
+        each["rmse_mm"] = np.sqrt(np.mean((height - true) ** 2, axis=-1))
+    spans = intervals(each, np.flatnonzero(matched), SEED)
+    found: Json = {name: float(values.mean()) for name, values in each.items()}
+    found |= {f"{name}_interval": span for name, span in spans.items()}
+    return found | ({"largest_mm": float(np.abs(height).max())} if kind == UNTOUCHED else {})
 
 
 def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -6,8 +6,6 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxunshear.applications import fresh, perception
@@ -20,12 +18,11 @@ from jaxunshear.applications.reconstruct import CELL_MM, Fused, Likeness, fuse, 
 from jaxunshear.applications.servo import CLOSED, WALKING, Course, Walks, made_with
 from jaxunshear.dataset.chunks import unpack
 from jaxunshear.errors import UserError
-from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.progress import Progress
 from jaxunshear.results.applications import ObjectScore
-from jaxunshear.scene.stimuli import Stimulus, signed_distance, stimulus_of
+from jaxunshear.scene.stimuli import distances, stimulus_of
 from jaxunshear.settings.experiment import Experiment, simulated_of
 
 EVERY = 4  # steps, 2 mm: an image shows the skin of 12 mm around its middle
@@ -46,12 +43,12 @@ class Solid(NamedTuple):
 def makers_for(experiment: Experiment, known: FreshContacts) -> dict[str, Maker]:
     """The ways to an object by name, from taps whose poses and indentations are known."""
     paired, _ = simulated_of(experiment, "reconstruct")
-    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
+    lattice = perception.lattice_of(experiment)
     xy = to_target(known.pose[:, :3], skin_places(experiment.sensor))
     distance = np.zeros(xy.shape[:2])
     for index, touched in enumerate(paired.stimuli):
         rows = known.stimulus == index
-        distance[rows] = _distance(stimulus_of(touched), xy[rows])
+        distance[rows] = distances(stimulus_of(touched), xy[rows])
     return makers_of(experiment.sensor, lattice, known_motions(lattice, known), known.indentation_mm, distance)
 
 
@@ -74,7 +71,7 @@ def solids(
     for name, maker in makers.items():
         fused = fuse(walks.point[walk, there], maker.place(motion), maker.value(motion), full)
         shape = maker.shape(fused)
-        true = _distance(stimulus_of(course.stimulus), np.stack(np.meshgrid(fused.x, fused.y), -1)) < 0
+        true = distances(stimulus_of(course.stimulus), fused.xy) < 0
         off = (fused.value - course.depth_mm)[true & ~np.isnan(fused.value)]
         rms = float(np.sqrt(np.mean(off**2))) if maker.in_mm and len(off) else None
         unmatched = int(np.isnan(motion[:, 0, 0]).sum())
@@ -123,8 +120,7 @@ def _objects(
 ) -> Objects:
     course, walks = walked
     line = outline(stimulus_of(course.stimulus))
-    paired, _ = simulated_of(experiment, "reconstruct")
-    lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
+    lattice = perception.lattice_of(experiment)
     typical: dict[tuple[str, str], Solid] = {}
     scores = []
     with Progress(f"reconstruct {course.stimulus}", len(walks.way), "walks") as progress:
@@ -143,7 +139,7 @@ def _objects(
 
 
 def _score(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, solids: list[Solid]) -> ObjectScore:
-    scores = np.array([each.likeness for each in solids])
+    iou, mean_mm, hausdorff_mm, iou_felt = np.array([each.likeness for each in solids]).T
     heights = [each.height_rms_mm for each in solids if each.height_rms_mm is not None]
     return ObjectScore(
         name=f"{stimulus}/{maker}/{way}",
@@ -152,18 +148,12 @@ def _score(stimulus: str, maker: str, way: str, walks: Walks, rows: np.ndarray, 
         way=way,
         walks=len(rows),
         closed=int(np.sum(walks.end[rows] == CLOSED)),
-        iou=float(scores[:, 0].mean()),
-        walk_iou=scores[:, 0].tolist(),
-        iou_felt=float(scores[:, 3].mean()),
-        mean_mm=float(scores[:, 1].mean()),
-        hausdorff_mm=float(scores[:, 2].mean()),
+        iou=float(iou.mean()),
+        walk_iou=iou.tolist(),
+        iou_felt=float(iou_felt.mean()),
+        mean_mm=float(mean_mm.mean()),
+        hausdorff_mm=float(hausdorff_mm.mean()),
         height_rms_mm=float(np.mean(heights)) if heights else None,
         level=solids[0].level,
         unmatched=int(sum(each.unmatched for each in solids)),
     )
-
-
-def _distance(stimulus: Stimulus, xy: np.ndarray) -> np.ndarray:
-    """(N, M) mm of points (N, M, 2) mm from the object, negative over it."""
-    rows = jnp.asarray(xy, jnp.float32)
-    return np.asarray(jax.jit(lambda xy: jax.lax.map(lambda row: signed_distance(stimulus, row), xy))(rows))

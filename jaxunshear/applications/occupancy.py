@@ -41,11 +41,11 @@ def learn(lattice: Lattice, place: np.ndarray, growth: np.ndarray, distance: np.
     beside the object is certain than of what is over it.
     """
     followed = ~np.isnan(growth[:, 0])
-    square = np.sum(place**2, axis=-1) / NEAR_MM**2
-    blank = Occupancy(square < 1, _shells(lattice), square, *(np.empty(0),) * 3, 0.0)
-    features = _features(blank, growth[followed])
+    square, shells = np.sum(place**2, axis=-1) / NEAR_MM**2, _shells(lattice)
+    near = square < 1
+    features = _features(near, shells, square, growth[followed])
     features = features.reshape(-1, features.shape[-1])
-    apart = distance[followed][:, blank.near].ravel()
+    apart = distance[followed][:, near].ravel()
     mean, deviation = features.mean(axis=0), features.std(axis=0)
     mean[0], deviation[0] = 0, 1  # the constant
     features = (features - mean) / deviation
@@ -59,21 +59,22 @@ def learn(lattice: Lattice, place: np.ndarray, growth: np.ndarray, distance: np.
 
     weights = minimize(loss, np.zeros(features.shape[1]), jac=True, method="L-BFGS-B").x
     on_edge = np.clip(features @ weights, -CERTAIN, CERTAIN)[np.abs(apart) < EDGE_MM]
-    return blank._replace(mean=mean, deviation=deviation, weights=weights, level=float(on_edge.mean()))
+    return Occupancy(near, shells, square, mean, deviation, weights, float(on_edge.mean()))
 
 
 def evidence(occupancy: Occupancy, growth: np.ndarray) -> np.ndarray:
     """(N, Q) of growth (N, P), for the pins near the axis: log-odds of lying over the object, the same on both sides at its edge."""
-    features = (_features(occupancy, growth) - occupancy.mean) / occupancy.deviation
+    features = _features(occupancy.near, occupancy.shells, occupancy.square, growth)
+    features = (features - occupancy.mean) / occupancy.deviation
     return np.clip(features @ occupancy.weights, -CERTAIN, CERTAIN) - occupancy.level
 
 
-def _features(occupancy: Occupancy, growth: np.ndarray) -> np.ndarray:
+def _features(near: np.ndarray, shells: np.ndarray, square: np.ndarray, growth: np.ndarray) -> np.ndarray:
     """(N, Q, F): growth of a cell and of its neighbours' shells, each also times its squared distance from the axis."""
-    square = np.broadcast_to(occupancy.square, growth.shape)
-    grown = [growth, *(growth @ shell.T for shell in occupancy.shells)]
+    square = np.broadcast_to(square, growth.shape)
+    grown = [growth, *(growth @ shell.T for shell in shells)]
     columns = [np.ones_like(growth), square, square**2, *grown, *(square * each for each in grown)]
-    return np.stack(columns, -1)[:, occupancy.near]
+    return np.stack(columns, -1)[:, near]
 
 
 def _shells(lattice: Lattice) -> np.ndarray:

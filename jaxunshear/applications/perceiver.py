@@ -17,12 +17,12 @@ import numpy as np
 from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
+from jaxunshear.applications.perception import lattice_of, trained, unit
 from jaxunshear.dataset.preparing import LIKE, Frame, frame_of_recordings, to_found, to_image
 from jaxunshear.dataset.recorded_reading import frame_from
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.dots import dots
-from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.image.preprocess import View
 from jaxunshear.image.tracking import followed
@@ -33,12 +33,12 @@ from jaxunshear.model.parts import Tree, Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
+from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import Json, read_object
-from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
+from jaxunshear.training.checkpoint import holds_model
 from jaxunshear.training.examples import FRAME
 
 AS_RECORDED, UNSHEARED, LEARNT = "as_recorded", "unsheared", "learnt"  # learnt: by a PoseNet that learnt from slides
@@ -81,33 +81,29 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
         raise UserError(
             f"{model} holds no trained network that unshears or reads poses: train one, or name another --model"
         )
-    for name in wanted:
-        check_finished(model / name)
-    nets = {name: read_net(model / name) for name in wanted}
-    variables = {name: load_best(model / name) for name in wanted}
-    targets = {name: read_targets(model / name) for name in wanted}
-    reads = [name for name in (POSENET, POSENET_SHEARED) if name in nets]
-    names = names_of(targets[reads[0]]) if reads else ()
+    nets, variables, targets = trained(model, wanted)
+    names = next((names_of(targets[name]) for name in (POSENET, POSENET_SHEARED) if name in nets), ())
     run = ready(partial(_forward, nets, targets, recorded_too), variables)
+    learnt, expected = frame_learnt(model, experiment), expected_by(model, experiment)
     if over_pins(experiment):
-        if isinstance(experiment.paired, Recorded):
-            frame, rest = frame_from(read_object(model / FRAME)), None
-        else:
-            rest = np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
+        rest = None if learnt else np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
+        frame = learnt or frame
         if frame is None:
             raise UserError(f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE}")
-        return _of_pins(experiment, run, names, frame, rest, expected_by(model, experiment))
-    view = None
-    if isinstance(experiment.paired, Recorded):
-        view = frame_from(read_object(model / FRAME)).view
+        return _of_pins(experiment, run, names, frame, rest, expected)
 
     def answer(images: np.ndarray) -> Answers:
-        after, poses = jax.device_get(run(_unit(images)))
+        after, poses = jax.device_get(run(unit(images)))
         return Answers(
             None if after is None else after[..., 0], _in_order(poses, names), np.ones(len(images), bool), {}
         )
 
-    return Perceiver(experiment.paired.preprocess, view, names, _unit, answer, expected_by(model, experiment))
+    return Perceiver(experiment.paired.preprocess, learnt.view if learnt else None, names, unit, answer, expected)
+
+
+def frame_learnt(model: Path, experiment: Experiment) -> Frame | None:
+    """What the recordings that a model learnt from have in common; None where it learnt from simulated touches. Raises UserError."""
+    return frame_from(read_object(model / FRAME)) if isinstance(experiment.paired, Recorded) else None
 
 
 def frame_for(path: Path, experiment: Experiment) -> Frame | None:
@@ -120,12 +116,9 @@ def frame_for(path: Path, experiment: Experiment) -> Frame | None:
 
 def expected_by(model: Path, experiment: Experiment) -> Expected:
     """How the sensor of a model appears in the images that are prepared for it: recorded, or as the simulator draws it."""
-    if isinstance(experiment.paired, Recorded):
-        frame = frame_from(read_object(model / FRAME))
+    if frame := frame_learnt(model, experiment):
         return expected_of(frame.place, frame.size)
-    paired, _ = simulated_of(experiment, "this")
-    place = undeformed(experiment.sensor, paired.camera, paired.preprocess).place
-    return expected_of(place, paired.preprocess.size)
+    return expected_of(lattice_of(experiment).place, experiment.paired.preprocess.size)
 
 
 Answered = tuple[Array | None, dict[str, dict[str, Array]]]
@@ -146,10 +139,6 @@ def _forward(nets: Json, targets: Json, recorded_too: bool, variables: Variables
     if POSENET_SHEARED in nets:
         poses[LEARNT] = pose(POSENET_SHEARED, seen)
     return after, poses
-
-
-def _unit(images: np.ndarray) -> np.ndarray:
-    return images[..., None].astype(np.float32) / 255
 
 
 def _in_order(poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:

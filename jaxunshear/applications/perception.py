@@ -9,6 +9,7 @@ Ways have the same names whether a run's networks read images or pins, which are
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial, reduce
 from pathlib import Path
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -49,18 +50,17 @@ WAYS = {  # name: the networks it runs, in this order
     "both": (DISENTANGLED, POSENET),  # the mean of what that head reads and what PoseNet reads off the image
 }
 OF_CODE = ("code", "both")  # ask for a head
-Perceive = Callable[
-    [np.ndarray], tuple[np.ndarray, np.ndarray]
-]  # NaN where pins are needed and not identified for sure
+# images (B, S, S) uint8 of {0, 255} -> the edge's mm and deg, (B,) each; NaN where pins are needed and not identified for sure
+Perceive = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each
 # (B,); of networks over pins both are pins (B, P, 2) px
 Forward = Callable[[Variables, Array], tuple[Array, dict[str, Array]]]
 BATCH = 32
 # images (N, S, S) uint8 of {0, 255} -> (N, P, 2) px, motions of the unsheared pins; NaN rows where pins are not identified for sure
 Unshear = Callable[[np.ndarray], np.ndarray]
-See = Callable[
-    [np.ndarray], tuple[np.ndarray, np.ndarray]
-]  # images (B, S, S) -> what networks read, whether that is known (B,)
+# images (B, S, S) -> what networks read, whether that is known (B,)
+See = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+Images = TypeVar("Images", np.ndarray, Array)
 
 
 def ways_of(model: Path) -> tuple[str, ...]:
@@ -68,6 +68,17 @@ def ways_of(model: Path) -> tuple[str, ...]:
     there = [way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks)]
     headed = "code" in there and pose_head.of(load_best(model / DISENTANGLED)) is not None
     return tuple(way for way in there if headed or way not in OF_CODE)
+
+
+def trained(model: Path, names: Iterable[str]) -> tuple[dict[str, Net], dict[str, Variables], dict[str, Targets]]:
+    """Settings, variables and pose targets of networks in the folder of a run, by name each. Raises `UserError` where one is missing,
+    damaged or not finished."""
+    folders = {name: model / name for name in names}
+    for folder in folders.values():
+        check_finished(folder)
+    nets = {name: read_net(folder) for name, folder in folders.items()}
+    variables = {name: load_best(folder) for name, folder in folders.items()}
+    return nets, variables, {name: read_targets(folder) for name, folder in folders.items()}
 
 
 def unshearing_of(model: Path) -> tuple[str, ...]:
@@ -99,9 +110,10 @@ def unsheared_by(way: str) -> str:
 def unshearers(model: Path, experiment: Experiment, names: tuple[str, ...]) -> dict[str, Unshear]:
     """By network: images in, motions of the unsheared pins out. They are found in the unsheared images, or networks over pins give
     them. Raises `UserError`."""
-    lattice = _lattice_of(experiment)
+    lattice = lattice_of(experiment)
+    nets, variables, _ = trained(model, names)
     unshearer = _of_pins if over_pins(experiment) else _of_images
-    return {name: unshearer(model / name, lattice) for name in names}
+    return {name: unshearer(nets[name], variables[name], lattice) for name in names}
 
 
 def in_batches(run: Callable[[np.ndarray], Tree], given: np.ndarray, at_once: int = BATCH) -> Tree:
@@ -122,7 +134,7 @@ def forward_of(
     that unshears counts, too: alone, or in a mean with PoseNet's."""
 
     def forward(variables: Variables, given: Array) -> tuple[Array, dict[str, Array]]:
-        seen, answers = _unit(given) if given.dtype == np.uint8 else given, []
+        seen, answers = unit(given) if given.dtype == np.uint8 else given, []
         known: Targets = ()
         for name, net in nets.items():
             if isinstance(net, PoseNet | PinPoseNet):
@@ -145,14 +157,9 @@ def forward_of(
 
 def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[Forward, Variables, Targets]:
     """A way of looking, its networks' variables and the poses that it reads, from the folder of a run. Raises `UserError`."""
-    names = WAYS[way]
-    for name in names:
-        check_finished(model / name)
-    nets = {name: read_net(model / name) for name in names}
-    variables = {name: load_best(model / name) for name in names}
-    targets = {name: read_targets(model / name) for name in names}
+    nets, variables, targets = trained(model, WAYS[way])
     if way not in OF_CODE:
-        return forward_of(nets, targets, precision), variables, targets[names[-1]]
+        return forward_of(nets, targets, precision), variables, targets[WAYS[way][-1]]
     if pose_head.of(variables[DISENTANGLED]) is None:
         raise UserError(
             f"{model / DISENTANGLED} has no head that reads the pose code, which networks over images get by "
@@ -165,7 +172,8 @@ def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[For
     return forward_of(nets, targets, precision, by_head=True), variables, targets[DISENTANGLED]
 
 
-def _lattice_of(experiment: Experiment) -> Lattice:
+def lattice_of(experiment: Experiment) -> Lattice:
+    """Where the simulated sensor's pins stand untouched. Raises `UserError` for a model that learnt from recordings."""
     paired, _ = simulated_of(experiment, "this")
     return undeformed(experiment.sensor, paired.camera, paired.preprocess)
 
@@ -174,7 +182,7 @@ def _see_of(experiment: Experiment) -> See:
     """How the networks of a run are given images: as they are, or as the pins that are followed in each."""
     if not over_pins(experiment):
         return lambda images: (images, np.ones(len(images), bool))
-    lattice = _lattice_of(experiment)
+    lattice = lattice_of(experiment)
 
     def see(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         motion, sure = followed(lattice, images, alone=True)
@@ -183,17 +191,13 @@ def _see_of(experiment: Experiment) -> See:
     return see
 
 
-def _of_images(folder: Path, lattice: Lattice) -> Unshear:
-    check_finished(folder)
-    net = read_net(folder)
-    run = ready(lambda known, images: unshear(net, known, _unit(images))[..., 0], load_best(folder))
+def _of_images(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
+    run = ready(lambda known, images: unshear(net, known, unit(images))[..., 0], variables)
     return lambda images: motions_of(lattice, in_batches(run, images))
 
 
-def _of_pins(folder: Path, lattice: Lattice) -> Unshear:
-    check_finished(folder)
-    net = read_net(folder)
-    run = ready(lambda known, pins: unshear(net, known, pins), load_best(folder))
+def _of_pins(net: Net, variables: Variables, lattice: Lattice) -> Unshear:
+    run = ready(lambda known, pins: unshear(net, known, pins), variables)
 
     def motions(images: np.ndarray) -> np.ndarray:
         motion, sure = followed(lattice, images)
@@ -222,6 +226,6 @@ def _perception(model: Path, see: See, way: str) -> Perceive:
     return perceive
 
 
-def _unit(images: Array) -> Array:
+def unit(images: Images) -> Images:
     """(B, S, S) uint8 -> (B, S, S, 1) float32 in [0, 1]."""
     return images[..., None].astype(np.float32) / 255

@@ -17,7 +17,7 @@ from skimage.measure import find_contours, label
 from skimage.morphology import reconstruction
 from skimage.segmentation import watershed
 
-from jaxunshear.applications.contour import Contour
+from jaxunshear.applications.contour import Contour, off
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.sensor import Sensor
 
@@ -30,9 +30,13 @@ LEAST = 0.02  # pins a cell, blurred, for it to count as touched
 class Fused(NamedTuple):
     """Mean height or evidence on a square grid, rows along y; NaN where nothing was touched."""
 
-    x: np.ndarray  # (K,) mm, target frame
-    y: np.ndarray  # (K,)
+    line: np.ndarray  # (K,) mm, target frame: of its columns along x, and of its rows along y
     value: np.ndarray  # (K, K)
+
+    @property
+    def xy(self) -> np.ndarray:
+        """(K, K, 2) mm, where each value is."""
+        return np.stack(np.meshgrid(self.line, self.line), -1)
 
 
 def skin_places(sensor: Sensor) -> np.ndarray:
@@ -50,14 +54,14 @@ def to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
     return np.stack([x, y], -1)
 
 
-def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: float = 0.0) -> Fused:
-    """Values (T, Q) of skin at (Q, 2) or (T, Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid
+def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: float) -> Fused:
+    """Values (T, Q) of skin at (T, Q, 2) mm from the axis, felt at points (T, 3) x, y mm and yaw deg, averaged on a grid
     around them that reaches at least `cover_mm` from the origin.
 
     Rows with a NaN (an image whose pins were not identified) are left out.
     """
     followed = ~np.isnan(value).any(axis=-1) & ~np.isnan(point[:, 0])
-    put = place[followed] if place.ndim == 3 else place
+    put = place[followed]
     x, y = np.moveaxis(to_target(point[followed], put), -1, 0)
     reach = max(cover_mm, np.abs(point[followed, :2]).max(initial=0.0) + np.abs(put).max(initial=0.0) + 4 * BLUR_MM)
     edges = np.arange(-reach, reach + CELL_MM, CELL_MM)
@@ -69,8 +73,7 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
     total = gathered(np.ones_like(x))
     touched = total > LEAST
     mean = np.divide(gathered(value[followed]), total, out=np.full(total.shape, np.nan), where=touched)
-    middle = (edges[1:] + edges[:-1]) / 2
-    return Fused(middle, middle, mean)
+    return Fused((edges[1:] + edges[:-1]) / 2, mean)
 
 
 def filled_shape(fused: Fused) -> np.ndarray:
@@ -112,9 +115,8 @@ def interpolated(fused: Fused) -> np.ndarray:
     rim = felt & ndimage.binary_dilation(~felt, np.ones((3, 3)), border_value=True)
     if np.count_nonzero(rim) < 3 or felt.all():
         return np.where(felt.all(), fused.value, np.nan)
-    full, (x, y) = fused.value.copy(), np.meshgrid(fused.x, fused.y)
-    between = LinearNDInterpolator(np.stack([x[rim], y[rim]], -1), fused.value[rim])
-    full[~felt] = between(x[~felt], y[~felt])
+    full, xy = fused.value.copy(), fused.xy
+    full[~felt] = LinearNDInterpolator(xy[rim], fused.value[rim])(xy[~felt])
     return full
 
 
@@ -132,8 +134,8 @@ def likeness(fused: Fused, shape: np.ndarray, true: np.ndarray, line: Contour) -
     curves = find_contours(np.pad(shape, 1).astype(float), 0.5)
     if not curves:
         return Likeness(iou, float("inf"), float("inf"), iou_felt)
-    outline = fused.x[0] + CELL_MM * (np.concatenate(curves)[:, ::-1] - 1)
-    there, back = cKDTree(line.points).query(outline)[0], cKDTree(outline).query(line.points)[0]
+    outline = fused.line[0] + CELL_MM * (np.concatenate(curves)[:, ::-1] - 1)
+    there, back = off(line, outline), cKDTree(outline).query(line.points)[0]
     return Likeness(iou, float((there.mean() + back.mean()) / 2), float(max(there.max(), back.max())), iou_felt)
 
 

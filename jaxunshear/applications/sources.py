@@ -126,10 +126,10 @@ def _captured(capture: Any, name: str, patience: float) -> Iterator[Frame]:
         capture.release()
 
 
-def _at_pace(frames: Iterator[Frame], fps: float, clock: Callable[[], float] = time.monotonic) -> Iterator[Frame]:
-    start = clock()
+def _at_pace(frames: Iterator[Frame], fps: float) -> Iterator[Frame]:
+    start = time.monotonic()
     for index, frame in enumerate(frames):
-        time.sleep(max(0.0, start + index / fps - clock()))
+        time.sleep(max(0.0, start + index / fps - time.monotonic()))
         yield frame
 
 

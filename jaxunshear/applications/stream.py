@@ -54,9 +54,9 @@ class Robot(NamedTuple):
 def robot_of(
     model: Path,
     experiment: Experiment,
-    precision: str = "float32",
-    way: str = DISENTANGLED,
-    frame: PinFrame | None = None,
+    precision: str,
+    way: str,
+    frame: PinFrame | None,
 ) -> Robot:
     """A model made ready for a stream, compiled already. `way` is one of perception's that unshear; of a model that learnt from recordings
     or reads pins it is its own. `frame` as `perceiver` takes it. Raises UserError."""
@@ -81,7 +81,7 @@ def robot_of(
     return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected)
 
 
-def step_of(model: Path, experiment: Experiment, precision: str = "float32", way: str = DISENTANGLED) -> Step:
+def step_of(model: Path, experiment: Experiment, precision: str, way: str) -> Step:
     """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already.
     `way` is one of perception's that unshear."""
     forward, variables, targets = load_forward(model, way, precision)

@@ -11,6 +11,7 @@ from jaxunshear.settings.reach import reach_mm
 
 MAP_PX = 640
 HALF_MM = 32.0  # of the map, about the shape's target point
+PX_PER_MM = MAP_PX / (2 * HALF_MM)
 PINS_PX = 512
 STRETCH = 2.0  # of pins' motions as drawn
 COLOURS = {STUCK: "#1f6feb", SLIPPING: "#d9822b", FREE: "#aab2bf"}
@@ -28,7 +29,7 @@ def to_mm(column: float, row: float) -> tuple[float, float]:
 
 def to_px(xy: np.ndarray) -> np.ndarray:
     """The other way: (..., 2) -> (..., 2)."""
-    return (np.asarray(xy, float) * [1, -1] + HALF_MM) * (MAP_PX / (2 * HALF_MM))
+    return (np.asarray(xy, float) * [1, -1] + HALF_MM) * PX_PER_MM
 
 
 def _path(points: np.ndarray, closed: bool = True) -> str:
@@ -37,9 +38,8 @@ def _path(points: np.ndarray, closed: bool = True) -> str:
 
 def map_svg(touch: Touch, line: list[tuple[float, float]] | None = None) -> str:
     """The shape, the dome's outline and contact at the slide's start and end, and the slide; or the line (mm) that is being drawn."""
-    scale = MAP_PX / (2 * HALF_MM)
-    grid = np.arange(10, 2 * HALF_MM, 10) - HALF_MM + HALF_MM % 10 - 10
-    lines = [f"M{x:.1f} 0V{MAP_PX}M0 {x:.1f}H{MAP_PX}" for x in to_px(np.stack([grid, -grid], -1))[:, 0]]
+    every_10_mm = np.arange(HALF_MM % 10, 2 * HALF_MM, 10) * PX_PER_MM
+    lines = [f"M{px:.1f} 0V{MAP_PX}M0 {px:.1f}H{MAP_PX}" for px in every_10_mm]
     parts = [f'<path d="{"".join(lines)}" stroke="#dfe4ec" stroke-width="1" fill="none"/>']
     if line is not None:
         shown = _path(to_px(np.array(line)), closed=False) if len(line) > 1 else ""
@@ -47,10 +47,10 @@ def map_svg(touch: Touch, line: list[tuple[float, float]] | None = None) -> str:
         return "".join(parts)
     shape = "".join(_path(to_px(curve)) for curve in outlines(touch.stimulus, HALF_MM))
     parts.append(f'<path d="{shape}" fill="#c9d3e4" stroke="#67758d" stroke-width="2" fill-rule="evenodd"/>')
-    parts.append(_scale_bar(scale))
+    parts.append(_scale_bar())
     end = np.array(touch.pose[:2])
     (x, y), (from_x, from_y) = to_px(end), to_px(end - touch.move)
-    radius, contact = touch.sensor.dome_radius_mm * scale, reach_mm(touch.sensor, touch.pose[3]) * scale
+    radius, contact = touch.sensor.dome_radius_mm * PX_PER_MM, reach_mm(touch.sensor, touch.pose[3]) * PX_PER_MM
     yaw = np.radians(touch.pose[2])
     tip = to_px(end + touch.sensor.dome_radius_mm * np.array([np.cos(yaw), np.sin(yaw)]))
     moved = "" if touch.move == (0, 0) else _slide(from_x, from_y, x, y, radius)
@@ -71,10 +71,10 @@ def _slide(from_x: float, from_y: float, x: float, y: float, radius: float) -> s
     )
 
 
-def _scale_bar(scale: float) -> str:
+def _scale_bar() -> str:
     y = MAP_PX - 20
     return (
-        f'<path d="M20 {y}h{10 * scale:.0f}" stroke="#1c2330" stroke-width="3"/>'
+        f'<path d="M20 {y}h{10 * PX_PER_MM:.0f}" stroke="#1c2330" stroke-width="3"/>'
         f'<text x="20" y="{y - 9}" font-size="18" fill="#1c2330">10 mm</text>'
     )
 

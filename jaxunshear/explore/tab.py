@@ -4,6 +4,7 @@ import asyncio
 import math
 import time
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from nicegui import events, run, ui
@@ -16,6 +17,7 @@ from jaxunshear.explore.touch import MOST_SLIDE_MM, Touch
 
 IMAGES = {SHEARED: "as the camera sees it", UNSHEARED: "by the networks", TAP: "without the slide"}
 COLUMNS = {TRUE: "true", SHEARED: "sheared", UNSHEARED: "unsheared"}
+Part = TypeVar("Part", bound=ui.element)
 ONE_AT_A_TIME = asyncio.Lock()  # two tabs that compute at once would make each other slow
 
 
@@ -37,26 +39,20 @@ class Tab:
         self.touch = self.wanted = replace(self.touch, **changes)  # type: ignore[arg-type]
         self.draw_map()
 
+    def part(self, name: str, kind: type[Part]) -> Part:
+        """One of `parts`, of this kind."""
+        found = self.parts[name]
+        assert isinstance(found, kind)
+        return found
+
     def draw_map(self) -> None:
-        _image(self, "map").set_content(map_svg(self.touch, self.line))
+        self.part("map", ui.interactive_image).set_content(map_svg(self.touch, self.line))
         x, y, dx, dy = *self.start, *self.touch.move
-        _label(self, "place").set_text(
+        self.part("place", ui.label).set_text(
             "draw around an area with the button held"
             if self.line is not None
             else f"pressed at x {x:.1f}, y {y:.1f} mm; slid by {dx:.1f}, {dy:.1f} mm"
         )
-
-
-def _image(tab: Tab, name: str) -> ui.interactive_image:
-    part = tab.parts[name]
-    assert isinstance(part, ui.interactive_image)
-    return part
-
-
-def _label(tab: Tab, name: str) -> ui.label:
-    part = tab.parts[name]
-    assert isinstance(part, ui.label)
-    return part
 
 
 async def compute(tab: Tab) -> None:
@@ -84,24 +80,18 @@ def show(tab: Tab, picture: Picture | None, problem: str, spent: str = "") -> No
     """All of a picture, or nothing beside the line that says why there is none."""
     images = picture.images if picture else {}
     for name in IMAGES:
-        _image(tab, name).set_source(data_url(images[name]) if name in images else "")
-    moved = picture is not None and len(picture.state) > 0
-    _image(tab, "pins").set_content(
-        pins_svg(picture.pins, picture.state, len(images[SHEARED])) if moved and picture else ""
-    )
-    force = (
-        f"force {picture.force_n[2]:.2f} N down, {math.hypot(*picture.force_n[:2]):.2f} N sideways"
-        if moved and picture
-        else ""
-    )
-    _label(tab, "force").set_text(force)
-    _label(tab, "time").set_text(spent and f"computed in {spent}")
-    problem_line = _label(tab, "problem")
+        tab.part(name, ui.interactive_image).set_source(data_url(images[name]) if name in images else "")
+    pins = force = ""
+    if picture and len(picture.state):
+        pins = pins_svg(picture.pins, picture.state, len(images[SHEARED]))
+        force = f"force {picture.force_n[2]:.2f} N down, {math.hypot(*picture.force_n[:2]):.2f} N sideways"
+    tab.part("pins", ui.interactive_image).set_content(pins)
+    tab.part("force", ui.label).set_text(force)
+    tab.part("time", ui.label).set_text(spent and f"computed in {spent}")
+    problem_line = tab.part("problem", ui.label)
     problem_line.set_text(problem)
     problem_line.set_visibility(bool(problem))
-    table = tab.parts["poses"]
-    assert isinstance(table, ui.table)
-    table.rows = _rows(picture.poses) if picture else []
+    tab.part("poses", ui.table).rows = _rows(picture.poses) if picture else []
 
 
 def _rows(poses: dict[str, dict[str, float]]) -> list[dict[str, str]]:
@@ -151,10 +141,8 @@ def finish_outline(tab: Tab) -> None:
         show(tab, None, str(error))
         return
     tab.start = line[0]
-    select = tab.parts["stimulus"]
-    assert isinstance(select, ui.select)
     tab.ask(stimulus=stimulus, pose=(*tab.start, *tab.touch.pose[2:]), move=(0.0, 0.0))
-    select.set_options([*tab.explorer.stimuli, DRAWN], value=DRAWN)
+    tab.part("stimulus", ui.select).set_options([*tab.explorer.stimuli, DRAWN], value=DRAWN)
 
 
 async def on_stimulus(tab: Tab, name: str) -> None:
@@ -188,7 +176,7 @@ async def on_file(tab: Tab, event: events.UploadEventArguments) -> None:
         return
     if picture is not None:
         show(tab, picture, picture.note)
-        _label(tab, "force").set_text(f"recorded: {name}")
+        tab.part("force", ui.label).set_text(f"recorded: {name}")
 
 
 def begin_outline(tab: Tab) -> None:

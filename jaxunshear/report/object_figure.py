@@ -24,14 +24,15 @@ def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
     for axes in panels[len(solids) :].ravel():
         axes.set_axis_off()
     for (above, below), (way, solid) in zip(panels, solids.items(), strict=False):
-        extent = (solid.fused.x[0], solid.fused.x[-1], solid.fused.y[0], solid.fused.y[-1])
+        line = solid.fused.line
+        extent = (line[0], line[-1], line[0], line[-1])
         felt_there = ~np.isnan(solid.fused.value)
         level = solid.level or 0.0
         span = np.percentile(np.abs(solid.fused.value[felt_there] - level), 98) if felt_there.any() else 1.0
         span = max(float(span), 1e-9)
         low, high = level - span, level + span
         above.imshow(solid.fused.value, origin="lower", extent=extent, cmap="RdBu_r", vmin=low, vmax=high)
-        above.contour(solid.fused.x, solid.fused.y, solid.true, levels=[0.5], colors="0.3", linewidths=0.6)
+        above.contour(line, line, solid.true, levels=[0.5], colors="0.3", linewidths=0.6)
         above.set_title(WORDS.get(way, way), fontsize=HEAD)
         picture = np.ones((*solid.shape.shape, 3))
         picture[solid.shape & solid.true] = 0.75
@@ -43,7 +44,7 @@ def object_figure(stimulus: str, solids: dict[str, Solid], shown: str) -> bytes:
         for axes in (above, below):
             axes.tick_params(labelsize=LABEL)
             if len(felt):
-                low, high = solid.fused.x[felt.min(axis=0)], solid.fused.x[felt.max(axis=0)]
+                low, high = line[felt.min(axis=0)], line[felt.max(axis=0)]
                 axes.set(xlim=(low[1], high[1]), ylim=(low[0], high[0]))
     text = f"{stimulus}: {shown}, and the shape made of it (simulated), mm"
     figure.suptitle(headed(text, columns), fontsize=HEAD + 1)

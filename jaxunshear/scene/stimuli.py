@@ -13,7 +13,7 @@ straight edge and a flat surface, which have no outline to go round. Outlines of
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -59,6 +59,12 @@ def signed_distance(stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]) -> Float[j
     # no matrix product: on accelerators those are of fewer digits
     own = [x + cos * xy[..., 0] - sin * xy[..., 1], y + sin * xy[..., 0] + cos * xy[..., 1]]
     return stimulus.distance(jnp.stack(own, axis=-1))
+
+
+def distances(stimulus: Stimulus, xy: Float[np.ndarray, "N M 2"]) -> Float[np.ndarray, "N M"]:
+    """`signed_distance` of rows of points, row by row, since a shape of many segments needs memory."""
+    by_row = jax.jit(partial(jax.lax.map, partial(signed_distance, stimulus)))
+    return np.asarray(by_row(jnp.asarray(xy, jnp.float32)))
 
 
 def outward_normal(stimulus: Stimulus, xy: Float[jax.Array, "*B 2"]) -> Float[jax.Array, "*B 2"]:

@@ -5,9 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.applications.controller import Gains, at_rest, control
+from jaxunshear.applications.controller import Gains, Memory, control
 
 WIDE = Gains(limit_mm=100.0, limit_deg=1000.0)
+
+
+def at_rest(count):
+    return Memory(jnp.zeros(count), jnp.zeros(count))
 
 
 def run(gains, errors, jit):

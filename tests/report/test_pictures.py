@@ -53,7 +53,7 @@ def check(figure):
 def test_objects_fit(drawn, count):
     x = np.linspace(-20, 20, 30)
     shape = np.hypot(*np.meshgrid(x, x)) < 15
-    solid = Solid(Fused(x, x, np.where(shape, 1.0, -1.0)), shape, shape.T, Likeness(0.93, 0.21, 1.0, 0.9), 0, 0.0, None)
+    solid = Solid(Fused(x, np.where(shape, 1.0, -1.0)), shape, shape.T, Likeness(0.93, 0.21, 1.0, 0.9), 0, 0.0, None)
     for _, text in PICTURES.values():
         object_figure("teardrop", dict.fromkeys(list(WORDS)[:count], solid), text)
     for figure in drawn:

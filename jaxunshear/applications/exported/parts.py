@@ -9,6 +9,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.applications.perceiver import AS_RECORDED, LEARNT, UNSHEARED
+from jaxunshear.applications.perception import trained, unit
 from jaxunshear.applications.stream import confidence
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet
@@ -18,7 +19,7 @@ from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
 from jaxunshear.settings.targets import Targets
 from jaxunshear.storage import Json
-from jaxunshear.training.checkpoint import check_finished, holds_model, load_best, read_net, read_targets
+from jaxunshear.training.checkpoint import holds_model
 
 Run = Callable[[np.ndarray], Json]
 Prepared = Callable[[np.ndarray], np.ndarray]
@@ -39,9 +40,7 @@ class Parts(NamedTuple):
     unshears: Part | None
     reads: Part | None
     targets: Targets  # what `reads` gives
-    way: (
-        str  # whose pose: of the unsheared image, of the one that was recorded, or by a PoseNet that learnt from slides
-    )
+    way: str  # whose pose: of the unsheared image, of the recorded one, or by a PoseNet that learnt from slides; "" without `reads`
     rest: np.ndarray | None  # (P, 2) px, the untouched pins of networks over pins
     size: int  # S, px
 
@@ -57,22 +56,17 @@ class Parts(NamedTuple):
 
 def parts_of(model: Path, experiment: Experiment) -> Parts:
     """From the folder of a finished run or of released weights. Raises UserError."""
+    reader = next((name for name in (POSENET, POSENET_SHEARED) if holds_model(model / name)), "")
     pairs = holds_model(model / DISENTANGLED)
-    reader = next((name for name in (POSENET, POSENET_SHEARED) if holds_model(model / name)), None)
-    for name in (DISENTANGLED if pairs else None, reader):
-        if name:
-            check_finished(model / name)
-    unshears, reads = (
-        Part(read_net(model / name), jax.device_get(load_best(model / name))) if name else None
-        for name in (DISENTANGLED if pairs else None, reader)
-    )
-    first = unshears or reads
-    if first is None:
+    nets, variables, targets = trained(model, filter(None, (DISENTANGLED if pairs else "", reader)))
+    parts = {name: Part(net, jax.device_get(variables[name])) for name, net in nets.items()}
+    if not parts:
         raise UserError(f"{model} holds no trained network that unshears or reads poses: train one, or name another")
     way = LEARNT if reader == POSENET_SHEARED else UNSHEARED if pairs else AS_RECORDED
-    targets = read_targets(model / reader) if reader else ()
+    first = next(iter(parts.values()))
     rest = np.asarray(first.variables["batch_stats"]["rest"], np.float32) if over_pins(experiment) else None
-    return Parts(unshears, reads, targets, way if reader else "", rest, experiment.paired.preprocess.size)
+    size = experiment.paired.preprocess.size
+    return Parts(parts.get(DISENTANGLED), parts.get(reader), targets.get(reader, ()), way if reader else "", rest, size)
 
 
 def function_of(parts: Parts) -> Callable[[Array], Json]:
@@ -81,7 +75,7 @@ def function_of(parts: Parts) -> Callable[[Array], Json]:
 
     def run(given: Array) -> Json:
         found: Json = {}
-        seen = given[..., None].astype(np.float32) / 255 if parts.rest is None else given
+        seen = unit(given) if parts.rest is None else given
         if parts.unshears is not None:
             after = unshear(*parts.unshears, seen)
             found["unsheared"] = after[..., 0] if parts.rest is None else after
