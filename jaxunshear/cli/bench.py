@@ -93,10 +93,7 @@ def _run_networks(arguments: argparse.Namespace, keep: Keep) -> int:
 def _run_needs(arguments: argparse.Namespace, keep: Keep) -> int:
     from jaxunshear.benchmarks import bench_needs
 
-    try:
-        rows = bench_needs.bench_needs(128 if arguments.size is None else arguments.size)
-    except ValueError as error:
-        raise UserError(f"--size {arguments.size}: {error}") from error
+    rows = bench_needs.bench_needs(128 if arguments.size is None else arguments.size)
     print(bench_needs.table(rows))
     keep(rows)
     return 0
