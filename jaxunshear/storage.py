@@ -180,6 +180,15 @@ def write_bytes(path: Path, data: bytes) -> None:
         raise os_error(path, error) from error
 
 
+def write_npz(path: Path, arrays: "Mapping[str, np.ndarray]", compressed: bool = False) -> None:
+    """Replace `path` by arrays by name in one step, for `read_npz`."""
+    import numpy as np
+
+    buffer = io.BytesIO()
+    (np.savez_compressed if compressed else np.savez)(buffer, **arrays)  # type: ignore[arg-type]
+    write_bytes(path, buffer.getvalue())
+
+
 def write_text(path: Path, text: str) -> None:
     """Replace `path` by UTF-8 `text` in one step."""
     write_bytes(path, text.encode())

@@ -28,8 +28,6 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRows:
-    import io
-
     import numpy as np
 
     from jaxunshear.applications.pins import find_pins, summary
@@ -38,7 +36,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
     from jaxunshear.image.lattice import Lattice
     from jaxunshear.settings.image import Preprocess
     from jaxunshear.settings.sensor import sensor_named
-    from jaxunshear.storage import csv_text, plain, write_bytes, write_text
+    from jaxunshear.storage import csv_text, plain, write_bytes, write_npz, write_text
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")
@@ -63,16 +61,14 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
     found = find_pins(arguments.path, lattice, preprocess, arguments.rest)
     from jaxunshear.report.pin_figure import pin_figure
 
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        name=found.name,
-        sure=found.sure,
-        place_px=found.place_px.astype(np.float32),
-        motion_px=found.motion_px.astype(np.float32),
-        undeformed_px=found.lattice.place.astype(np.float32),
-    )
-    write_bytes(out / "pins.npz", buffer.getvalue())
+    arrays = {
+        "name": found.name,
+        "sure": found.sure,
+        "place_px": found.place_px.astype(np.float32),
+        "motion_px": found.motion_px.astype(np.float32),
+        "undeformed_px": found.lattice.place.astype(np.float32),
+    }
+    write_npz(out / "pins.npz", arrays, compressed=True)
     write_text(out / "pins.csv", csv_text(plain(found.table.rows)))
     write_bytes(out / "pins.png", pin_figure(found.lattice, found.shown))
     print(summary(found.table))

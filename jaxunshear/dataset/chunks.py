@@ -5,7 +5,6 @@ and the contact's number alone, neither on the chunk nor on what was done before
 """
 
 import functools
-import io
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +22,7 @@ from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import BROKEN_NPZ, read_npz, write_bytes
+from jaxunshear.storage import BROKEN_NPZ, read_npz, write_npz
 
 RENDER = 16  # images rendered at once: one shape to compile, little memory
 
@@ -72,9 +71,7 @@ def simulate_chunks(
             if isinstance(chunk, Died):
                 hint = "fewer at once (--ray-cores) have more memory each; then run the same command"
                 raise UserError(f"chunk {path.name}: {chunk.reason}; {hint}")
-            buffer = io.BytesIO()
-            np.savez(buffer, **chunk)
-            write_bytes(path, buffer.getvalue())
+            write_npz(path, chunk)
             progress.advance(len(left[path]))
     return paths
 

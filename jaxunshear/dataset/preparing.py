@@ -4,7 +4,6 @@ What all frames have in common (crop, lattice of the untouched pins, the usual m
 training frames alone. A killed run goes on where it stopped, to the same bits.
 """
 
-import io
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
@@ -25,7 +24,7 @@ from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.splits import SPLITS
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import write_npz
 
 if TYPE_CHECKING:
     from jaxunshear.image.preprocess import View
@@ -124,12 +123,12 @@ def prepare(
     with Progress(label, count, "frames", done=done) as progress:
         jobs = [(tuple(contacts.files[n] for n in numbers[i]), numbers[i], settings.preprocess, frame) for i in left]
         for i, chunk in zip(left, _each(_first_pass, jobs), strict=True):
-            _write(paths[i], chunk)
+            write_npz(paths[i], chunk)
             progress.advance(len(numbers[i]))
     usual = _usual(contacts, paths, frame)
     hard = [path for path in paths if usual is not None and _hard(path)]
     for path, chunk in zip(hard, _each(_second_pass, [(path, frame, usual) for path in hard]), strict=True):
-        _write(path, chunk)
+        write_npz(path, chunk)
     return paths
 
 
@@ -235,9 +234,3 @@ def to_found(frame: Frame, pins: np.ndarray) -> np.ndarray:
 
 def to_image(frame: Frame, pins: np.ndarray) -> np.ndarray:
     return (pins + 0.5) * (frame.size / frame.pins_px) - 0.5
-
-
-def _write(path: Path, chunk: dict) -> None:
-    buffer = io.BytesIO()
-    np.savez(buffer, **chunk)
-    write_bytes(path, buffer.getvalue())
