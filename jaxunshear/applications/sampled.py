@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from jaxunshear.errors import UserError
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.grey import is_binary, middle_level, to_grey, white_of
+from jaxunshear.image.lattice import spacing_of
 from jaxunshear.image.pins import Found, detect, find_pins
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
 from jaxunshear.image.tracking import follow_all
@@ -125,7 +125,7 @@ def _negative(preprocess: Preprocess, raws: list[np.ndarray]) -> bool:
 def _pins(found: list[Found], size: int, side: int) -> Pins:
     counts = [len(each.pins) for each in found]
     median = float(np.median(counts))
-    pitches = [_pitch(each.pins) / size for each in found if len(each.pins) > 1]
+    pitches = [spacing_of(each.pins) / size for each in found if len(each.pins) > 1]
     pitch = float(np.median(pitches)) if pitches and median >= LEAST_PINS else None
     sensor, sure = None, None
     for known in SENSORS:
@@ -134,10 +134,6 @@ def _pins(found: list[Found], size: int, side: int) -> Pins:
             sensor = None if sure is None else known.name
     pitch_px = None if pitch is None else pitch * side
     return Pins(len(found), median, min(counts), max(counts), pitch, pitch_px, sensor, sure)
-
-
-def _pitch(pins: np.ndarray) -> float:
-    return float(np.median(cKDTree(pins).query(pins, k=2)[0][:, 1]))
 
 
 def _sure(found: list[Found], sensor: Sensor) -> float | None:

@@ -8,7 +8,6 @@ Read `_take_step` first: contact -> image -> perception -> controller -> next wa
 
 import dataclasses
 import hashlib
-import io
 import json
 import time
 from collections.abc import Callable, Mapping
@@ -35,7 +34,7 @@ from jaxunshear.settings.configs import VERSION
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.settings.stimuli import Outline, Touched
-from jaxunshear.storage import BROKEN_NPZ, read_npz, write_bytes
+from jaxunshear.storage import BROKEN_NPZ, read_npz, write_npz
 
 LOST_MM = 8.0  # from the edge: farther than any network has seen
 WINDOW_MM = 3.0  # along the outline, in which a sensor is searched for after a step
@@ -275,11 +274,8 @@ def stored_walks(file: Path) -> tuple[Course, Walks]:
 
 
 def _store(file: Path | None, course: Course, walks: Walks) -> None:
-    if file is None:
-        return
-    buffer = io.BytesIO()
-    np.savez(buffer, course=json.dumps(dataclasses.asdict(course)), **vars(walks))
-    write_bytes(file, buffer.getvalue())
+    if file is not None:
+        write_npz(file, {"course": np.array(json.dumps(dataclasses.asdict(course)))} | vars(walks))
 
 
 def _stored(file: Path | None, course: Course, ways: tuple[str, ...], made: str) -> Walks | None:

@@ -27,12 +27,10 @@ WITHIN_MM, TURNED_DEG = 5.0, 45.0
 COLUMNS = ("name", "pictures", "refused", "ms", "ms_p95", "most_ms")
 
 
-def bench_explore(
-    model: Path = Path("standard"), stimuli: tuple[str, ...] = STIMULI, pictures: int = PICTURES, *, warm: bool = True
-) -> list[Json]:
+def bench_explore(stimuli: tuple[str, ...] = STIMULI, pictures: int = PICTURES, *, warm: bool = True) -> list[Json]:
     """A row a stimulus: pictures that came, those refused (with a line), ms a picture: median, 95 % and most."""
     keep_freed_memory()
-    folder = model_folder(model)
+    folder = model_folder(Path("standard"))
     explorer = make_explorer(folder, load_settings(folder))
     if warm:
         explorer.warm()

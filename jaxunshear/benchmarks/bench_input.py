@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from scipy.stats import bootstrap
 
+from jaxunshear.benchmarks.steps import dots, step_of
 from jaxunshear.dataset.chunks import pack
 from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.memory import keep_freed_memory
@@ -27,9 +28,7 @@ from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training.ahead import ahead
-from jaxunshear.training.loop import run_once
 from jaxunshear.training.pin_tasks import pin_unshear_task
-from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import Task, unshear_task
 from jaxunshear.verification.clock import seconds
 
@@ -63,8 +62,8 @@ def bench_input(of_each: float = SECONDS, widths: tuple[int, ...] = UnshearNet()
 
 def _images(widths: tuple[int, ...]) -> Case:
     net, training = UnshearNet(size=128, widths=widths), Training(batch=16)
-    dots = 255 * np.random.default_rng(0).integers(0, 2, (2, EXAMPLES, net.size, net.size), np.uint8)
-    stored = {"canonical": pack(dots[0]), "sheared": pack(dots[1])}
+    canonical, sheared = dots(EXAMPLES, net.size)[..., 0]
+    stored = {"canonical": pack(canonical), "sheared": pack(sheared)}
     return Case("images", unshear_task(net, training), training, stored | _poses(), net.size, 2)
 
 
@@ -86,12 +85,9 @@ def _measured(case: Case, of_each: float) -> Json:
     reader = Reader(lambda split: case.stored, case.size)
     stream = ahead(reader.train_batches(training.batch, 0, training.shift, fields)(0), jax.device_put)
     there = next(stream)
-    optimiser = optimiser_of(training, 1000, 100)
-    first = jax.jit(lambda key: fresh(case.task.init(key), optimiser), compiler_options=run_once())
-    state = [first(jax.random.key(0))]
-    lowered = jax.jit(make_step(case.task, training, optimiser, jax.random.key(1)), donate_argnums=0).lower(
-        state[0], there
-    )
+    step, first = step_of(case.task, training)
+    state = [first]
+    lowered = jax.jit(step, donate_argnums=0).lower(state[0], there)
     programs: list[jax.stages.Compiled] = []
     compile_s = seconds(lambda: programs.append(lowered.compile()))
 

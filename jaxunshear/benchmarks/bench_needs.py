@@ -7,15 +7,15 @@ convolutions (of other forms it counts none, or one turn of a loop): a part that
 unused. Both ways take turns in being timed.
 """
 
-import functools
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
-from types import ModuleType
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import jax
 import numpy as np
 
+from jaxunshear.benchmarks.steps import dots, step_of, variables_of
 from jaxunshear.evaluation.networks import run_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
@@ -28,8 +28,6 @@ from jaxunshear.settings.registry import DISENTANGLED, ENTANGLED, POSENET
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
-from jaxunshear.training.loop import run_once
-from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import unshear_task
 from jaxunshear.verification.clock import seconds
 
@@ -38,26 +36,28 @@ BATCH = 8
 WIDTHS = (16, 32, 64, 128, 256)  # the demo's
 
 
+@dataclass
 class Way:
     """A function of arrays, and its arguments; several cases may hold the same one."""
 
-    def __init__(self, call: Callable[..., object], arguments: tuple[object, ...]) -> None:
-        self.call, self.arguments = call, arguments
-        self.compiled, self.operations = functools.cache(self._compiled), functools.cache(self._operations)
+    call: Callable[..., object]
+    arguments: tuple[object, ...]
 
-    def _compiled(self) -> tuple[Callable[..., object], float]:
+    @cached_property
+    def compiled(self) -> tuple[Callable[..., object], float]:
         """The program, and the seconds that compiling it took."""
         lowered, started = jax.jit(self.call).lower(*self.arguments), time.perf_counter()
         return lowered.compile(), time.perf_counter() - started
 
-    def _operations(self) -> float:
+    @cached_property
+    def operations(self) -> float:
         with native.taking("counted"):
             counted = jax.jit(lambda *arguments: self.call(*arguments)).lower(*self.arguments).compile()
         return float((counted.cost_analysis() or {})["flops"])
 
 
 def bench_needs(size: int = 128, widths: tuple[int, ...] = WIDTHS, rounds: int = ROUNDS) -> list[Json]:
-    """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises ValueError for a bad size."""
+    """A row a case: `operations`, `seconds` (median), `p95` and `compile_s` by "with" and "without". Raises UserError for a bad size."""
     keep_freed_memory()
     net = UnshearNet(size=size, widths=widths)
     unshearnet.check(net)
@@ -74,9 +74,9 @@ def _measured(full: Way, less: Way, rounds: int) -> Json:
     works: dict[str, Callable[[], object]] = {}
     found: dict[str, dict[str, float]] = {}
     for kind, way in (("with", full), ("without", less)):
-        run, spent = way.compiled()
-        found[kind] = {"operations": way.operations(), "compile_s": spent}
-        works[kind] = functools.partial(_run, run, way.arguments)
+        run, spent = way.compiled
+        found[kind] = {"operations": way.operations, "compile_s": spent}
+        works[kind] = partial(_run, run, way.arguments)
         works[kind]()
     times: dict[str, list[float]] = {kind: [] for kind in works}
     for _ in range(rounds):
@@ -94,7 +94,7 @@ def _run(compiled: Callable[..., object], arguments: tuple[object, ...]) -> obje
 
 def _cases(net: UnshearNet) -> Iterator[tuple[str, str, Way, Way]]:
     """Name, what is left out, with it, without it."""
-    variables = _fresh(unshearnet, net, 0)
+    variables = variables_of(partial(unshearnet.init, net))
     images = np.zeros((1, net.size, net.size, 1), np.float32)
     yield (
         "unshear one image",
@@ -116,21 +116,10 @@ def _both_decoders(net: UnshearNet, variables: Variables, images: jax.Array) -> 
     return jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), jax.nn.sigmoid(sheared)
 
 
-def _fresh(module: ModuleType, net: object, seed: int) -> Variables:
-    return jax.jit(module.init, static_argnums=0, compiler_options=run_once())(net, jax.random.key(seed))
-
-
-def _fresh_posenet(net: PoseNet, outputs: int) -> Variables:
-    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
-    return init(net, outputs, jax.random.key(2))
-
-
 def _step(net: UnshearNet, training: Training) -> Way:
-    task, optimiser = unshear_task(net, training), optimiser_of(training, 1000, 100)
-    state = fresh(_fresh(unshearnet, net, 0), optimiser)
-    dots = 255 * np.random.default_rng(0).integers(0, 2, (2, training.batch, net.size, net.size, 1), np.uint8)
-    batch = {"canonical": dots[0], "sheared": dots[1]}
-    return Way(make_step(task, training, optimiser, jax.random.key(1)), (state, batch))
+    step, state = step_of(unshear_task(net, training), training)
+    canonical, sheared = dots(training.batch, net.size)
+    return Way(step, (state, {"canonical": canonical, "sheared": sheared}))
 
 
 def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, Way]:
@@ -138,9 +127,9 @@ def _evaluation(net: UnshearNet, variables: Variables) -> tuple[str, str, Way, W
     nets = {ENTANGLED: entangled, DISENTANGLED: net, POSENET: pose}
     targets = of_ranges((), Ranges())
     values = {
-        ENTANGLED: _fresh(unshearnet, entangled, 1),
+        ENTANGLED: variables_of(partial(unshearnet.init, entangled), 1),
         DISENTANGLED: variables,
-        POSENET: _fresh_posenet(pose, posenet.outputs_of(targets)),
+        POSENET: variables_of(partial(posenet.init, pose, posenet.outputs_of(targets)), 2),
     }
     images = np.zeros((BATCH, net.size, net.size, 1), np.uint8)
 

@@ -21,6 +21,7 @@ from jaxunshear.applications.perceiver import UNSHEARED
 from jaxunshear.applications.perception import forward_of
 from jaxunshear.applications.stream import perceive_of
 from jaxunshear.benchmarks.multiplications import TARGETS, multiplications, pose_multiplications
+from jaxunshear.benchmarks.steps import dots, step_of, variables_of
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
@@ -32,8 +33,6 @@ from jaxunshear.settings.registry import DISENTANGLED, POSENET
 from jaxunshear.settings.targets import names_of
 from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
-from jaxunshear.training.loop import run_once
-from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.training.tasks import unshear_task
 from jaxunshear.verification.clock import SIZE, matrix_product, seconds
 
@@ -95,33 +94,23 @@ def _network(size: int, batch: int) -> UnshearNet:
     if batch < 1:
         raise UserError(f"--batch {batch}: use at least 1")
     net = UnshearNet(size=size)
-    try:
-        unshearnet.check(net)
-    except ValueError as error:
-        raise UserError(f"--size {size}: {error}") from error
+    unshearnet.check(net)
     return net
-
-
-def _images(size: int, batch: int) -> tuple[np.ndarray, np.ndarray]:
-    generator = np.random.default_rng(0)
-    canonical, sheared = 255 * generator.integers(0, 2, (2, batch, size, size, 1), np.uint8)
-    return canonical, sheared
 
 
 def _training_sides(size: int, batch: int) -> Sides:
     net, training = _network(size, batch), Training(batch=batch)
-    canonical, sheared = _images(size, batch)
+    canonical, sheared = dots(batch, size)
 
     def ours(form: str) -> Work:
-        task, optimiser = unshear_task(net, training), optimiser_of(training, 1000, 100)
-        first = jax.jit(lambda key: fresh(task.init(key), optimiser), compiler_options=run_once())
-        state = [first(jax.random.key(0))]
+        step, first = step_of(unshear_task(net, training), training)
+        state = [first]
+        program = jax.jit(step, donate_argnums=0)
         given = jax.device_put({"canonical": canonical, "sheared": sheared})
-        step = jax.jit(make_step(task, training, optimiser, jax.random.key(1)), donate_argnums=0)
 
         def work() -> None:
             with native.taking(form):
-                state[0], metrics = step(state[0], given)
+                state[0], metrics = program(state[0], given)
             jax.block_until_ready(metrics)
 
         return work
@@ -143,11 +132,10 @@ def _training_sides(size: int, batch: int) -> Sides:
 
 def _inference_sides(size: int, batch: int) -> Sides:
     net = _network(size, batch)
-    _, sheared = _images(size, batch)
+    _, sheared = dots(batch, size)
 
     def ours() -> Work:
-        first = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
-        variables = first(net, jax.random.key(0))
+        variables = variables_of(partial(unshearnet.init, net))
         run = ready(lambda variables, images: unshearnet.unshear(net, variables, images), variables)
         given = np.asarray(sheared, np.float32) / 255
         return lambda: np.asarray(run(given)) is None
@@ -172,12 +160,11 @@ def _inference_sides(size: int, batch: int) -> Sides:
 
 def _stream_sides(size: int, batch: int) -> Sides:
     net, pose_net = _network(size, batch), PoseNet(size=size)
-    image = _images(size, batch)[1][0, ..., 0]
+    image = dots(batch, size)[1, 0, ..., 0]
 
     def fresh_variables() -> dict[str, Any]:
-        first, key = partial(jax.jit, compiler_options=run_once()), jax.random.key(0)
-        reader = first(posenet.init, static_argnums=(0, 1))(pose_net, posenet.outputs_of(TARGETS), key)
-        return {DISENTANGLED: first(unshearnet.init, static_argnums=0)(net, key), POSENET: reader}
+        reader = variables_of(partial(posenet.init, pose_net, posenet.outputs_of(TARGETS)))
+        return {DISENTANGLED: variables_of(partial(unshearnet.init, net)), POSENET: reader}
 
     def ours() -> Work:
         forward = forward_of({DISENTANGLED: net, POSENET: pose_net}, {POSENET: TARGETS})

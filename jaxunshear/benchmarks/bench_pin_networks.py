@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from jaxunshear.benchmarks.steps import step_of
 from jaxunshear.image.framing import undeformed
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import kernels, pinnets
@@ -27,7 +28,6 @@ from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.targets import of_ranges
 from jaxunshear.storage import Json
 from jaxunshear.training.pin_tasks import pin_unshear_task
-from jaxunshear.training.step import fresh, make_step, optimiser_of
 from jaxunshear.verification.clock import seconds
 
 NETS = {"dense": PinUnshear(), "convolves": PinUnshear(convolved=(24, 48, 96))}  # as the weights `skin`
@@ -80,17 +80,16 @@ def _frame(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
 def _step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
     training = replace(PINS, pose_weight=0.0)
     task = pin_unshear_task(net, training, of_ranges((), Ranges()), rest, SPREAD)
-    optimiser = optimiser_of(training, 1000, 100)
-    state = [jax.jit(lambda key: fresh(task.init(key), optimiser))(jax.random.key(0))]
+    step, first = step_of(task, training)
+    state = [first]
     batch = {"canonical_pins": pins, "sheared_pins": pins}
-    run = jax.jit(make_step(task, training, optimiser, jax.random.key(1)), donate_argnums=0).lower(state[0], batch)
-    program = run.compile()
+    program = jax.jit(step, donate_argnums=0).lower(state[0], batch).compile()
 
-    def step() -> None:
+    def work() -> None:
         state[0], metrics = program(state[0], batch)
         jax.block_until_ready(metrics)
 
-    return step
+    return work
 
 
 def _measured(made: dict[str, tuple[Work, float]], rounds: int, turn_s: float) -> Json:

@@ -27,19 +27,19 @@ SIZES = (128, 256)
 FRAMES = 400
 
 
-def bench_pins(size: int | None = None, seed: int = 0, frames: int = FRAMES) -> list[Json]:
-    """Rows of about `frames` taps and as many slides for each sensor; another `seed` gives other contacts."""
+def bench_pins(size: int | None = None, seed: int = 0) -> list[Json]:
+    """Rows of about FRAMES taps and as many slides for each sensor; another `seed` gives other contacts."""
     rows = []
     sizes = SIZES if size is None else (size,)
     with Progress("bench pins", len(CONFIGS) * len(sizes), unit="sensors and sizes") as progress:
         for config in CONFIGS:
             for px in sizes:
-                rows += _rows(config, px, seed, frames)
+                rows += _rows(config, px, seed)
                 progress.advance()
     return rows
 
 
-def _rows(config: str, size: int, seed: int, frames: int) -> list[Json]:
+def _rows(config: str, size: int, seed: int) -> list[Json]:
     before = PAIRED[config]
     paired = replace(
         before,
@@ -48,7 +48,7 @@ def _rows(config: str, size: int, seed: int, frames: int) -> list[Json]:
         nuisance=Nuisance(drift_px=1.0 * size / 128, drift_brightness=0.1),
     )
     experiment = Experiment("bench_pins", "none", sensor=sensor_of(config), paired=paired)
-    contacts = fresh_contacts(experiment, frames, seed)
+    contacts = fresh_contacts(experiment, FRAMES, seed)
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     seen = {"tap": (contacts.tap, contacts.tap_pins), "sheared": (contacts.sheared, contacts.sheared_pins)}
     return [

@@ -58,19 +58,17 @@ def simulated(sensor: Sensor, camera: Camera, count: int, seed: int) -> Group:
     return Group(f"simulated, {sensor.name}", _half_varied(images, seed), expected_of(place, SIZE))
 
 
-def recorded(folder: Path, count: int, seed: int, expected: Expected | None = None) -> Group:
-    """Of recordings of 331 pins; what is expected comes from others of the same folder where it is not given."""
+def recorded(folder: Path, count: int, seed: int) -> Group:
+    """Of recordings of 331 pins; what is expected comes from others of the same folder."""
     recordings = read_recordings(folder, Preprocess(size=SIZE))
     view = recordings.common_view()
     rows = np.random.default_rng(seed).permutation(len(recordings))[: count + LATTICE_FROM]
     images = np.array([prepare_frame(recordings.preprocess, read_image(recordings.files[row]), view) for row in rows])
     first = min(LATTICE_FROM, len(images) // 2)
-    if expected is None:
-        pins = [find_pins(image) for image in images[:first]]
-        expected = expected_of(fit_lattice(pins, layout_of(TACTIP_331)).place, SIZE)
-    return Group(
-        f"recorded, {'/'.join(folder.parts[-3:])}", _half_varied(images[first : first + count], seed), expected
-    )
+    pins = [find_pins(image) for image in images[:first]]
+    expected = expected_of(fit_lattice(pins, layout_of(TACTIP_331)).place, SIZE)
+    images = _half_varied(images[first : first + count], seed)
+    return Group(f"recorded, {'/'.join(folder.parts[-3:])}", images, expected)
 
 
 def _half_varied(images: np.ndarray, seed: int) -> np.ndarray:

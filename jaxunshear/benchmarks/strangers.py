@@ -13,9 +13,10 @@ from scipy.spatial import cKDTree
 from skimage.draw import ellipse, rectangle
 
 from jaxunshear.dataset.chunks import render
+from jaxunshear.image.lattice import spacing_of
 from jaxunshear.image.pins import glance
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.understood import MASK, inverse
+from jaxunshear.image.understood import inverse
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.configs import PAIRED
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
@@ -79,7 +80,7 @@ def _resampled(
     offset = np.moveaxis(np.indices(image.shape), 0, -1) - middle - np.asarray(shift)
     source = offset @ back.T
     radius = np.linalg.norm(source, axis=-1, keepdims=True)
-    source *= np.minimum(1, (MASK * len(image) - 1) / np.maximum(radius, 1))
+    source *= np.minimum(1, (Preprocess().mask_radius * len(image) - 1) / np.maximum(radius, 1))
     return _masked(
         ndimage.map_coordinates(image.astype(np.float32), np.moveaxis(middle + source, -1, 0), order=1) > 127
     )
@@ -125,7 +126,7 @@ def _tiles(image: np.ndarray, rng: Generator) -> np.ndarray:
 def _scattered(image: np.ndarray, rng: Generator) -> np.ndarray:
     """The sensor's own pins, strewn about by a quarter of their spacing or more."""
     pins = glance(image)
-    spacing = np.median(cKDTree(pins).query(pins, k=2)[0][:, 1])
+    spacing = spacing_of(pins)
     return _dots(pins + rng.normal(0, rng.uniform(0.25, 1) * spacing, pins.shape), len(image), 0.25 * spacing)
 
 

@@ -4,7 +4,6 @@ A stored answer is used only for the same scenes, sensor, level, versions and so
 """
 
 import hashlib
-import io
 import json
 from dataclasses import asdict
 from importlib.resources import files
@@ -18,7 +17,7 @@ from jaxunshear.metrics.machine import versions
 from jaxunshear.progress import Progress
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import BROKEN_NPZ, cache_folder, read_npz, write_bytes
+from jaxunshear.storage import BROKEN_NPZ, cache_folder, read_npz, write_npz
 
 
 def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Level) -> np.ndarray:
@@ -37,9 +36,7 @@ def true_pins(sensor: Sensor, names: tuple[str, ...], scenes: Scenes, level: Lev
         raise UserError(
             f"the reference does not converge for scenes {lost.tolist()}: no error can be measured against it"
         )
-    stream = io.BytesIO()
-    np.savez(stream, pins=contacts.pins)
-    write_bytes(path, stream.getvalue())
+    write_npz(path, {"pins": contacts.pins})
     return contacts.pins
 
 

@@ -12,11 +12,10 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial import cKDTree
 from skimage.measure import label
 
 from jaxunshear.image.fitting import fit_lattice, layout_of
-from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.lattice import Lattice, spacing_of
 from jaxunshear.image.pins import Found, find_pins
 from jaxunshear.image.tracking import follow_all
 from jaxunshear.settings.sensor import Sensor
@@ -80,13 +79,9 @@ def observe(images: Iterable[np.ndarray], sensor: Sensor) -> Seen:
         np.array([track.doubt for track in tracks]),
         np.array([track.sure for track in tracks]),
         np.array([len(pins) for pins in found]),
-        np.array([_spacing(pins) for pins in found]),
+        np.array([spacing_of(pins) if len(pins) > 1 else np.nan for pins in found]),
         np.array([np.mean(image > 127) for image in images]),
     )
-
-
-def _spacing(pins: np.ndarray) -> float:
-    return float(np.median(cKDTree(pins).query(pins, k=2)[0][:, 1])) if len(pins) > 1 else float("nan")
 
 
 def pin_diameters(image: np.ndarray, pins: np.ndarray) -> np.ndarray:

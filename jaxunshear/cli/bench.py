@@ -72,10 +72,7 @@ def _networks(arguments: argparse.Namespace, keep: Keep) -> Found:
 def _needs(arguments: argparse.Namespace, keep: Keep) -> Found:
     from jaxunshear.benchmarks import bench_needs
 
-    try:
-        rows = bench_needs.bench_needs(arguments.size or 128)
-    except ValueError as error:
-        raise UserError(f"--size {arguments.size}: {error}") from error
+    rows = bench_needs.bench_needs(arguments.size or 128)
     return rows, bench_needs.table(rows)
 
 

@@ -79,9 +79,8 @@ def frame(
     specks = _specks(camera, sensor, nuisance, shift, speck_key)
     dots = _Dots(*map(jnp.concatenate, zip(dots, specks, strict=True)))
     wear = 1.0 - nuisance.drift_brightness * age
-    grey = DARK_GREY + (PIN_GREY - DARK_GREY) * wear * _light(camera, nuisance, light_key) * _draw(
-        camera, nuisance, dots
-    )
+    light = (PIN_GREY - DARK_GREY) * wear * _light(camera, nuisance, light_key)
+    grey = DARK_GREY + light * _draw(camera, nuisance, dots)
     if nuisance.housing_ring:
         grey = grey + (HOUSING_GREY - grey) * _housing(camera, sensor, nuisance, shift)
     if nuisance.noise:

@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import cKDTree
 
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice, shells, shells_of
-from jaxunshear.image.pins import Found
+from jaxunshear.image.pins import Found, outline
 from jaxunshear.image.tracking import follow_all
 from jaxunshear.scene.pins import pin_lattice
 from jaxunshear.settings.sensor import Sensor
@@ -43,15 +43,13 @@ def read_layout(file: Path) -> Layout:
         raise UserError(f"--layout {file} cannot be read: {error}") from error
     rows = []
     for number, line in enumerate(lines, 1):
-        try:
-            x, y = (float(word) for word in line.replace(",", " ").split())
-            rows.append((x, y))
-        except ValueError:
-            heading = number == 1 and not any(_is_number(word) for word in line.replace(",", " ").split())
-            if line.strip() and not heading:
-                raise UserError(
-                    f"--layout {file}, line {number}: '{line.strip()}' is not two numbers, x and y"
-                ) from None
+        words = line.replace(",", " ").split()
+        heading = number == 1 and not any(map(_is_number, words))
+        if heading or not line.strip():
+            continue
+        if len(words) != 2 or not all(map(_is_number, words)):
+            raise UserError(f"--layout {file}, line {number}: '{line.strip()}' is not two numbers, x and y")
+        rows.append([float(word) for word in words])
     flat = np.array(rows).reshape(-1, 2)
     if len(flat) < 20 or not np.isfinite(flat).all():
         raise UserError(
@@ -105,9 +103,9 @@ def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
     By the least turn of those that match about equally well: in a lattice of some symmetry noise must not choose which pin is which.
     """
     flat = layout.flat / np.linalg.norm(layout.flat, axis=-1).max()
-    outline = np.concatenate([_hull(found) for found in frames])
-    centre = (np.percentile(outline, 2, axis=0) + np.percentile(outline, 98, axis=0)) / 2
-    rim = float(np.median(np.linalg.norm(outline - centre, axis=-1)))
+    hulls = np.concatenate([_hull(found) for found in frames])
+    centre = (np.percentile(hulls, 2, axis=0) + np.percentile(hulls, 98, axis=0)) / 2
+    rim = float(np.median(np.linalg.norm(hulls - centre, axis=-1)))
     outer = layout.shell >= layout.shell.max() - 2
     trees = [cKDTree(found) for found in frames[:: max(1, len(frames) // 10)][:10]]
     radius = np.linalg.norm(flat, axis=-1, keepdims=True)
@@ -129,7 +127,5 @@ def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
 
 
 def _hull(found: np.ndarray) -> np.ndarray:
-    try:
-        return found[ConvexHull(found).vertices]
-    except QhullError:  # too few, or all on one line
-        return found
+    corners = outline(found)
+    return found[corners] if len(corners) else found

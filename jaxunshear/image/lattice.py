@@ -34,7 +34,7 @@ def shells(sensor: Sensor) -> Int[np.ndarray, "P"]:
 def shells_of(place: Float[np.ndarray, "P 2"]) -> Int[np.ndarray, "P"]:
     """The same for pins in any order and layout: by their distance from the middle, in spacings."""
     off = np.linalg.norm(place - place.mean(axis=0), axis=-1)
-    return np.round(off / _spacing(place)).astype(int)
+    return np.round(off / spacing_of(place)).astype(int)
 
 
 def make_lattice(place: Float[np.ndarray, "P 2"], shell: Int[np.ndarray, "P"] | None = None) -> Lattice:
@@ -44,11 +44,12 @@ def make_lattice(place: Float[np.ndarray, "P 2"], shell: Int[np.ndarray, "P"] | 
     shell = shells_of(place) if shell is None else shell
     near = cKDTree(place).query(place, k=min(NEIGHBOURS + 1, len(place)))[1][:, 1:]
     around = np.zeros((len(place), len(place)))
-    np.put_along_axis(around, near, weights(place[near] - place[:, None], _spacing(place)), axis=1)
-    return Lattice(place, shell, _spacing(place), near, around, powers)
+    np.put_along_axis(around, near, weights(place[near] - place[:, None], spacing_of(place)), axis=1)
+    return Lattice(place, shell, spacing_of(place), near, around, powers)
 
 
-def _spacing(place: np.ndarray) -> float:
+def spacing_of(place: Float[np.ndarray, "P 2"]) -> float:
+    """The usual distance between neighbours: the median from a pin to the nearest other one, in the unit of their places."""
     return float(np.median(cKDTree(place).query(place, k=2)[0][:, 1]))
 
 

@@ -161,15 +161,19 @@ def in_company(centre: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
         usual = np.median(distance)
         lonely = distance[:, 1] > (1.5 if outline_only else 2) * usual
         if outline_only and lonely.any():
-            try:
-                outline = ConvexHull(centre[kept]).vertices
-            except QhullError:  # all on one line: no outline to speak of
-                return kept
-            lonely &= np.isin(np.arange(len(kept)), outline)
+            lonely &= np.isin(np.arange(len(kept)), outline(centre[kept]))
         if lonely.any():
             kept = kept[~lonely]
             distance = _to_two_nearest(centre[kept])
     return kept
+
+
+def outline(points: Float[np.ndarray, "N 2"]) -> Int[np.ndarray, "M"]:
+    """Rows of the corners of their convex hull; none where they are too few, or all on one line."""
+    try:
+        return ConvexHull(points).vertices
+    except QhullError:
+        return np.zeros(0, int)
 
 
 def _to_two_nearest(centre: np.ndarray) -> np.ndarray:

@@ -10,7 +10,6 @@ matrix on the rows and one on the columns; a batch is a few products of matrices
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from functools import lru_cache
-from types import ModuleType
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -20,14 +19,13 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Bool, Float, Float32, Shaped, UInt8
 from scipy import ndimage
-from scipy.spatial import ConvexHull, QhullError
 from skimage.filters import threshold_otsu
 from skimage.measure import label
 from threadpoolctl import ThreadpoolController
 
 from jaxunshear.errors import UserError
 from jaxunshear.image.grey import check_seen, is_binary, middle_level, to_grey, white_of, white_pixels
-from jaxunshear.image.pins import in_company
+from jaxunshear.image.pins import in_company, outline
 from jaxunshear.settings.image import Preprocess
 
 OUTER_PINS_OF_DISC = 0.82  # radius of the outermost pins over that of the dark disc, measured: 172 and 210 px
@@ -37,16 +35,17 @@ Grey = TypeVar("Grey", np.ndarray, Array)
 
 def binarise(preprocess: Preprocess, grey: Array) -> UInt8[Array, "... S S"]:
     """Square grey crops (..., H, H) in [0, 1] -> binary images of {0, 255}."""
-    _check_square(grey.shape)
-    return _binarise(jnp, _jax_matmul, preprocess, jnp.asarray(grey, jnp.float32))
+    if grey.ndim < 2 or grey.shape[-1] != grey.shape[-2]:
+        raise ValueError(f"binarise takes square crops (..., H, H), got shape {grey.shape}")
+    return _binarise(_jax_matmul, preprocess, jnp.asarray(grey, jnp.float32))
 
 
-def _binarise(xp: ModuleType, matmul: Callable[[Grey, np.ndarray], Grey], preprocess: Preprocess, grey: Grey) -> Grey:
+def _binarise(matmul: Callable[[Grey, np.ndarray], Grey], preprocess: Preprocess, grey: Grey) -> Grey:
     small = _both_sides(matmul, area_matrix(grey.shape[-1], preprocess.size), grey)
     mean = _both_sides(matmul, mean_matrix(preprocess), small)
     mask = mask_of(preprocess)
     white = (small > mean + preprocess.offset) & mask.reshape((1,) * (grey.ndim - 2) + mask.shape)
-    return white.astype(xp.uint8) * np.uint8(255)
+    return white.astype(np.uint8) * np.uint8(255)
 
 
 def _jax_matmul(a: Array, b: ArrayLike) -> Array:
@@ -57,11 +56,6 @@ def _both_sides(matmul: Callable[[Grey, np.ndarray], Grey], matrix: np.ndarray, 
     """M X M^T for every image: both products are tall plain ones, which is faster than a batch of small ones."""
     half = matmul(image, matrix.T)
     return matmul(half.swapaxes(-1, -2), matrix.T).swapaxes(-1, -2)
-
-
-def _check_square(shape: tuple[int, ...]) -> None:
-    if len(shape) < 2 or shape[-1] != shape[-2]:
-        raise ValueError(f"binarise takes square crops (..., H, H), got shape {shape}")
 
 
 @lru_cache
@@ -92,9 +86,8 @@ class View(NamedTuple):
     """What the frames of one camera have in common."""
 
     box: tuple[int, int, int, int] | None = None  # left, top, right, bottom, px; None: each frame's own
-    whites: tuple[
-        tuple[str, float], ...
-    ] = ()  # (type of number, the one that stands for white), unless a frame is brighter
+    # (type of number, the one that stands for white), unless a frame is brighter
+    whites: tuple[tuple[str, float], ...] = ()
 
 
 def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) -> UInt8[np.ndarray, "S S"]:
@@ -113,7 +106,7 @@ def prepare_frame(preprocess: Preprocess, raw: np.ndarray, view: View = View()) 
         return (square & mask_of(preprocess)).view(np.uint8) * np.uint8(255)
     with _one_thread():
         if not is_binary(grey):
-            return _binarise(np, np.matmul, preprocess, square)
+            return _binarise(np.matmul, preprocess, square)
         small = _both_sides(np.matmul, area_matrix(len(square), preprocess.size), square)
     return ((small >= middle_level(grey)) & mask_of(preprocess)).astype(np.uint8) * np.uint8(255)
 
@@ -209,12 +202,7 @@ def _pin_outline(white: np.ndarray) -> np.ndarray:
     dots = 1 + np.flatnonzero((area > 0.4 * typical) & (area < 2.5 * typical))
     centres = np.array(ndimage.center_of_mass(white, parts, dots))
     centres = centres[in_company(centres)]
-    if len(centres) < 20:
-        return np.zeros((0, 2))
-    try:
-        return centres[ConvexHull(centres).vertices]
-    except QhullError:  # all on one line: no outline to speak of
-        return np.zeros((0, 2))
+    return centres[outline(centres)] if len(centres) >= 20 else np.zeros((0, 2))
 
 
 class _Circle(NamedTuple):

@@ -9,13 +9,13 @@ Where pins have left the view, mean and spread mislead. Then the frames that wen
 three ways (slides along x and y, and the depth), so a grid over these is laid on the found pins, and the best are refined.
 
     lattice = fit_lattice([find_pins(image) for image in images], layout_of(TACTIP_331))
-    tracks = tracks_of(lattice, images)
+    tracks = follow_all(lattice, [detect(image) for image in images])
     motion = tracks[0].motion  # (P, 2) px from the lattice, NaN where a pin is not seen
 
 What reads pins takes `followed` images, or their `motions_of`.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,9 +51,8 @@ class Usual(NamedTuple):
 class Followed(NamedTuple):
     """The pins of N images by identity."""
 
-    motion: (
-        np.ndarray
-    )  # (N, P, 2) px from the lattice; NaN where a pin is not seen, and all of an image that is not sure
+    # (N, P, 2) px from the lattice; NaN where a pin is not seen, and all of an image that is not sure
+    motion: np.ndarray
     sure: np.ndarray  # (N,) whether the pins were identified for sure
 
 
@@ -75,13 +74,8 @@ def motions_of(lattice: Lattice, images: Sequence[np.ndarray] | np.ndarray) -> F
     return motion
 
 
-def tracks_of(lattice: Lattice, images: Iterable[np.ndarray]) -> list[Track]:
-    """Every pin's identity and motion in binary images (S, S) of one camera, in their order."""
-    return follow_all(lattice, [detect(image) for image in images])
-
-
 def follow_all(lattice: Lattice, frames: list[Found]) -> list[Track]:
-    """The same, of pins found before; the frames that are sure help with the others."""
+    """Every pin's identity and motion in frames of one camera, in their order; those that are sure help with the others."""
     tracks = [follow_pins(lattice, found) for found in frames]
     usual = usual_motions(lattice, tracks)
     if usual is None:
@@ -92,7 +86,7 @@ def follow_all(lattice: Lattice, frames: list[Found]) -> list[Track]:
 
 
 def follow_pins(lattice: Lattice, seen: Found, usual: Usual | None = None) -> Track:
-    """Of one image."""
+    """The same of one frame, with the help of how pins `usual`ly move where that is known."""
     found, pins = seen.pins, len(lattice.place)
     best = Track(np.full((pins, 2), np.nan), np.full(pins, -1), float("inf"), pins, len(found), False)
     if len(found) < 0.7 * pins:

@@ -9,16 +9,15 @@ radius and the middle of their circle, and how even their neighbourhoods are. No
 """
 
 import math
-from dataclasses import asdict, dataclass, fields
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from jaxunshear.errors import UserError
 from jaxunshear.image.pins import glance
-from jaxunshear.storage import Json
+from jaxunshear.image.preprocess import mask_of
+from jaxunshear.settings.image import Preprocess
 
 FEWEST = 10  # pins that have a spacing and a circle worth the name
 FINEST_PX = 4.0  # spacing below which dots and gaps are a pixel or two wide: dust, not pins
@@ -26,7 +25,6 @@ RIM_PERCENT = 95  # of the pins stand within the rim: a glint outside does not m
 NEIGHBOURS = 4  # of a pin that stands evenly are at most
 EVEN = 0.35  # of the spacing off it
 EVEN_ENOUGH = 0.7  # of the share expected: with fewer even pins there is no lattice
-MASK = 0.48  # of the side, radius of the circular mask, as `Preprocess.mask_radius`
 ENOUGH = 0.5  # plausibility of an image that is one of the sensor's, and share of them in a folder that is
 
 # How far an image of the right sensor may well be from what is expected; the units of the weights below.
@@ -47,19 +45,6 @@ class Expected:
     rim: float  # radius within which RIM_PERCENT of the pins stand; of the side
     middle: tuple[float, float]  # column and row of the rim's centre; of the side
     regular: float  # share of the pins that stand evenly
-
-    def to_json(self) -> Json:
-        return asdict(self) | {"middle": list(self.middle)}
-
-    @staticmethod
-    def from_json(values: Json) -> "Expected":
-        """Raises UserError for values that `to_json` did not write."""
-        try:
-            known = {field.name: values[field.name] for field in fields(Expected)}
-            column, row = map(float, known.pop("middle"))
-            return Expected(int(known.pop("pins")), middle=(column, row), **{k: float(v) for k, v in known.items()})
-        except (KeyError, TypeError, ValueError) as error:
-            raise UserError(f"what is expected of a sensor's images cannot be read: {error!r}") from error
 
 
 @dataclass(frozen=True)
@@ -106,13 +91,7 @@ def seen_of(image: np.ndarray) -> Seen:
 
 def inverse(image: np.ndarray) -> np.ndarray:
     """White for black and black for white within the circular mask; (S, S) uint8 of {0, 255}."""
-    return np.where(_within(len(image)) & (np.asarray(image) <= 127), np.uint8(255), np.uint8(0))
-
-
-@lru_cache(maxsize=8)
-def _within(size: int) -> np.ndarray:
-    across = np.arange(size) - (size - 1) / 2
-    return np.hypot(across[:, None], across) <= MASK * size
+    return np.where(mask_of(Preprocess(size=len(image))) & (np.asarray(image) <= 127), np.uint8(255), np.uint8(0))
 
 
 def _measures(pins: np.ndarray, size: int) -> tuple[float, float, tuple[float, float], float]:

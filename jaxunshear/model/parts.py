@@ -1,15 +1,23 @@
-"""What released weights leave out: the shear code and DS, which unshearing does not need."""
+"""Weights by their parts. Released ones leave out the shear code and DS, which unshearing does not need."""
 
 import warnings
+from functools import partial
 from typing import Any
+
+import jax
 
 from jaxunshear.errors import Note, UserError
 
-Variables = dict[
-    str, Any
-]  # {"params": ..., "batch_stats": ...}, each by module, as E, pose, shear, DC, DS; or one of these
+# {"params": ..., "batch_stats": ...}, each by module, as E, pose, shear, DC, DS; or one of these
+Variables = dict[str, Any]
 Net = Any  # settings of a network, of whichever kind
 Tree = Any  # weights, a state or a part of them
+
+
+def leaves_of(tree: Tree) -> dict[str, Any]:
+    """Leaves by dotted path ("params.E.First_0.kernel"), in the tree's order."""
+    name = partial(jax.tree_util.keystr, simple=True, separator=".")
+    return {name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
 
 
 def holds(variables: Variables, part: str) -> bool:

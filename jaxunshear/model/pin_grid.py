@@ -16,6 +16,7 @@ from jaxtyping import Float
 from scipy.interpolate import RBFInterpolator
 from scipy.spatial import cKDTree
 
+from jaxunshear.image.lattice import spacing_of
 from jaxunshear.model import kernels
 from jaxunshear.model.fast import patches
 from jaxunshear.settings.networks import PinNet
@@ -29,13 +30,12 @@ def grid_of(rest: Float[ArrayLike, "P 2"]) -> Float[np.ndarray, "P G"]:
     """Of pins that stand untouched at `rest` px: G places in rows, as far apart as pins, each interpolated by linear splines."""
     pins = np.asarray(rest, np.float64)
     low, high = pins.min(axis=0), pins.max(axis=0)
-    tree = cKDTree(pins)
-    spacing = float(np.median(tree.query(pins, k=2)[0][:, 1]))
+    spacing = spacing_of(pins)
     side = max(2, round(float(np.max(high - low)) / spacing))
     columns, rows = np.meshgrid(*np.linspace(low, high, side).T)
     places = np.stack([columns.ravel(), rows.ravel()], axis=-1)
     spline = RBFInterpolator(pins, np.eye(len(pins)), neighbors=min(AROUND, len(pins)), kernel="linear")
-    inside = tree.query(places)[0] < INSIDE * spacing
+    inside = cKDTree(pins).query(places)[0] < INSIDE * spacing
     return np.where(inside[:, None], spline(places), 0).T.astype(np.float32)
 
 

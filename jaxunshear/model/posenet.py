@@ -18,6 +18,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
+from jaxunshear.errors import UserError
 from jaxunshear.model import kernels
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import INIT, Down, Same
@@ -51,18 +52,18 @@ def _network(net: networks.PoseNet, outputs: int) -> nn.Module:
 def init(net: networks.PoseNet, outputs: int, key: Array) -> Variables:
     """Fresh variables of a network with as many `outputs` as the targets have together.
 
-    Raises ValueError where `size` and `widths` do not fit the network."""
+    Raises UserError where `size` and `widths` do not fit the network."""
     check(net)
     with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
         return dict(_network(net, outputs).init(key, jnp.zeros((1, net.size, net.size, 1)), True))
 
 
 def check(net: networks.PoseNet) -> None:
-    """Raises ValueError that names the field where a network of these settings cannot be built."""
+    """Raises UserError that names the field where a network of these settings cannot be built."""
     if len(net.widths) != 5:
-        raise ValueError(f"widths: PoseNet has five convolutions, got {len(net.widths)} widths")
+        raise UserError(f"widths: PoseNet has five convolutions, got {len(net.widths)} widths")
     if net.size % 16:
-        raise ValueError(f"size: {net.size} px is no multiple of 16")
+        raise UserError(f"size: {net.size} px is no multiple of 16")
 
 
 def predict(net: networks.PoseNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B K"]:

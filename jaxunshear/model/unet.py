@@ -43,7 +43,7 @@ def _network(net: networks.UNet) -> nn.Module:
 
 
 def init(net: networks.UNet, key: Array) -> Variables:
-    """Fresh variables. Raises ValueError where `size` and `widths` do not fit each other."""
+    """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
     check(net)
     side = 2 ** len(net.widths)
     with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
@@ -51,7 +51,7 @@ def init(net: networks.UNet, key: Array) -> Variables:
 
 
 def check(net: networks.UNet) -> None:
-    """Raises ValueError that names the field where a network of these settings cannot be built."""
+    """Raises UserError that names the field where a network of these settings cannot be built."""
     unshearnet.check(networks.UnshearNet(net.size, net.widths))
 
 

@@ -24,6 +24,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
+from jaxunshear.errors import UserError
 from jaxunshear.model import kernels
 from jaxunshear.model.decoded import Decoded, disagreement
 from jaxunshear.model.fast import layers as fast_layers
@@ -106,22 +107,21 @@ class Network(nn.Module):
     def unshear(self, images: Array, train: bool) -> Array:
         return jax.nn.sigmoid(self.DC(self.encode_pose(images, train), train))
 
-    def __call__(
-        self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None, train: bool = True
-    ) -> Decoded:
+    def __call__(self, images: Array, same_pose: Array | None = None, same_slide: Array | None = None) -> Decoded:
+        """In training."""
         if not self.net.apart:
-            z_p, z_s = self.encode(images, train)
-            sheared = None if z_s is None else self.decode_sheared(z_p, z_s, train)
-            return Decoded(self.DC(z_p, train), z_p, sheared, z_s=z_s)
-        z_p, again = _with(images, same_pose, lambda seen: self.encode_pose(seen, train))
-        z_s, other = _with(images, same_slide, lambda seen: self.encode_slide(seen, train))
+            z_p, z_s = self.encode(images, True)
+            sheared = None if z_s is None else self.decode_sheared(z_p, z_s, True)
+            return Decoded(self.DC(z_p, True), z_p, sheared, z_s=z_s)
+        z_p, again = _with(images, same_pose, lambda seen: self.encode_pose(seen, True))
+        z_s, other = _with(images, same_slide, lambda seen: self.encode_slide(seen, True))
         held = jax.lax.stop_gradient(z_p)
-        drawn = _with(z_s, other, lambda z: self.decode_sheared(_twice(held, z), jax.lax.stop_gradient(z), train))
-        return Decoded(self.DC(z_p, train), z_p, *drawn, None if again is None else disagreement(z_p, again), z_s)
+        drawn = _with(z_s, other, lambda z: self.decode_sheared(_twice(held, z), jax.lax.stop_gradient(z), True))
+        return Decoded(self.DC(z_p, True), z_p, *drawn, None if again is None else disagreement(z_p, again), z_s)
 
 
 def init(net: UnshearNet, key: Array) -> Variables:
-    """Fresh variables. Raises ValueError where `size` and `widths` do not fit each other."""
+    """Fresh variables. Raises UserError where `size` and `widths` do not fit each other."""
     check(net)
     side = net.size if net.apart else 2 ** len(net.widths)  # shapes of other networks do not depend on the image's
     with kernels.using(kernels.FAST):  # whatever layers are chosen, a seed gives the same weights
@@ -129,15 +129,15 @@ def init(net: UnshearNet, key: Array) -> Variables:
 
 
 def check(net: UnshearNet) -> None:
-    """Raises ValueError that names the field where a network of these settings cannot be built."""
+    """Raises UserError that names the field where a network of these settings cannot be built."""
     if len(net.widths) < 2:
-        raise ValueError(f"widths: at least two layers are needed, got {net.widths}")
+        raise UserError(f"widths: at least two layers are needed, got {net.widths}")
     if net.size % 2 ** len(net.widths):
-        raise ValueError(f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)")
+        raise UserError(f"size: {net.size} px cannot be halved {len(net.widths)} times (one width each)")
     if net.disentangled and net.pose_channels < 1:
-        raise ValueError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
+        raise UserError(f"pose_channels: {net.pose_channels} leaves DC nothing to read, use at least 1")
     if net.disentangled and net.shear_channels < 0:
-        raise ValueError(f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS")
+        raise UserError(f"shear_channels: {net.shear_channels} is below zero; 0 builds no shear code and no DS")
 
 
 def parameters(net: UnshearNet) -> int:
@@ -166,42 +166,35 @@ def as_large_entangled(net: UnshearNet) -> UnshearNet:
 
 
 def encode(
-    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"], train: bool = False
+    net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]
 ) -> tuple[Float[Array, "B s s _"], Float[Array, "B _ _ _"] | None]:
-    """Images in [0, 1] -> (z_p, z_s), by channels; z_s is None without a shear code, as in released weights.
-    With `train` the batch's own statistics are used (and not kept)."""
+    """Images in [0, 1] -> (z_p, z_s), by channels; z_s is None without a shear code, as in released weights."""
     if net.disentangled and net.shear_channels and not holds(variables, "shear"):
-        return _apply(net, variables, "encode_pose", images, train=train), None
-    return _apply(net, variables, "encode", images, train=train)
+        return _apply(net, variables, "encode_pose", images), None
+    return _apply(net, variables, "encode", images)
 
 
 def encode_pose(net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B s s _"]:
     """z_p alone; needs no variables of the shear code, which released weights do not hold."""
-    return _apply(net, variables, "encode_pose", images, train=False)
+    return _apply(net, variables, "encode_pose", images)
 
 
-def decode_canonical(
-    net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"], train: bool = False
-) -> Float[Array, "B S S 1"]:
+def decode_canonical(net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"]) -> Float[Array, "B S S 1"]:
     """DC: pose code -> logits of the canonical image."""
-    return _apply(net, variables, "decode_canonical", z_p, train=train)
+    return _apply(net, variables, "decode_canonical", z_p)
 
 
 def decode_sheared(
-    net: UnshearNet,
-    variables: Variables,
-    z_p: Float[Array, "B s s _"],
-    z_s: Float[Array, "B _ _ _"],
-    train: bool = False,
+    net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"], z_s: Float[Array, "B _ _ _"]
 ) -> Float[Array, "B S S 1"]:
     """DS: both codes -> logits of the sheared image. Raises UserError for released weights, which leave it out."""
     check_sheared(variables)
-    return _apply(net, variables, "decode_sheared", z_p, z_s, train=train)
+    return _apply(net, variables, "decode_sheared", z_p, z_s)
 
 
 def unshear(net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B S S 1"]:
     """Sheared images in [0, 1] -> canonical ones. Needs and runs neither the shear code nor DS."""
-    return _apply(net, variables, "unshear", images, train=False)
+    return _apply(net, variables, "unshear", images)
 
 
 def reconstruct(
@@ -238,6 +231,5 @@ def _twice(one: Array, like: Array) -> Array:
     return jnp.concatenate([one] * (like.shape[0] // one.shape[0]))
 
 
-def _apply(net: UnshearNet, variables: Variables, method: str, *inputs: Array, train: bool) -> Any:
-    result = Network(net).apply(variables, *inputs, train, method=method, mutable=["batch_stats"] if train else False)
-    return result[0] if train else result
+def _apply(net: UnshearNet, variables: Variables, method: str, *inputs: Array) -> Any:
+    return Network(net).apply(variables, *inputs, False, method=method)

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 import jax
-import numpy as np
 from jax import Array
 
 from jaxunshear.dataset.factorial import OTHER, OTHER_IMAGE, SWAPPED, SWAPPED_IMAGE
@@ -44,7 +43,7 @@ from jaxunshear.storage import Json
 from jaxunshear.training import pin_tasks, tasks
 from jaxunshear.training.checkpoint import load_best, read_net
 from jaxunshear.training.drawing import drawing_of
-from jaxunshear.training.examples import Examples, spread_of
+from jaxunshear.training.examples import Examples, all_trained, spread_of
 from jaxunshear.training.origin import check_origin
 from jaxunshear.training.tasks import Batch, Task, Tree
 from jaxunshear.training.turning import Turns, sense_of, turns_of
@@ -61,7 +60,7 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     if network in POSENETS:
         seen = "image" if network in OF_TAPS else "sheared"
         return tasks.posenet_task(experiment.posenet, training, targets), (seen, *labels)
-    teacher = _teacher(experiment, folder, posenet.predict) if training.pose_weight else None
+    teacher = partial(posenet.predict, *_of_taps(experiment, TEACHER, folder)) if training.pose_weight else None
     net = unshear_net(experiment.unshear, network)
     room = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
     slides = _slides(examples, "unshear.shear_channels", room) if room else ()
@@ -90,7 +89,7 @@ def _over_pins(
         render = partial(pinnets.render, *_of_taps(experiment, RENDERER, folder)) if rendered else None
         return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
     codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})
-    teacher = _teacher(experiment, folder, pinnets.predict) if training.pose_weight else None
+    teacher = partial(pinnets.predict, *_of_taps(experiment, TEACHER, folder)) if training.pose_weight else None
     partners = _partners(experiment, training, OTHER, SWAPPED) if network == DISENTANGLED else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
     taught = training.slide_weight and network == DISENTANGLED
@@ -169,12 +168,8 @@ def _turns(examples: Examples) -> Turns:
     """Raises UserError where the taps that the sensor has recorded do not turn with their labels."""
     taps = examples.taps or examples.reader
     field = "pins" if examples.taps else "sheared_pins"
-    known = taps.take("train", np.arange(taps.length("train")), (field, "pose"))
+    known = all_trained(taps, field, "pose")
     return turns_of(examples.pins.rest, sense_of(examples.pins.rest, known[field], known["pose"], examples.targets))
-
-
-def _teacher(experiment: Experiment, folder: Path, predict: Callable[..., Array]) -> Callable[[Array], Array]:
-    return partial(predict, *_of_taps(experiment, TEACHER, folder))
 
 
 def _of_taps(experiment: Experiment, network: str, folder: Path) -> tuple[Net, Variables]:

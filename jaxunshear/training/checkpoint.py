@@ -14,10 +14,8 @@ best are kept.
 
 import dataclasses
 import hashlib
-import io
 import shutil
 from collections.abc import Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,7 +25,7 @@ import orbax.checkpoint as ocp
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.model.parts import Net, Variables
+from jaxunshear.model.parts import Net, Variables, leaves_of
 from jaxunshear.settings.earlier import LATER, is_later
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
 from jaxunshear.settings.targets import Targets, from_json
@@ -52,9 +50,9 @@ def save(folder: Path, step: int, state: object, record: Json) -> None:
 
     Raises UserError where that fails; earlier checkpoints stay.
     """
-    root = Path(folder) / "checkpoints"
-    part = root / f"{step:08d}.part"
-    arrays = _named(jax.device_get(state))
+    target = _path(folder, step)
+    part = target.with_suffix(".part")
+    arrays = leaves_of(jax.device_get(state))
     try:
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir(parents=True)
@@ -62,25 +60,20 @@ def save(folder: Path, step: int, state: object, record: Json) -> None:
             writer.save((part / "state").absolute(), arrays)
         digests = {DIGEST: _digest(arrays), FILES: _digest_of_files(part / "state")}
         storage.write_json(part / "record.json", record | {"step": step} | digests)
-        target = root / f"{step:08d}"
         shutil.rmtree(target, ignore_errors=True)
         part.rename(target)
     except UserError:
         raise
     except Exception as error:  # a full disk reaches us as many types
-        raise UserError(
-            f"cannot write checkpoint {part.with_suffix('')} ({first_line(error)}): is the disk full?"
-        ) from error
-    for path in root.iterdir():
-        if path.name not in (f"{step:08d}", f"{record['best_step']:08d}"):
+        raise UserError(f"cannot write checkpoint {target} ({first_line(error)}): is the disk full?") from error
+    for path in target.parent.iterdir():
+        if path not in (target, _path(folder, record["best_step"])):
             shutil.rmtree(path, ignore_errors=True)
 
 
 def latest(folder: Path) -> int | None:
     """Step of the latest checkpoint in `folder`; None without one."""
-    root = Path(folder) / "checkpoints"
-    steps = [int(path.name) for path in root.iterdir() if path.name.isdigit()] if root.is_dir() else []
-    return max(steps, default=None)
+    return max(_steps(folder), default=None)
 
 
 def kept(folder: Path) -> list[int]:
@@ -93,7 +86,7 @@ def restore(folder: Path, step: int, like: State) -> tuple[State, Json]:
     """The state of checkpoint `step`, in the form of the tree `like`, and its record. Raises UserError if it is
     damaged."""
     arrays, record = _read(folder, step)
-    names = _named(like)
+    names = leaves_of(like)
     shapes, wanted = ({name: np.shape(leaf) for name, leaf in tree.items()} for tree in (arrays, names))
     wrong = next((name for name in shapes | wanted if shapes.get(name) != wanted.get(name)), None)
     if wrong:
@@ -133,7 +126,7 @@ def load_best(folder: Path) -> Json:
 
 def digest_of(folder: Path) -> str:
     """Of the variables that `load_best` gives: equal ones have equal digests. Raises UserError."""
-    return _digest(_named(load_best(folder)))
+    return _digest(leaves_of(load_best(folder)))
 
 
 def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = ()) -> None:
@@ -143,12 +136,10 @@ def write_weights(folder: Path, variables: Variables, modules: Sequence[str] = (
     """
     arrays = {
         name: np.asarray(leaf, np.float16 if np.ndim(leaf) > 1 and name.startswith("params.") else None)
-        for name, leaf in _named(jax.device_get(variables)).items()
+        for name, leaf in leaves_of(jax.device_get(variables)).items()
         if not modules or name.split(".")[1] in modules
     }
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, **{DIGEST: np.array(_digest(arrays))}, **arrays)  # type: ignore[arg-type]
-    storage.write_bytes(Path(folder) / WEIGHTS, buffer.getvalue())
+    storage.write_npz(Path(folder) / WEIGHTS, {DIGEST: np.array(_digest(arrays))} | arrays, compressed=True)
 
 
 def _read_weights(path: Path) -> dict[str, np.ndarray]:
@@ -181,7 +172,7 @@ def write_settings(folder: Path, settings: Json) -> None:
     path = Path(folder) / MODEL
     if not path.exists():
         return storage.write_json(path, settings)
-    old, new = _flat(storage.read_object(path)), _flat(settings)
+    old, new = _flat(storage.read_object(path)), _flat(storage.plain(settings))
     for name in old | new:
         idle = (name not in old and is_later(name, new[name])) or (name not in new and is_later(name, old[name]))
         if old.get(name) != new.get(name) and not idle:
@@ -248,20 +239,19 @@ def _record(folder: Path, step: int) -> Json:
 
 
 def _remedy(folder: Path, path: Path) -> str:
-    steps = [p.name for p in path.parent.iterdir() if p.name.isdigit()] if path.parent.is_dir() else []
-    last = len(steps) > 1 and path.name == max(steps)  # the record of a later one may name an earlier one
+    steps = _steps(folder)
+    last = len(steps) > 1 and path == _path(folder, max(steps))  # the record of a later one may name an earlier one
     back = f"delete {path} to go on from the one before, or " if last else ""
     return f"{back}delete {folder} to train from the start"
 
 
+def _steps(folder: Path) -> list[int]:
+    root = Path(folder) / "checkpoints"
+    return [int(path.name) for path in root.iterdir() if path.name.isdigit()] if root.is_dir() else []
+
+
 def _path(folder: Path, step: int) -> Path:
     return Path(folder) / "checkpoints" / f"{step:08d}"
-
-
-def _named(tree: object) -> Json:
-    """Leaves by dotted path, in the tree's order."""
-    name = partial(jax.tree_util.keystr, simple=True, separator=".")
-    return {name(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(tree)}
 
 
 def _digest(arrays: Json) -> str:
@@ -281,15 +271,10 @@ def _digest_of_files(folder: Path) -> str:
 
 
 def _flat(tree: object, prefix: str = "") -> Json:
-    """Nested JSON as {"train.epochs": 5}; tuples and lists are the same to it."""
+    """Nested JSON as {"train.epochs": 5}."""
     if not isinstance(tree, dict):
-        return {prefix: _as_json(tree)}
+        return {prefix: tree}
     flat: Json = {}
     for name, value in tree.items():
         flat |= _flat(value, f"{prefix}.{name}" if prefix else name)
     return flat
-
-
-def _as_json(value: object) -> object:
-    """Tuples as the lists that JSON makes of them."""
-    return [_as_json(item) for item in value] if isinstance(value, list | tuple) else value

@@ -9,7 +9,6 @@ shifted before its camera on another day than that of the taps.
 
 import functools
 import hashlib
-import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +25,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import config_name
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import write_npz
 from jaxunshear.training.drawing import FOLLOW, SHIFTED, TURNED_DEG
 
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
@@ -98,14 +97,11 @@ def _motions(
 def _write(path: Path, simulate: Simulate, pose: np.ndarray, rows: np.ndarray) -> None:
     generator = np.random.default_rng([VERSION, *path.parent.name.encode(), int(path.stem)])
     move = np.zeros((len(rows), 6))
-    move[:, [axis for axis in range(3) if axis != depth_axis(pose)]] = (
-        generator.uniform(-1, 1, (len(rows), 2)) * SLIDE_MM
-    )
+    along = [axis for axis in range(3) if axis != depth_axis(pose)]
+    move[:, along] = generator.uniform(-1, 1, (len(rows), 2)) * SLIDE_MM
     move[:, 3:] = generator.uniform(-1, 1, (len(rows), 3)) * TWIST_DEG
     motion, fine = simulate(pose[rows], move, generator.uniform(*FRICTION, len(rows)))
-    buffer = io.BytesIO()
-    np.savez(buffer, row=rows, motion=motion, move=move.astype(np.float32), fine=fine)
-    write_bytes(path, buffer.getvalue())
+    write_npz(path, {"row": rows, "motion": motion, "move": move.astype(np.float32), "fine": fine})
 
 
 def _drawn(

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
+from jaxunshear.image.lattice import spacing_of
 from jaxunshear.storage import Json
 from jaxunshear.training.turning import ANGLES, Turns, turned, turns_of
 
@@ -31,8 +31,7 @@ def drawing_of(
 ) -> Callable[[Batch, Array], Batch]:
     """Draws `share` of all batches anew; the others are as the simulator gave them. The camera's place has standard deviations of
     `turned_deg`, and of `shifted` spacings of the pins."""
-    turns = turns_of(rest, 1)
-    spacing_px = float(np.median(cKDTree(rest).query(rest, k=2)[0][:, 1]))
+    turns, spacing_px = turns_of(rest, 1), spacing_of(rest)
 
     def draw(batch: Batch, key: Array) -> Batch:
         chance, angle, follow, camera = jax.random.split(key, 4)

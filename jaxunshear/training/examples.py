@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from jaxunshear.dataset.factorial import FactorialReader
-from jaxunshear.dataset.reading import Reader, SetReader, open_set
+from jaxunshear.dataset.reading import Batch, Reader, SetReader, open_set
 from jaxunshear.dataset.recorded_reading import Drag, Read, RecordedSet, Render, open_recorded
 from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
@@ -98,15 +98,20 @@ def pins_of(frame: Json) -> Pins:
     return Pins(np.array(frame["place_px"], np.float32), float(frame["radius_px"]), int(frame["size"]))
 
 
+def all_trained(reader: Reader, *fields: str) -> Batch:
+    """All training examples, in their order."""
+    return reader.take("train", np.arange(reader.length("train")), fields)
+
+
 def spread_of(reader: Reader, field: str, rest: np.ndarray) -> float:
     """Root mean square px by which the pins of training examples have moved."""
-    pins = reader.take("train", np.arange(reader.length("train")), (field,))[field]
+    pins = all_trained(reader, field)[field]
     return float(np.sqrt(np.nanmean(np.square(pins - rest))))
 
 
 def _mean_place(reader: Reader, field: str) -> np.ndarray:
     """(P, 2) px: where pins stand in the mean of training taps, as of recordings, whose untouched pins nobody recorded."""
-    return reader.take("train", np.arange(reader.length("train")), (field,))[field].mean(axis=0, dtype=np.float64)
+    return all_trained(reader, field)[field].mean(axis=0, dtype=np.float64)
 
 
 def _simulated(experiment: Experiment, network: str, data_dir: Path) -> Examples:

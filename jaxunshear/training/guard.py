@@ -12,6 +12,7 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.errors import UserError
+from jaxunshear.model.parts import leaves_of
 from jaxunshear.training import checkpoint
 from jaxunshear.training.step import State
 from jaxunshear.training.tasks import Batch
@@ -31,9 +32,9 @@ def check_terms(step: int, terms: dict[str, Array], batch: Batch, folder: Path) 
 
 def check_state(state: State, step: int, batch: Batch, folder: Path) -> None:
     """Raises UserError where an array of the state after `step` is not finite."""
-    for path, leaf in jax.tree_util.tree_leaves_with_path(jax.device_get(state)):
+    for name, leaf in leaves_of(jax.device_get(state)).items():
         if not np.isfinite(leaf).all():
-            raise _stop(jax.tree_util.keystr(path, simple=True, separator="."), step, batch, folder)
+            raise _stop(name, step, batch, folder)
 
 
 def _stop(what: str, step: int, batch: Batch, folder: Path) -> UserError:

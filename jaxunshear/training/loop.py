@@ -102,7 +102,7 @@ def train(
     length = _Length(max(1, round(training.epochs * steps_per_epoch)), steps_per_epoch, training.batch)
     optimiser = optimiser_of(training, length.steps, steps_per_epoch)
     key_init, key_steps = jax.random.split(jax.random.key(seed))
-    state, reached = _restored(folder, _first_state(task, optimiser, key_init, start), task.rank)
+    state, reached = _restored(folder, first_state(task, optimiser, key_init, start), task.rank)
     _write_log(folder, reached.history)
     step = make_step(task, training, optimiser, key_steps)
     with native.taking("xla") if devices.mesh else contextlib.nullcontext():  # what is compiled cannot be split
@@ -112,7 +112,7 @@ def train(
         return _ended(task, parameters, reached, length, folder, devices)
 
 
-def _first_state(task: Task, optimiser: optax.GradientTransformation, key: Array, start: Start | None) -> State:
+def first_state(task: Task, optimiser: optax.GradientTransformation, key: Array, start: Start | None = None) -> State:
     """Before the first step."""
 
     def first(key: Array, given: Tree) -> State:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxunshear.model.parts import Variables
+from jaxunshear.model.parts import Variables, leaves_of
 
 
 def supervised(canonical: Float[Array, "B S S 1"], target: Float[Array, "B S S 1"]) -> Float[Array, "B"]:
@@ -84,9 +84,5 @@ def kernel_sizes(params: Variables) -> dict[str, Float[Array, ""]]:
 
 def kernels_of(params: Variables) -> dict[str, Array]:
     """The kernels of convolution and dense layers, by dotted name."""
-    leaves = jax.tree_util.tree_leaves_with_path(params)
-    return {
-        jax.tree_util.keystr(path[:-1], simple=True, separator="."): leaf
-        for path, leaf in leaves
-        if path[-1].key == "kernel"
-    }
+    leaves = leaves_of(params)
+    return {name.removesuffix(".kernel"): leaf for name, leaf in leaves.items() if name.endswith(".kernel")}

@@ -15,16 +15,12 @@ from jax import Array
 
 from jaxunshear.model.parts import Variables
 
-COEFFICIENTS = (
-    3.4445,
-    -4.7750,
-    2.0315,
-)  # of Jordan's quintic: steep at zero, and between 0.7 and 1.2 after all iterations
+# of Jordan's quintic: steep at zero, and between 0.7 and 1.2 after all iterations
+COEFFICIENTS = (3.4445, -4.7750, 2.0315)
 ITERATIONS = 5
 MOMENTUM = 0.95
-RMS = (
-    0.2  # of an update at learning rate 1, near Adam's, so that both take the same rates (Liu et al. 2025, section 2.2)
-)
+# of an update at learning rate 1, near Adam's, so that both take the same rates (Liu et al. 2025, section 2.2)
+RMS = 0.2
 READ_OUT = 8  # kernels with fewer outputs
 
 

@@ -52,9 +52,9 @@ def _split_rule(origin: Json) -> Json:
 def origins_of(folder: Path) -> list[Json]:
     """Of all that the weights in `folder` have learnt from, their own set first. Raises UserError where they do not say."""
     model = read_object(folder / "model.json")
-    if isinstance(model, dict) and model.get("origin") and "taken_over" in model:
+    if model.get("origin") and "taken_over" in model:
         return [model["origin"], *model["taken_over"]]
-    return _earlier_origins(folder, model if isinstance(model, dict) else {})
+    return _earlier_origins(folder, model)
 
 
 def _earlier_origins(folder: Path, model: Json) -> list[Json]:
@@ -91,9 +91,8 @@ def check_origin(experiment: Experiment, network: str, run_dir: Path) -> None:
     """Raises UserError where the trained `network` in `run_dir` learnt from another data set, such as one of an earlier version of the
     data, or took over what may know its tests, or where its model.json cannot be read."""
     folder = Path(run_dir) / network
-    model = read_object(folder / "model.json")
-    stored = model.get("origin") if isinstance(model, dict) else None
-    changed = differences(stored or {}, origin_of(experiment, network))
+    stored = read_object(folder / "model.json").get("origin") or {}
+    changed = differences(stored, origin_of(experiment, network))
     if changed:
         raise UserError(
             f"{folder} learnt from a data set with another {', '.join(changed[:3])}: give another --out, or delete that folder"

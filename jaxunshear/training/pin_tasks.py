@@ -13,7 +13,6 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from jaxunshear.dataset.factorial import OTHER, SWAPPED
-from jaxunshear.errors import UserError
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.decoded import Decoded
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
@@ -21,7 +20,7 @@ from jaxunshear.settings.targets import Targets
 from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
-from jaxunshear.training.tasks import Batch, Task, Tree, pose_error_terms, slide_term, weighed
+from jaxunshear.training.tasks import Batch, Task, Tree, code_terms, pose_error_terms, watcher, weighed, weights_of
 from jaxunshear.training.turning import ANGLES, Turns, turned, turned_outputs
 
 
@@ -42,22 +41,14 @@ def pin_unshear_task(
     unsheared pins should be the true pose (`pose_target` "label", with the fields of the targets in the batches), or what it reads off
     the partner. Raises UserError where it is lacking. `slides` are what z_s is taught of the slide, and need their fields in the batches.
     """
-    if training.pose_weight and teacher is None:
-        raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
+    watch = watcher(training, teacher, targets, losses.absolute_pose)
 
     def named_of(variables: Tree, batch: Batch, found: Decoded) -> dict[str, Array]:
         named = {"supervised": pinnets.distance(found.canonical, batch["canonical_pins"], variables)}
-        if training.pose_weight and teacher is not None:
-            named["pose"] = _watched(teacher, targets, training.pose_target, found.canonical, batch)
-        if found.sheared is not None:
-            named["reconstruction"] = pinnets.distance(found.sheared, batch["sheared_pins"], variables)
-        if found.exchanged is not None:
-            named["swap"] = pinnets.distance(found.exchanged, batch[SWAPPED], variables)
-        if found.disagreement is not None:
-            named["agreement"] = found.disagreement
-        if slides and found.z_s is not None:
-            named["slide"] = slide_term(found.z_s, batch, slides)
-        return weighed(named, batch)
+        if watch:
+            named["pose"] = watch(found.canonical, batch["canonical_pins"], batch)
+        off = partial(pinnets.distance, variables=variables)
+        return weighed(named | code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch)
 
     def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Decoded:
         alike = batch.get(SWAPPED, batch["canonical_pins"]) if training.agreement_weight and net.shear_code else None
@@ -79,18 +70,8 @@ def pin_unshear_task(
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         return named_of(variables, batch, decoded(variables, batch))
 
-    weights = {"supervised": 1.0, "reconstruction": training.reconstruction_weight, "pose": training.pose_weight}
-    weights |= {"swap": training.swap_weight, "agreement": training.agreement_weight, "slide": training.slide_weight}
-    weights |= {"tap": training.tap_weight, "alike": training.alike_weight}
     init = partial(pinnets.init, net, rest, spread)
-    return Task("pin_unshear", net, targets, init, terms, weights, validate, "supervised", slides)
-
-
-def _watched(teacher: Callable[[Array], Array], targets: Targets, target: str, canonical: Array, batch: Batch) -> Array:
-    """How far the pose that `teacher` reads off unsheared pins (B, P, 2) lies from the one it reads off the partner (B,).
-    With `target` "label", from the true one."""
-    wanted = posenet.pose_targets(batch, targets) if target == "label" else teacher(batch["canonical_pins"])
-    return losses.absolute_pose(teacher(canonical), wanted, posenet.output_weights(targets))
+    return Task("pin_unshear", net, targets, init, terms, weights_of(training), validate, "supervised", slides)
 
 
 def pin_posenet_task(
@@ -110,11 +91,8 @@ def pin_posenet_task(
     weights = posenet.output_weights(targets)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        pins, wanted, angle = (
-            pinnets.spoilt(net, batch["pins"], key),
-            posenet.pose_targets(batch, targets),
-            jnp.zeros(()),
-        )
+        pins = pinnets.spoilt(net, batch["pins"], key)
+        wanted, angle = posenet.pose_targets(batch, targets), jnp.zeros(())
         if turns is not None:
             k = _drawn_turn(net.turned, jax.random.fold_in(key, 1))
             pins, wanted, angle = turned(turns, k, pins), turned_outputs(turns, k, wanted, targets), turns.radians[k]
@@ -139,8 +117,7 @@ def renderer_task(net: PinRenderer, training: Training, targets: Targets, rest: 
     """Of PinRenderer; batches {"pins"} (B, P, 2) px of taps and the fields of the targets."""
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets))
-        return weighed({"pins": pinnets.distance(drawn, batch["pins"], variables)}, batch), variables["batch_stats"]
+        return validate(variables, batch), variables["batch_stats"]
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         drawn = pinnets.render(net, variables, posenet.pose_targets(batch, targets))

@@ -4,11 +4,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax.tree_util import KeyPath
-from jax.typing import ArrayLike
 
 from jaxunshear.errors import UserError
-from jaxunshear.model.parts import Tree
+from jaxunshear.model.parts import Tree, leaves_of
 
 
 class Start(NamedTuple):
@@ -24,26 +22,21 @@ def started(fresh: Tree, start: Tree) -> Tree:
 
     Raises UserError where a shape differs, a module of its own has fewer layers than that of `start`, or nothing of `start` has a place.
     """
-    given = {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(start)}
-    taken = []
-    leaves = {path for path, _ in jax.tree_util.tree_leaves_with_path(fresh)}
-    modules = {path[:2] for path in leaves}
-    for path, _ in jax.tree_util.tree_leaves_with_path(start):
-        if path[:2] in modules and path not in leaves:
-            part = ".".join(str(key.key) for key in path)
-            raise UserError(f"start: {part} is there and has no place here: use that network's settings")
-
-    def chosen(path: KeyPath, own: ArrayLike) -> ArrayLike:
-        name = jax.tree_util.keystr(path)
-        if name not in given:
-            return own
-        if jnp.shape(given[name]) != jnp.shape(own):
-            part, there, here = ".".join(str(key.key) for key in path), jnp.shape(given[name]), jnp.shape(own)
-            raise UserError(f"start: {part} is {there} there and {here} here: use that network's settings")
-        taken.append(name)
-        return given[name]
-
-    variables = jax.tree_util.tree_map_with_path(chosen, fresh)
+    own, given = leaves_of(fresh), leaves_of(start)
+    modules = {_module(name) for name in own}
+    misplaced = next((name for name in given if name not in own and _module(name) in modules), None)
+    if misplaced:
+        raise UserError(f"start: {misplaced} is there and has no place here: use that network's settings")
+    taken = {name: given[name] for name in own if name in given}
     if not taken:
         raise UserError("start: these weights have nothing in common with the network: name those of another")
-    return variables
+    for name, leaf in taken.items():
+        there, here = jnp.shape(leaf), jnp.shape(own[name])
+        if there != here:
+            raise UserError(f"start: {name} is {there} there and {here} here: use that network's settings")
+    return jax.tree.unflatten(jax.tree.structure(fresh), (own | taken).values())
+
+
+def _module(name: str) -> str:
+    """Of a leaf: params.E of params.E.First_0.kernel."""
+    return ".".join(name.split(".")[:2])

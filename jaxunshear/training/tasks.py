@@ -56,16 +56,18 @@ def unshear_task(
     Raises UserError where the network cannot be built, or a crop does not fit.
     """
     _check_crops(net, training)
-    watch = _watcher(training, teacher, targets)
+    watch = watcher(training, teacher, targets, losses.pose)
     kind = "unet" if isinstance(net, networks.UNet) else "unshear"
     module: ModuleType = unet if kind == "unet" else unshearnet
-    _checked(module.check, net)
+    module.check(net)
     decoded = partial(_decoded, net, training)
+    of_codes = partial(code_terms, fields=("sheared", SWAPPED_IMAGE), off=_off_image, slides=slides)
     init, labelled = _head(net, targets) if training.label_weight else (partial(module.init, net), None)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
-        found, batch_stats = decoded(variables, sheared, batch)
+        batch = _as_floats(batch)
+        canonical = batch["canonical"]
+        found, batch_stats = decoded(variables, batch)
         image = jax.nn.sigmoid(found.canonical)
         named = {"supervised": losses.supervised(image, canonical)}
         if training.patch_weight:
@@ -75,11 +77,12 @@ def unshear_task(
             named["pose"] = watch(image, canonical, batch)
         if labelled and found.z_p is not None:
             named["label"] = labelled(variables, found.z_p, batch)["label"]
-        return weighed(named | _of_codes(found, sheared, batch, slides), batch), batch_stats
+        return weighed(named | of_codes(found, batch=batch), batch), batch_stats
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
-        canonical, sheared = _unit(batch["canonical"]), _unit(batch["sheared"])
-        images = in_precision(sheared, training.precision)  # as it will be put to use
+        batch = _as_floats(batch)
+        canonical = batch["canonical"]
+        images = in_precision(batch["sheared"], training.precision)  # as it will be put to use
         named = {}
         if isinstance(net, networks.UNet):
             image = unet.unshear(net, variables, images)
@@ -87,41 +90,49 @@ def unshear_task(
             z_p, z_s = unshearnet.encode(net, variables, images)
             again = None if z_s is None else unshearnet.decode_sheared(net, variables, z_p, z_s)
             found = Decoded(unshearnet.decode_canonical(net, variables, z_p), z_p, again, z_s=z_s)
-            image, named = jax.nn.sigmoid(found.canonical), _of_codes(found, sheared, batch, slides)
+            image, named = jax.nn.sigmoid(found.canonical), of_codes(found, batch=batch)
             if labelled:
                 named |= labelled(variables, z_p, batch)
         if watch:
             named["pose"] = watch(image, canonical, batch)
         return weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
 
-    return Task(kind, net, targets, init, terms, _weights(training), validate, "supervised", slides)
+    return Task(kind, net, targets, init, terms, weights_of(training), validate, "supervised", slides)
 
 
 def _decoded(
-    net: networks.UnshearNet | networks.UNet, training: Training, variables: Tree, sheared: Array, batch: Batch
+    net: networks.UnshearNet | networks.UNet, training: Training, variables: Tree, batch: Batch
 ) -> tuple[Decoded, Tree]:
     seen = partial(in_precision, precision=training.precision)
     if isinstance(net, networks.UNet):
-        return unet.reconstruct(net, variables, seen(sheared))
+        return unet.reconstruct(net, variables, seen(batch["sheared"]))
     parted = net.disentangled and net.apart
     alike = batch.get(SWAPPED_IMAGE, batch["canonical"]) if parted and training.agreement_weight else None
     other = batch[OTHER_IMAGE] if parted and training.swap_weight else None
-    partners = (None if images is None else seen(_unit(images)) for images in (alike, other))
-    return unshearnet.reconstruct(net, variables, seen(sheared), *partners)
+    partners = (None if images is None else seen(images) for images in (alike, other))
+    return unshearnet.reconstruct(net, variables, seen(batch["sheared"]), *partners)
 
 
-def _of_codes(found: Decoded, sheared: Array, batch: Batch, slides: Targets) -> dict[str, Array]:
-    """What DS makes of codes, and what these should be, (B,) each."""
+def code_terms(
+    found: Decoded, fields: tuple[str, str], off: Callable[[Array, Array], Array], batch: Batch, slides: Targets
+) -> dict[str, Array]:
+    """What DS makes of codes, and what these should be, (B,) each. `fields` of a batch: the slide, and what exchanged codes should draw;
+    `off`: how far what DS draws lies from such a field (B,)."""
     named = {}
     if found.sheared is not None:
-        named["reconstruction"] = losses.reconstruction(jax.nn.sigmoid(found.sheared), sheared)
+        named["reconstruction"] = off(found.sheared, batch[fields[0]])
     if found.exchanged is not None:
-        named["swap"] = losses.reconstruction(jax.nn.sigmoid(found.exchanged), _unit(batch[SWAPPED_IMAGE]))
+        named["swap"] = off(found.exchanged, batch[fields[1]])
     if found.disagreement is not None:
         named["agreement"] = found.disagreement
     if slides and found.z_s is not None:
-        named["slide"] = slide_term(found.z_s, batch, slides)
+        wanted = 2 * posenet.pose_targets(batch, slides) - 1
+        named["slide"] = losses.slide(found.z_s.reshape(found.z_s.shape[0], -1), wanted)
     return named
+
+
+def _off_image(logits: Array, wanted: Array) -> Array:
+    return losses.reconstruction(jax.nn.sigmoid(logits), wanted)
 
 
 def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) -> Task:
@@ -140,12 +151,13 @@ def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) ->
         loss = losses.pose(outputs, posenet.pose_targets(batch, targets), weights)
         return {"pose": loss} | pose_error_terms(outputs, batch, targets)
 
-    _checked(posenet.check, net)
+    posenet.check(net)
     init = partial(posenet.init, net, posenet.outputs_of(targets))
     return Task("posenet", net, targets, init, terms, {"pose": 1.0}, validate, "pose")
 
 
-def _weights(training: Training) -> dict[str, float]:
+def weights_of(training: Training) -> dict[str, float]:
+    """Of the terms of all networks that unshear."""
     return {
         "supervised": 1.0,
         "patch": training.patch_weight,
@@ -155,6 +167,8 @@ def _weights(training: Training) -> dict[str, float]:
         "swap": training.swap_weight,
         "agreement": training.agreement_weight,
         "slide": training.slide_weight,
+        "tap": training.tap_weight,
+        "alike": training.alike_weight,
     }
 
 
@@ -165,18 +179,27 @@ def _check_crops(net: networks.UnshearNet | networks.UNet, training: Training) -
         raise UserError(f"crops: {training.crops} of them leave no patch loss: use at least 1, or patch_weight 0")
 
 
-def _watcher(
-    training: Training, teacher: Callable[[Array], Array] | None, targets: Targets
+def watcher(
+    training: Training,
+    teacher: Callable[[Array], Array] | None,
+    targets: Targets,
+    loss: Callable[[Array, Array, tuple[float, ...]], Array],
 ) -> Callable[[Array, Array, Batch], Array] | None:
-    """The loss by the pose that `teacher` reads, of image, canonical image and batch; None where it has no weight. Raises
-    UserError."""
+    """How far the pose that `teacher` reads off unsheared images or pins lies from the one it reads off the taps (B,), as a function of
+    both and the batch; with `pose_target` "label", from the true one. None where it has no weight. Raises UserError."""
     if not training.pose_weight:
         return None
     if teacher is None:
         raise UserError("pose_weight: a PoseNet is needed to read the pose: train one first, or use pose_weight 0")
     if not targets:
         raise UserError("pose_weight: no pose targets are known: give them, or use pose_weight 0")
-    return partial(watched, teacher, targets, training.pose_target)
+    weights = posenet.output_weights(targets)
+
+    def watched(unsheared: Array, canonical: Array, batch: Batch) -> Array:
+        wanted = posenet.pose_targets(batch, targets) if training.pose_target == "label" else teacher(canonical)
+        return loss(teacher(unsheared), wanted, weights)
+
+    return watched
 
 
 def _head(
@@ -189,15 +212,6 @@ def _head(
     if not targets:
         raise UserError("label_weight: no pose targets are known: give them, or use label_weight 0")
     return partial(_init_with_head, net, posenet.outputs_of(targets)), partial(_labelled, targets)
-
-
-def watched(
-    teacher: Callable[[Array], Array], targets: Targets, target: str, image: Array, canonical: Array, batch: Batch
-) -> Array:
-    """How far the pose that `teacher` reads off an image lies from the one it reads off the tap (B,): no label enters. With `target`
-    "label", from the true one."""
-    wanted = posenet.pose_targets(batch, targets) if target == "label" else teacher(canonical)
-    return losses.pose(teacher(image), wanted, posenet.output_weights(targets))
 
 
 def _init_with_head(net: networks.UnshearNet, outputs: int, key: Array) -> Tree:
@@ -217,12 +231,8 @@ def _labelled(targets: Targets, variables: Tree, code: Array, batch: Batch) -> d
 def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
     """Absolute errors in mm and deg by target, each (B,)."""
     got, true = posenet.pose_from_outputs(outputs, targets), true_values(targets, batch)
-    return {name: jnp.abs(_wrapped(got[name] - true[name], 360.0 if name.endswith("_deg") else None)) for name in got}
-
-
-def slide_term(z_s: Array, batch: Batch, slides: Targets) -> Array:
-    """How far the first numbers of z_s (B, ...) lie from the slide (B,)."""
-    return losses.slide(z_s.reshape(z_s.shape[0], -1), 2 * posenet.pose_targets(batch, slides) - 1)
+    apart = {name: got[name] - true[name] for name in got}
+    return {name: jnp.abs((off + 180) % 360 - 180 if name.endswith("_deg") else off) for name, off in apart.items()}
 
 
 def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
@@ -233,17 +243,12 @@ def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:
     return named
 
 
+def _as_floats(batch: Batch) -> Batch:
+    """With all images as `_unit` has them."""
+    images = ("canonical", "sheared", OTHER_IMAGE, SWAPPED_IMAGE)
+    return batch | {name: _unit(batch[name]) for name in images if name in batch}
+
+
 def _unit(images: Array) -> Array:
     """uint8 {0, 255} -> float32 [0, 1]; floats are taken as they are."""
     return images.astype(jnp.float32) / 255.0 if jnp.issubdtype(images.dtype, jnp.integer) else images
-
-
-def _wrapped(difference: Array, turn: float | None) -> Array:
-    return difference if turn is None else (difference + turn / 2) % turn - turn / 2
-
-
-def _checked(check: Callable[[Net], None], net: Net) -> None:
-    try:
-        check(net)
-    except ValueError as error:
-        raise UserError(str(error)) from error

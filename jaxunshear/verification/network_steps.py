@@ -23,8 +23,8 @@ from jaxunshear.settings.training import Training
 from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.guard import check_state, check_terms
-from jaxunshear.training.loop import run_once
-from jaxunshear.training.step import State, fresh, make_step, optimiser_of
+from jaxunshear.training.loop import first_state
+from jaxunshear.training.step import State, make_step, optimiser_of
 from jaxunshear.training.tasks import Task, posenet_task, unshear_task
 from jaxunshear.verification.network_images import Batch
 from jaxunshear.verification.stability_networks import Found
@@ -68,9 +68,8 @@ def _programs(net: Net, training: Training) -> Programs:
         return make_step(weighed, training, optimiser, jax.random.key(1))(state, batch)
 
     optimiser = optimiser_of(training, STEPS, 1)
-    start = jax.jit(lambda key: fresh(task.init(key), optimiser), compiler_options=run_once())
     infer_ = jax.jit(lambda variables, images: infer(net, variables, images))
-    return Programs(start(jax.random.key(0)), jax.jit(step), infer_)
+    return Programs(first_state(task, optimiser, jax.random.key(0)), jax.jit(step), infer_)
 
 
 def walk(

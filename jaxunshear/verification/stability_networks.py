@@ -19,6 +19,7 @@ import jax
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.model.parts import leaves_of
 from jaxunshear.training import checkpoint
 
 FINITE, STOPPED, REFUSED = "finite", "stopped, and said so", "refused"
@@ -131,9 +132,8 @@ def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
 
 def not_finite(tree: Mapping[str, object]) -> list[str]:
     """Dotted names of the arrays that hold a NaN or an infinity."""
-    leaves = jax.tree_util.tree_leaves_with_path(dict(tree))
-    broken = [path for path, leaf in leaves if not np.isfinite(np.asarray(leaf, np.float64)).all()]
-    return [jax.tree_util.keystr(path, simple=True, separator=".") for path in broken]
+    leaves = leaves_of(dict(tree))
+    return [name for name, leaf in leaves.items() if not np.isfinite(np.asarray(leaf, np.float64)).all()]
 
 
 def table(rows: Sequence[NetworkRow]) -> str:

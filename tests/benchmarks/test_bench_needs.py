@@ -3,6 +3,7 @@
 import pytest
 
 from jaxunshear.benchmarks import bench_needs
+from jaxunshear.errors import UserError
 
 
 @pytest.fixture(scope="module")
@@ -30,5 +31,5 @@ def test_rows_hold_both_ways(rows):
 
 
 def test_a_size_that_cannot_be_halved_is_refused():
-    with pytest.raises(ValueError, match="100 px"):
+    with pytest.raises(UserError, match="100 px"):
         bench_needs.bench_needs(size=100)

@@ -7,7 +7,6 @@ import pytest
 from scipy.spatial import cKDTree
 
 from jaxunshear.benchmarks.strangers import STRANGERS, touched, varied
-from jaxunshear.errors import UserError
 from jaxunshear.image.camera import frame
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.framing import undeformed
@@ -192,15 +191,6 @@ def test_what_cannot_be():
         expected_of(np.zeros((9, 2)), 128)
     with pytest.raises(ValueError, match="no images"):
         verdict(np.zeros((0, 128, 128), np.uint8), Expected(331, 0.04, 0.38, (0.5, 0.5), 0.6))
-
-
-def test_json(sets):
-    expected = sets["127"].expected
-    assert Expected.from_json(expected.to_json()) == expected
-    with pytest.raises(UserError, match="rim"):
-        Expected.from_json({key: value for key, value in expected.to_json().items() if key != "rim"})
-    with pytest.raises(UserError, match="cannot be read"):
-        Expected.from_json(expected.to_json() | {"middle": [0.5]})
 
 
 def test_real_images(real_recordings):

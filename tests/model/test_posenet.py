@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.errors import UserError
 from jaxunshear.model import posenet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import PoseNet
@@ -67,5 +68,5 @@ def test_outputs_lie_between_zero_and_one_and_do_not_depend_on_the_batch(net):
 
 @pytest.mark.parametrize(("net", "field"), [(PoseNet(size=100), "size"), (PoseNet(widths=(4, 4)), "widths")])
 def test_sizes_that_do_not_fit_are_refused_by_name(net, field):
-    with pytest.raises(ValueError, match=field):
+    with pytest.raises(UserError, match=field):
         posenet.init(net, 5, jax.random.key(0))

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxunshear.errors import UserError
 from jaxunshear.model import unet, unshearnet
 from jaxunshear.settings.networks import UNet, UnshearNet
 from jaxunshear.training.loop import run_once
@@ -58,7 +59,7 @@ def test_skips_keep_every_pixel_in_its_place():
 
 
 def test_a_size_that_cannot_be_halved_is_refused():
-    with pytest.raises(ValueError, match="size"):
+    with pytest.raises(UserError, match="size"):
         unet.init(replace(NET, size=36), jax.random.key(0))
 
 

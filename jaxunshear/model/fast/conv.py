@@ -9,7 +9,7 @@ at a few per cent of it (strided and transposed ones above all). Two rewritings 
    the channels. The transposed convolution writes blocks instead of reading them. Those next to the image have a module of
    their own (outermost.py).
 
->>> y = conv_valid(to_blocks(pad(x, 1), 2), down_kernel(w))    # (B, H, W, C) -> (B, H/2, W/2, N), w (4, 4, C, N)
+>>> y = conv_valid(to_blocks(pad(x, 1)), down_kernel(w))    # (B, H, W, C) -> (B, H/2, W/2, N), w (4, 4, C, N)
 >>> z = conv_valid(pad(x, 1), up_kernel(w))                    # (B, H, W, C) -> (B, H+1, W+1, 4N): bordered blocks
 
 *Bordered blocks* are the blocks of an image that was padded by one pixel: the outermost half of the outermost blocks
@@ -34,19 +34,18 @@ def pad(x: Array, pixels: int) -> Array:
     return jnp.pad(x, ((0, 0), (pixels, pixels), (pixels, pixels), (0, 0)))
 
 
-def to_blocks(x: Array, side: int) -> Array:
-    """Space to depth: (B, s H, s W, C) -> (B, H, W, s s C), channels ordered (row in block, column in block,
-    channel)."""
+def to_blocks(x: Array) -> Array:
+    """Space to depth: (B, 2 H, 2 W, C) -> (B, H, W, 4 C), channels ordered (row in block, column in block, channel)."""
     b, h, w, c = x.shape
-    x = x.reshape(b, h // side, side, w // side, side, c).transpose(0, 1, 3, 2, 4, 5)
-    return x.reshape(b, h // side, w // side, side * side * c)
+    x = x.reshape(b, h // 2, 2, w // 2, 2, c).transpose(0, 1, 3, 2, 4, 5)
+    return x.reshape(b, h // 2, w // 2, 4 * c)
 
 
-def from_blocks(x: Array, side: int) -> Array:
+def from_blocks(x: Array) -> Array:
     """Depth to space, the inverse of `to_blocks`."""
     b, h, w, c = x.shape
-    x = x.reshape(b, h, w, side, side, c // (side * side)).transpose(0, 1, 3, 2, 4, 5)
-    return x.reshape(b, h * side, w * side, c // (side * side))
+    x = x.reshape(b, h, w, 2, 2, c // 4).transpose(0, 1, 3, 2, 4, 5)
+    return x.reshape(b, 2 * h, 2 * w, c // 4)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2,))

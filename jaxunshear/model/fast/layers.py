@@ -1,8 +1,5 @@
-"""The layers of `model/layers.py` as a CPU computes them fast: of the same names, parameters and values to rounding. Arrays between them
-are in the layout that the next one reads ("plain", "padded", "blocks": norm.py).
-
-The precision is that of the images given: kernels are rounded to it, so bfloat16 images give bfloat16 products, logits and
-gradients of kernels, which are kept in float32 from there on, as are parameters and statistics.
+"""The layers of `model/layers.py` as a CPU computes them fast: of the same names, parameters, precision and values to rounding. Arrays
+between them are in the layout that the next one reads ("plain", "padded", "blocks": norm.py).
 """
 
 import flax.linen as nn

@@ -49,7 +49,7 @@ class UNet(nn.Module):
             arrays.append(Down(width)(arrays[-1], train))
         x = conv.pad(Down(widths[-1], "plain")(arrays[-1], train), 1)
         for width in reversed(widths[:-1]):
-            x = jnp.concatenate([Up(width)(x, train), conv.from_blocks(arrays.pop(), 2)], -1)
+            x = jnp.concatenate([Up(width)(x, train), conv.from_blocks(arrays.pop())], -1)
         x, skipped = Up(first, "blocks")(x, train), arrays.pop()
         return Last()(_joined_blocks(x, skipped), train)
 
@@ -81,4 +81,4 @@ def _joined_blocks(a: Array, b: Array) -> Array:
 def _halve(x: Array) -> Array:
     """2x2 max pooling (whose windowed form has a slow gradient in XLA's CPU backend)."""
     b, h, w, c = x.shape
-    return conv.to_blocks(x, 2).reshape(b, h // 2, w // 2, 4, c).max(3)
+    return conv.to_blocks(x).reshape(b, h // 2, w // 2, 4, c).max(3)

@@ -28,10 +28,10 @@ def relayout(x: Array, source: str, target: str) -> Array:
     """An image in another layout."""
     if source == target:
         return x
-    padded = conv.pad(x, 1) if source == "plain" else conv.from_blocks(x, 2) if source == "blocks" else x
+    padded = conv.pad(x, 1) if source == "plain" else conv.from_blocks(x) if source == "blocks" else x
     if target == "plain":
         return padded[:, 1:-1, 1:-1]
-    return conv.to_blocks(padded, 2) if target == "blocks" else padded
+    return conv.to_blocks(padded) if target == "blocks" else padded
 
 
 def inside(height: int, width: int) -> np.ndarray:

@@ -57,7 +57,7 @@ def test_equals_flax(source, target, channels):
 
     def ours(x, scale, bias):
         padded = jnp.pad(x, ((0, 0), (1, 1), (1, 1), (0, 0)), constant_values=50.0)
-        given = conv.to_blocks(padded, 2) if source == "blocks" else x
+        given = conv.to_blocks(padded) if source == "blocks" else x
         y = norm.norm_relu(given, scale, bias, source, target)[0]
         full = norm.relayout(y, target, "padded")
         border = full.at[:, 1:-1, 1:-1].set(0)
@@ -153,7 +153,7 @@ def test_gradient_outside_is_zero():
 
 
 def test_inside_marks_the_padded_ring():
-    mask = conv.from_blocks(jnp.asarray(norm.inside(4, 3))[None], 2)[0, ..., 0]
+    mask = conv.from_blocks(jnp.asarray(norm.inside(4, 3))[None])[0, ..., 0]
     expected = np.zeros((8, 6))
     expected[1:-1, 1:-1] = 1
     np.testing.assert_array_equal(mask, expected)

@@ -1,0 +1,31 @@
+"""A training to be timed: its step, its first state, and what it sees."""
+
+from collections.abc import Callable
+
+import jax
+import numpy as np
+
+from jaxunshear.model.parts import Variables
+from jaxunshear.settings.training import Training
+from jaxunshear.training.loop import first_state, run_once
+from jaxunshear.training.step import State, make_step, optimiser_of
+from jaxunshear.training.tasks import Batch, Task
+
+
+def variables_of(init: Callable[[jax.Array], Variables], seed: int = 0) -> Variables:
+    """Fresh ones."""
+    return jax.jit(init, compiler_options=run_once())(jax.random.key(seed))
+
+
+def step_of(
+    task: Task, training: Training
+) -> tuple[Callable[[State, Batch], tuple[State, dict[str, jax.Array]]], State]:
+    """The step, not yet compiled, and the state before the first one."""
+    optimiser = optimiser_of(training, 1000, 100)
+    step = make_step(task, training, optimiser, jax.random.key(1))
+    return step, first_state(task, optimiser, jax.random.key(0))
+
+
+def dots(images: int, size: int) -> np.ndarray:
+    """Noise in the place of taps and of slides, (2, images, size, size, 1) uint8 of {0, 255}."""
+    return 255 * np.random.default_rng(0).integers(0, 2, (2, images, size, size, 1), np.uint8)
