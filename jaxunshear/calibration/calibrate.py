@@ -7,11 +7,12 @@ Domes are kept in the cache, so that a second calibration of the same sensor tak
 """
 
 from collections.abc import Callable, Collection
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.calibration.calibrated import Calibrated
 from jaxunshear.calibration.comparison import compared
 from jaxunshear.calibration.fit import Fitted, fit
 from jaxunshear.calibration.matching import CREDIBLE, read_labels
@@ -90,7 +91,7 @@ def calibrate(
     results: Json = {
         "rows": rows_of(reported),
         "parameters": parameters,
-        "preset": _preset(after_sensor, after),
+        "preset": Calibrated("", after_sensor, after.camera(Camera().frame_px), after.friction).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.seen.found) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
@@ -216,12 +217,6 @@ def _with_scale(radius: tuple[float, float, float], fitted: Fitted) -> tuple[flo
         scale = best * (fitted.high["mm_across"] - fitted.low["mm_across"]) / 2 / fitted.values.mm_across
     half = float(np.hypot((high - low) / 2, scale))
     return best, best - half, best + half
-
-
-def _preset(sensor: Sensor, values: Values) -> Json:
-    """Fields of `Sensor` and `Camera` and the friction, as they would be written into a preset."""
-    camera = asdict(values.camera(Camera().frame_px))
-    return {"sensor": asdict(sensor), "camera": camera, "friction": values.friction}
 
 
 def _reported(held: Collection[str], fitted: Fitted, lost: dict[str, int]) -> list[str]:
