@@ -11,7 +11,7 @@ import numpy as np
 
 from jaxunshear.calibration.labels import Frame, Motions, framed
 from jaxunshear.calibration.prediction import Simulate, Values, displacements
-from jaxunshear.calibration.statistics import Seen
+from jaxunshear.calibration.statistics import Seen, camera_turn
 from jaxunshear.calibration.validation import centred, r2, settled
 from jaxunshear.settings.sensor import Sensor
 
@@ -45,30 +45,24 @@ class Matter(NamedTuple):
         moved, fine = self.moved(frame)
         recorded, simulated = np.zeros((2, *self.seen.place.shape))
         if fine.any():
-            here = self.seen.take(np.flatnonzero(fine))
-            _, place = settled(self.values, self.sensor, here.size, here.place, moved[fine])
-            one, other = (np.nan_to_num(motion) for motion in centred(here.place, place))
-            recorded[fine], simulated[fine] = one, turned(other, turn_between(one, other))
+            one, other = (np.nan_to_num(motion) for motion in self._centred(moved, fine))
+            recorded[fine], simulated[fine] = one, other @ camera_turn(turn_between(one, other))
         return recorded, simulated
 
     def turn(self, frame: Frame) -> float:
         """The turn (rad) from column towards row that is left between recorded and simulated motions."""
-        moved, fine = self.moved(frame)
+        return turn_between(*self._centred(*self.moved(frame)))
+
+    def _centred(self, moved: np.ndarray, fine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         here = self.seen.take(np.flatnonzero(fine))
         _, place = settled(self.values, self.sensor, here.size, here.place, moved[fine])
-        return turn_between(*centred(here.place, place))
+        return centred(here.place, place)
 
 
 def turn_between(recorded: np.ndarray, simulated: np.ndarray) -> float:
     """The turn (rad), from column towards row, that brings simulated motions (N, P, 2) nearest to recorded ones."""
     one, other = (np.nan_to_num(motion) @ np.array([1, 1j]) for motion in (recorded, simulated))
     return float(np.angle(np.sum(one * np.conj(other))))
-
-
-def turned(motion: np.ndarray, angle: float) -> np.ndarray:
-    """Motions (..., 2) turned by `angle` rad from column towards row."""
-    cos, sin = np.cos(angle), np.sin(angle)
-    return motion @ np.array([[cos, sin], [-sin, cos]])
 
 
 def find_frame(matter: Matter, start: Frame, names: Collection[str] = tuple(STEPS)) -> Frame:
@@ -79,7 +73,7 @@ def find_frame(matter: Matter, start: Frame, names: Collection[str] = tuple(STEP
     for _ in range(ROUNDS):
         step = _step(matter, frame, names, recorded, simulated)
         for share in SHORTER:
-            there = _along(frame, dict(zip(names, share * step, strict=True)))
+            there = along(frame, dict(zip(names, share * step, strict=True)))
             tried = matter.compared(there)
             if r2(*tried) > score:
                 break
@@ -92,13 +86,14 @@ def find_frame(matter: Matter, start: Frame, names: Collection[str] = tuple(STEP
     return frame
 
 
-def _along(frame: Frame, step: dict[str, float]) -> Frame:
+def along(frame: Frame, step: dict[str, float]) -> Frame:
+    """The frame, moved on by numbers of STEPS."""
     return frame._replace(**{name: float(getattr(frame, name) + STEPS[name] * size) for name, size in step.items()})
 
 
 def _step(matter: Matter, frame: Frame, names: list[str], recorded: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     """Of Gauss-Newton, in units of STEPS."""
-    slopes = np.array([(matter.compared(_along(frame, {name: 1.0}))[1] - simulated).ravel() for name in names])
+    slopes = np.array([(matter.compared(along(frame, {name: 1.0}))[1] - simulated).ravel() for name in names])
     normal = slopes @ slopes.T
     step = np.linalg.solve(normal + DAMPING * np.diag(np.diag(normal)), slopes @ (recorded - simulated).ravel())
     return np.clip(step, -FARTHEST, FARTHEST)

@@ -6,12 +6,13 @@
 Domes are kept in the cache, so that a second calibration of the same sensor takes a third of the time.
 """
 
-from collections.abc import Callable, Collection, Iterator
-from dataclasses import asdict, replace
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.calibration.calibrated import Calibrated
 from jaxunshear.calibration.comparison import compared
 from jaxunshear.calibration.fit import Fitted, fit
 from jaxunshear.calibration.matching import CREDIBLE, read_labels
@@ -20,7 +21,7 @@ from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.rendering import contact_tips, fit_housing, fit_pin_radius
 from jaxunshear.calibration.report import curves, rows_of, table
 from jaxunshear.calibration.sampling import Recorded, sample
-from jaxunshear.calibration.statistics import Seen, observe
+from jaxunshear.calibration.statistics import Seen
 from jaxunshear.errors import UserError
 from jaxunshear.image.pins import find_pins
 from jaxunshear.progress import Progress
@@ -90,7 +91,7 @@ def calibrate(
     results: Json = {
         "rows": rows_of(reported),
         "parameters": parameters,
-        "preset": _preset(after_sensor, after),
+        "preset": Calibrated("", after_sensor, after.camera(Camera().frame_px), after.friction).preset,
         "ring_error_px": {"before": fitted.before_px, "after": fitted.after_px},
         "images": {group.name: len(group.seen.found) for group in groups},
         "image_names": [name for part in recorded for name in part.names],
@@ -106,10 +107,10 @@ def calibrate(
 
 
 def _check_held(held: Collection[str]) -> None:
-    wrong = [name for name in held if name not in UNITS or name == "pin_radius_mm"]
+    known = [name for name in UNITS if name != "pin_radius_mm"]
+    wrong = [name for name in held if name not in known]
     if wrong:
-        known = ", ".join(name for name in UNITS if name != "pin_radius_mm")
-        raise UserError(f"'{wrong[0]}' cannot be held: name some of {known}")
+        raise UserError(f"'{wrong[0]}' cannot be held: name some of {', '.join(known)}")
 
 
 def _fit(groups: list[Group], sensor: Sensor, start: Values, held: Collection[str]) -> Fitted:
@@ -142,8 +143,7 @@ def _groups(
     """Every folder's pins, with its contacts where the labels go with the images."""
     groups, surfaces, framing = [], [], []
     for part in recorded:
-        with Progress(f"pins of {part.name}", len(part.images)) as progress:
-            seen = observe(_counted(part.images, progress), sensor)
+        seen = part.observe(sensor)
         framing.append(
             np.linalg.norm(seen.lattice.place[seen.lattice.shell == sensor.rings] - seen.lattice.middle, axis=-1).mean()
             / seen.size
@@ -165,29 +165,14 @@ def _groups(
     return groups, tuple(surfaces)
 
 
-def _counted(images: np.ndarray, progress: Progress) -> Iterator[np.ndarray]:
-    for image in images:
-        yield image
-        progress.advance()
-
-
-def readable(part: Recorded, seen: Seen) -> np.ndarray:
-    """Rows of the images whose pins are sure and whose labels, as far as there are any, can be read."""
-    rows = np.flatnonzero(seen.sure)
-    if part.poses is not None:
-        rows = rows[np.isfinite(part.poses[rows]).all(axis=-1)]
-    if part.moves is not None and np.isfinite(part.moves).any():  # a slide that cannot be read is no tap
-        rows = rows[np.isfinite(part.moves[rows]).all(axis=-1)]
-    return rows
-
-
 def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: list[str]) -> tuple[Group, float]:
-    rows = readable(part, seen)
+    unread = Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
+    rows = np.flatnonzero(seen.sure & part.labelled)
     if part.poses is None or len(rows) < LEAST_LABELLED:
         notes.append(
             f"{part.name}: fewer than {LEAST_LABELLED} labelled poses, so it determines framing and pin size only"
         )
-        return Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
+        return unread
     moves = None if part.moves is None else part.moves[rows]
     reading = read_labels(seen.take(rows), part.poses[rows], moves, start, sensor)
     if reading is None:
@@ -195,20 +180,15 @@ def _labelled(part: Recorded, seen: Seen, sensor: Sensor, start: Values, notes: 
             f"{part.name}: simulated touches as labelled move pins otherwise than these images show "
             f"(correlation below {CREDIBLE}), so it determines framing and pin size only"
         )
-        return Group(part.name, seen.take(np.flatnonzero(seen.sure))), 0.0
-    edge = (
-        ""
-        if reading.side == 0
-        else ", an edge with the object on the side of its "
-        + ("negative" if reading.side > 0 else "positive")
-        + " labels"
-    )
+        return unread
+    edge = ""
+    if reading.side:
+        edge = f", an edge with the object on the side of its {'negative' if reading.side > 0 else 'positive'} labels"
     notes.append(
         f"{part.name}: labels read with a correlation of {reading.match:.2f}{edge}; camera turned by {np.degrees(reading.angle):.0f} deg"
     )
-    return Group(
-        part.name, seen.take(rows).turned(reading.mirrored, reading.angle), reading.contacts, reading.side
-    ), reading.surface_mm
+    turned = seen.take(rows).turned(reading.mirrored, reading.angle)
+    return Group(part.name, turned, reading.contacts, reading.side), reading.surface_mm
 
 
 def _parameters(
@@ -220,11 +200,10 @@ def _parameters(
     high: float | None
     for name, unit in UNITS.items():
         if name == "pin_radius_mm":
-            before, after, low, high = sensor.pin_radius_mm, *radius
+            before, after, low, high, determined = sensor.pin_radius_mm, *radius, True
         else:
             before, after = getattr(start, name), getattr(fitted.values, name)
-            low, high = fitted.low.get(name), fitted.high.get(name)
-        determined = name == "pin_radius_mm" or fitted.determined.get(name, False)
+            low, high, determined = fitted.low.get(name), fitted.high.get(name), fitted.determined.get(name, False)
         known = {"before": before, "after": after, "low": low, "high": high, "determined": determined}
         rows.append({"name": name, "unit": unit, **known, "held": name in held})
     return rows
@@ -238,12 +217,6 @@ def _with_scale(radius: tuple[float, float, float], fitted: Fitted) -> tuple[flo
         scale = best * (fitted.high["mm_across"] - fitted.low["mm_across"]) / 2 / fitted.values.mm_across
     half = float(np.hypot((high - low) / 2, scale))
     return best, best - half, best + half
-
-
-def _preset(sensor: Sensor, values: Values) -> Json:
-    """Fields of `Sensor` and `Camera` and the friction, as they would be written into a preset."""
-    camera = asdict(values.camera(Camera().frame_px))
-    return {"sensor": asdict(sensor), "camera": camera, "friction": values.friction}
 
 
 def _reported(held: Collection[str], fitted: Fitted, lost: dict[str, int]) -> list[str]:

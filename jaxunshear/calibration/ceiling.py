@@ -30,12 +30,12 @@ def features(contacts: Motions) -> np.ndarray:
     return (columns[:, varied] - columns[:, varied].mean(axis=0)) / spread[varied]
 
 
-def explained_by_labels(contacts: Motions, motion: np.ndarray, seed: int = 0) -> np.ndarray:
+def explained_by_labels(contacts: Motions, motion: np.ndarray) -> np.ndarray:
     """(N, P, 2) of motions (N, P, 2) px, each from the labels of contacts of other folds: kernel ridge regression, with the width and
     the ridge that do best over all folds."""
     x, y = features(contacts), np.nan_to_num(less_mean(motion)).reshape(len(motion), -1)
     square = np.maximum(np.sum(x**2, 1)[:, None] + np.sum(x**2, 1) - 2 * x @ x.T, 0)
-    fold = np.random.default_rng(seed).permutation(len(x)) % FOLDS
+    fold = np.random.default_rng(0).permutation(len(x)) % FOLDS
     best, error = np.zeros_like(y), np.inf
     for width in WIDTHS:
         kernel = np.exp(-square / (2 * width**2 * x.shape[1]))

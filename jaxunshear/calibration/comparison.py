@@ -34,7 +34,7 @@ def _simulated(groups: list[Group], sensor: Sensor, values: Values, tips: Tips) 
     parts: list[list[Summary]] = []
     pictures: list[np.ndarray] = []
     for group, (tip, converged) in zip(groups, tips, strict=True):
-        images = render(values.camera(group.seen.size), sensor, group.seen.size, tip)
+        images = render(values.camera(group.seen.size), sensor, tip)
         pictures = pictures or [images[0]]
         seen = observe(images, sensor)
         parts.append(summaries_of(group, seen, converged & seen.sure))

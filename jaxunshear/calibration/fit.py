@@ -28,9 +28,7 @@ class Fitted(NamedTuple):
     low: dict[str, float]
     high: dict[str, float]
     determined: dict[str, bool]
-    before_px: (
-        float  # distance of recorded rings from simulated ones, rms over an image's pins, median image, px of 128
-    )
+    before_px: float  # from recorded to simulated rings, rms over an image's pins, median image, px of 128
     after_px: float
     dropped: int  # contacts that did not converge
 
@@ -127,24 +125,14 @@ def _bootstrap(
 def _reported(problem: Problem, x: np.ndarray, spread: np.ndarray, before: float, residual: np.ndarray) -> Fitted:
     ends = np.percentile(spread, [2.5, 97.5], axis=0)
     ends = ends - np.median(spread, axis=0) + x  # the draws scatter about their own middle; the fit is what is reported
-    reported = {}
-    for k, name in enumerate(problem.names):
-        start = getattr(problem.start, name) if k < len(problem.scalars) else None
-        reported[name] = [
-            float(start * np.exp(e)) if start is not None else float(problem.start.surface_mm[_group(problem, k)] + e)
-            for e in ends[:, k]
-        ]
+    low, high = (problem.named(problem.values(end)) for end in ends)
     width = (ends[1] - ends[0]) / (2 * 1.96 * problem.prior())
     return Fitted(
         problem.values(x),
-        {name: pair[0] for name, pair in reported.items()},
-        {name: pair[1] for name, pair in reported.items()},
+        low,
+        high,
         {name: bool(w < DETERMINED) for name, w in zip(problem.names, width, strict=True)},
         before,
         _error(residual),
         int(np.sum(residual[:, 0] == UNSOLVED_PX)),
     )
-
-
-def _group(problem: Problem, k: int) -> int:
-    return problem.surfaces[k - len(problem.scalars)]

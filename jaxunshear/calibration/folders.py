@@ -1,6 +1,5 @@
 """A folder of recorded contacts as the simulator can follow them: labels read, pins followed, the object's frame found."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -14,12 +13,10 @@ from jaxunshear.calibration.held_out import Parts
 from jaxunshear.calibration.labels import Frame, Motions, framed, motions, to_paths
 from jaxunshear.calibration.matching import read_labels
 from jaxunshear.calibration.prediction import displacements
-from jaxunshear.calibration.sampling import Recorded
-from jaxunshear.calibration.statistics import Seen, observe
+from jaxunshear.calibration.statistics import Seen
 from jaxunshear.calibration.validation import Compared, centred, mm_per_px, settled
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import DEPTH, X
-from jaxunshear.settings.sensor import Sensor
 
 CHUNK = 50  # contacts between two steps of the progress
 
@@ -60,8 +57,8 @@ class Aligned(NamedTuple):
 def read_folder(parts: Parts, known: Calibrated) -> tuple[Folder | str, list[dict[str, str]]]:
     """A folder's labelled contacts, or why it has none that can be compared; and the images left out (image, why)."""
     align, scored = parts.align, parts.scored
-    seen = _observed(align, known.sensor)
-    rows = np.flatnonzero(_labelled(align) & seen.sure)
+    seen = align.observe(known.sensor)
+    rows = np.flatnonzero(align.labelled & seen.sure)
     if len(rows) < LEAST_LABELLED:
         return f"{len(rows)} images to align by are labelled and followed, fewer than {LEAST_LABELLED}", []
     assert align.poses is not None  # else none would be labelled
@@ -71,14 +68,13 @@ def read_folder(parts: Parts, known: Calibrated) -> tuple[Folder | str, list[dic
         return "its labels do not go with its images", []
     turned = seen.take(rows).turned(reading.mirrored, reading.angle)
     matter = Matter(turned, reading.contacts, reading.side, known.values, known.sensor)
-    sign = 1 if moves is None or np.allclose(_read(align, rows, 1).tip, reading.contacts.tip) else -1
-    compared, labelled = _observed(scored, known.sensor), _labelled(scored)
-    left_out = [{"image": scored.names[i], "why": "its label cannot be read"} for i in np.flatnonzero(~labelled)]
-    unsure = labelled & ~compared.sure
-    left_out += [{"image": scored.names[i], "why": "its pins cannot be followed"} for i in np.flatnonzero(unsure)]
+    compared, labelled = scored.observe(known.sensor), scored.labelled
+    left_out = _left_out(scored.names, ~labelled, "its label cannot be read")
+    left_out += _left_out(scored.names, labelled & ~compared.sure, "its pins cannot be followed")
     kept = np.flatnonzero(labelled & compared.sure)
     if len(kept) < LEAST_LABELLED:
         return f"{len(kept)} contacts are labelled and followed, fewer than {LEAST_LABELLED}", left_out
+    assert scored.poses is not None  # else none would be labelled
     folder = Folder(
         scored.name,
         matter,
@@ -86,7 +82,7 @@ def read_folder(parts: Parts, known: Calibrated) -> tuple[Folder | str, list[dic
         reading.mirrored,
         reading.angle,
         compared.take(kept),
-        _read(scored, kept, sign),
+        motions(scored.poses[kept], None if scored.moves is None else reading.sign * scored.moves[kept]),
         tuple(scored.names[i] for i in kept),
         align.names,
     )
@@ -115,10 +111,7 @@ def compare(folder: Folder, aligned: Aligned, known: Calibrated) -> tuple[Compar
     contacts = framed(folder.contacts, aligned.frame)
     moved, converged = _solved(folder.name, contacts, aligned.side, known)
     kept = np.flatnonzero(converged)
-    left_out = [
-        {"image": folder.images[i], "why": "out of the simulator's reach, or not converged"}
-        for i in np.flatnonzero(~converged)
-    ]
+    left_out = _left_out(folder.images, ~converged, "out of the simulator's reach, or not converged")
     if len(kept) < LEAST_LABELLED:
         return None, left_out
     seen = folder.seen.turned(folder.mirrored, aligned.angle).take(kept)
@@ -155,27 +148,5 @@ def _solved(name: str, contacts: Motions, side: int, known: Calibrated) -> tuple
     return np.concatenate([moved for moved, _ in parts]), np.concatenate([fine for _, fine in parts])
 
 
-def _observed(part: Recorded, sensor: Sensor) -> Seen:
-    with Progress(f"pins of {part.name}", len(part.images)) as progress:
-
-        def counted() -> Iterator[np.ndarray]:
-            for image in part.images:
-                yield image
-                progress.advance()
-
-        return observe(counted(), sensor)
-
-
-def _labelled(part: Recorded) -> np.ndarray:
-    """(N,) bool: pose known, and the slide where the folder has any."""
-    if part.poses is None:
-        return np.zeros(len(part.images), bool)
-    known = np.isfinite(part.poses).all(axis=-1)
-    if part.moves is not None and np.isfinite(part.moves).any():
-        known &= np.isfinite(part.moves).all(axis=-1)
-    return known
-
-
-def _read(part: Recorded, rows: np.ndarray, sign: int) -> Motions:
-    assert part.poses is not None  # else none would be labelled
-    return motions(part.poses[rows], None if part.moves is None else sign * part.moves[rows])
+def _left_out(names: tuple[str, ...], lost: np.ndarray, why: str) -> list[dict[str, str]]:
+    return [{"image": names[i], "why": why} for i in np.flatnonzero(lost)]

@@ -8,11 +8,9 @@ from jaxunshear.calibration.folders import Aligned, Folder, align, compare, fram
 from jaxunshear.calibration.held_out import among
 from jaxunshear.calibration.labels import Frame
 from jaxunshear.calibration.refit import UNITS, Point, refit, slopes_of
-from jaxunshear.calibration.validation import Compared, Row, rows_of
+from jaxunshear.calibration.validation import KINDS, Compared, Row, rows_of
 from jaxunshear.progress import Progress
 from jaxunshear.storage import Json
-
-KINDS = ("tap", "slide")
 
 
 class Scored(NamedTuple):

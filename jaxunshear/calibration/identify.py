@@ -21,16 +21,19 @@ import numpy as np
 from scipy.optimize import minimize
 
 from jaxunshear.contact.gradient import PinModel, pin_model, pins
-from jaxunshear.contact.level import Level
 from jaxunshear.progress import Progress
 from jaxunshear.scene.paths import Paths
-from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.storage import Json, write_bytes
 
 KNOTS = (3.0, 10.0, 30.0)  # skin:gel ratios at which the compliance is computed
 BOUNDS = np.log([[0.05, 3.0], [KNOTS[0], KNOTS[-1]]])
+TRUTH = np.array([0.55, 17.0])  # friction and ratio
+NOISE_MM = 0.02
 STARTS = ((0.2, 4.0), (0.2, 25.0), (1.5, 4.0), (1.5, 25.0))  # friction and ratio
 STIMULUS = "disk"
+GRID = 8  # values of each, at which the figure's contours are computed
+EVALUATIONS = 15  # of Gauss-Newton, at most
 GROUPS = {  # from (x, y) mm: down to a depth in mm, then along (dx, dy) mm
     "press": ((-2.0, 0.0, 2.0, 0.0, 0.0), (0.0, 1.0, 1.5, 0.0, 0.0)),
     "partial slip": ((-2.0, 0.0, 2.0, 0.4, 0.2), (0.0, 1.0, 1.5, -0.4, 0.3)),
@@ -47,7 +50,7 @@ class Descent(NamedTuple):
     seconds: float
 
 
-def scenes(friction: float) -> tuple[Paths, np.ndarray]:
+def scenes() -> tuple[Paths, np.ndarray]:
     """The motions, and the name (B,) of the group of each."""
     motions = [(name, motion) for name, group in GROUPS.items() for motion in group]
     points = np.zeros((len(motions), 3, 6))
@@ -55,7 +58,7 @@ def scenes(friction: float) -> tuple[Paths, np.ndarray]:
         row[:, :2] = [[x, y], [x, y], [x + dx, y + dy]]
         row[1:, 3] = depth
     count = len(motions)
-    return Paths(np.zeros(count, int), np.full(count, friction), points), np.array([name for name, _ in motions])
+    return Paths(np.zeros(count, int), np.full(count, TRUTH[0]), points), np.array([name for name, _ in motions])
 
 
 def seen(model: PinModel, points: jax.Array, theta: jax.Array) -> jax.Array:
@@ -79,16 +82,14 @@ def jacobian(model: PinModel, points: jax.Array, theta: jax.Array) -> tuple[jax.
     return jax.vmap(push, out_axes=(None, -1))(jnp.eye(2, dtype=theta.dtype))
 
 
-def lbfgs(
-    model: PinModel, points: jax.Array, target: jax.Array, noise_mm: float, start: tuple[float, float]
-) -> Descent:
+def lbfgs(model: PinModel, points: jax.Array, target: jax.Array, start: tuple[float, float]) -> Descent:
     """Down the loss by its gradient (scipy's L-BFGS-B)."""
     tried: list[np.ndarray] = []
     losses: list[float] = []
     begin = time.perf_counter()
 
     def evaluate(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        loss, slope = _loss_and_slope(model, points, jnp.asarray(theta), target, noise_mm)
+        loss, slope = _loss_and_slope(model, points, jnp.asarray(theta), target, NOISE_MM)
         tried.append(theta.copy())
         losses.append(float(loss))
         return losses[-1], np.asarray(slope, float)
@@ -97,19 +98,17 @@ def lbfgs(
     return _descent(tried, losses, begin)
 
 
-def gauss_newton(
-    model: PinModel, points: jax.Array, target: jax.Array, noise_mm: float, start: tuple[float, float], most: int = 15
-) -> Descent:
+def gauss_newton(model: PinModel, points: jax.Array, target: jax.Array, start: tuple[float, float]) -> Descent:
     """Least squares on the linearised pins, at most half a decade a step; a step that worsens the loss is halved."""
     theta, step = np.log(start), np.zeros(2)
     tried: list[np.ndarray] = []
     losses: list[float] = []
     begin = time.perf_counter()
-    while len(tried) < most:
+    while len(tried) < EVALUATIONS:
         found, slopes = jacobian(model, points, jnp.asarray(theta + step))
         miss = np.asarray(found - target).ravel()
         tried.append(theta + step)
-        losses.append(float(np.mean(miss**2)) / noise_mm**2)
+        losses.append(float(np.mean(miss**2)) / NOISE_MM**2)
         if losses[-1] > min(losses):
             step = step / 2
         else:
@@ -130,7 +129,7 @@ def _descent(tried: list[np.ndarray], losses: list[float], begin: float) -> Desc
 METHODS: dict[str, Callable[..., Descent]] = {"L-BFGS-B": lbfgs, "Gauss-Newton": gauss_newton}
 
 
-def determines(slopes: np.ndarray, group: np.ndarray, noise_mm: float) -> list[Json]:
+def determines(slopes: np.ndarray, group: np.ndarray) -> list[Json]:
     """What each group of scenes determines, from the Jacobian (B, P, 2, 2) by log(friction) and log(ratio).
 
     `*_mm`: rms motion of a pin in x and y per factor e. Singular values are over the noise: how many standard deviations all pins
@@ -140,7 +139,7 @@ def determines(slopes: np.ndarray, group: np.ndarray, noise_mm: float) -> list[J
     rows = []
     for name in [*dict.fromkeys(group), "all"]:
         chosen = slopes[(group == name) | (name == "all")]
-        matrix = chosen.reshape(-1, 2) / noise_mm
+        matrix = chosen.reshape(-1, 2) / NOISE_MM
         _, values, mixture = np.linalg.svd(matrix, full_matrices=False)
         spread = np.linalg.pinv(matrix.T @ matrix)
         friction_mm, ratio_mm = np.sqrt(np.mean(np.sum(chosen**2, axis=2), axis=(0, 1)))
@@ -161,46 +160,35 @@ def determines(slopes: np.ndarray, group: np.ndarray, noise_mm: float) -> list[J
     return rows
 
 
-def run(
-    out: Path | None = None,
-    sensor: Sensor = TACTIP_331,
-    friction: float = 0.55,
-    ratio: float = 17.0,
-    noise_mm: float = 0.02,
-    seed: int = 0,
-    level: str | Level = "default",
-    truth_level: str | Level = "reference",
-    starts: tuple[tuple[float, float], ...] = STARTS,
-    grid: int = 8,
-) -> Json:
+def run(out: Path | None = None) -> Json:
     """The experiment: `rows` of kind "determines", "fit" and "step" (of a fit), and `text`; the figure identify.svg in `out`."""
-    paths, group = scenes(friction)
-    steps = 2 + len(starts) * len(METHODS) + (grid if out is not None else 0)
+    paths, group = scenes()
+    steps = 2 + len(STARTS) * len(METHODS) + (GRID if out is not None else 0)
     with jax.enable_x64(True), Progress("identify", steps, unit="steps") as progress:
-        points, truth = jnp.asarray(paths.points), np.array([friction, ratio])
-        actual = replace(sensor, skin_modulus_mpa=ratio * sensor.gel_modulus_mpa)
-        exact = seen(pin_model(actual, (STIMULUS,), paths, truth_level), points, jnp.log(truth))
-        target = exact + noise_mm * np.random.default_rng(seed).normal(size=exact.shape)
+        points, theta = jnp.asarray(paths.points), jnp.log(TRUTH)
+        actual = replace(TACTIP_331, skin_modulus_mpa=TRUTH[1] * TACTIP_331.gel_modulus_mpa)
+        exact = seen(pin_model(actual, (STIMULUS,), paths, "reference"), points, theta)
+        target = exact + NOISE_MM * np.random.default_rng(0).normal(size=exact.shape)
         progress.advance(1)
-        model = pin_model(sensor, (STIMULUS,), paths, level, ratios=KNOTS, wide=False)
-        found, slopes = jacobian(model, points, jnp.log(truth))
-        rows = determines(np.asarray(slopes), group, noise_mm)
+        model = pin_model(TACTIP_331, (STIMULUS,), paths, "default", ratios=KNOTS, wide=False)
+        found, slopes = jacobian(model, points, theta)
+        rows = determines(np.asarray(slopes), group)
         model_mm = float(jnp.sqrt(jnp.mean(jnp.sum((found - exact) ** 2, -1))))
         progress.advance(1)
         fits = {}
-        for start in starts:
+        for start in STARTS:
             for name, method in METHODS.items():
-                fits[name, start] = method(model, points, target, noise_mm, start)
+                fits[name, start] = method(model, points, target, start)
                 progress.advance(1)
-        rows += [_fit_row(name, start, fit, truth, rows[-1], model_mm) for (name, start), fit in fits.items()]
+        rows += [_fit_row(name, start, fit, rows[-1], model_mm) for (name, start), fit in fits.items()]
         if out is not None:
-            axes = [np.geomspace(*ends, grid) for ends in ((0.12, 2.0), (KNOTS[0], KNOTS[-1]))]
-            losses = np.zeros((grid, grid))
-            for row, one_ratio in zip(losses, axes[1], strict=True):
-                theta = [jnp.log(jnp.array([one, one_ratio])) for one in axes[0]]
-                row[:] = [_loss(model, points, x, target, noise_mm) for x in theta]
+            axes = [np.geomspace(*ends, GRID) for ends in ((0.12, 2.0), (KNOTS[0], KNOTS[-1]))]
+            losses = np.zeros((GRID, GRID))
+            for row, ratio in zip(losses, axes[1], strict=True):
+                places = [jnp.log(jnp.array([friction, ratio])) for friction in axes[0]]
+                row[:] = [_loss(model, points, place, target, NOISE_MM) for place in places]
                 progress.advance(1)
-            write_bytes(Path(out) / "identify.svg", _figure(fits, truth, axes, losses))
+            write_bytes(Path(out) / "identify.svg", _figure(fits, axes, losses))
     text = table(rows)
     for (name, start), fit in fits.items():
         named = {"kind": "step", "method": name, "start_friction": start[0], "start_ratio": start[1]}
@@ -209,9 +197,7 @@ def run(
     return {"rows": rows, "text": text}
 
 
-def _fit_row(
-    name: str, start: tuple[float, float], fit: Descent, truth: np.ndarray, reported: Json, model_mm: float
-) -> Json:
+def _fit_row(name: str, start: tuple[float, float], fit: Descent, reported: Json, model_mm: float) -> Json:
     """`*_std`: what noise alone would leave; `model_mm`: rms distance of the fit's pins, coarser in increments, nodes and the
     compliance between its knots, from the noiseless ones at the true values."""
     return {
@@ -222,8 +208,8 @@ def _fit_row(
         "evaluations": len(fit.loss),
         "friction": fit.best[0],
         "ratio": fit.best[1],
-        "friction_error": fit.best[0] / truth[0] - 1,
-        "ratio_error": fit.best[1] / truth[1] - 1,
+        "friction_error": fit.best[0] / TRUTH[0] - 1,
+        "ratio_error": fit.best[1] / TRUTH[1] - 1,
         "friction_std": reported["friction_std"],
         "ratio_std": reported["ratio_std"],
         "loss": fit.loss.min(),
@@ -259,7 +245,7 @@ def table(rows: list[Json]) -> str:
     return "\n".join(lines)
 
 
-def _figure(fits: dict, truth: np.ndarray, axes: list[np.ndarray], losses: np.ndarray) -> bytes:
+def _figure(fits: dict, axes: list[np.ndarray], losses: np.ndarray) -> bytes:
     """Loss over evaluations, and the way down over its contours."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure
@@ -277,7 +263,7 @@ def _figure(fits: dict, truth: np.ndarray, axes: list[np.ndarray], losses: np.nd
             left.plot(np.arange(1, len(fit.loss) + 1), np.minimum.accumulate(fit.loss), dash, color=colour, label=label)
             better = np.flatnonzero(fit.loss == np.minimum.accumulate(fit.loss))
             right.plot(*fit.tried[better].T, dash, marker=".", markersize=4, linewidth=1.2, color=colour, label=label)
-        right.plot(*truth, "k+", markersize=12, label="truth")
+        right.plot(*TRUTH, "k+", markersize=12, label="truth")
         left.axhline(1, color="#8a93a3", linewidth=0.8)
         left.set(xlabel="evaluation", ylabel="best loss so far, over the noise", yscale="log")
         right.set(

@@ -11,10 +11,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from jaxunshear.scene.paths import Paths
-from jaxunshear.scene.stimuli import Stimulus
 from jaxunshear.settings.sensor import Sensor
 
-HALF_PLANE = Stimulus("half plane", lambda p: p[..., 0], (0.0, 0.0, 0.0), 100.0)
+HALF_PLANE = "edge"  # the stimulus that stands for all recorded ones
 INLAND_MM = 25.0  # from the edge, where a half plane is flat for all the dome can reach
 
 

@@ -25,6 +25,7 @@ class Reading(NamedTuple):
     """One way to read a group's labels."""
 
     contacts: Motions
+    sign: int  # of the slides: +1 as they are labelled, -1 the other way round
     side: int  # see `labels.to_paths`
     surface_mm: float
     mirrored: bool
@@ -58,16 +59,16 @@ def read_labels(
                 turn, match = _turn(recorded[converged], simulated[converged], mirrored)
                 score = match + 0.5 * _correlation(widths[converged], wide[converged])
                 if score > best_score + MARGIN:
-                    best, best_score = Reading(contacts, side, surface, mirrored, turn, match), score
+                    best, best_score = Reading(contacts, sign, side, surface, mirrored, turn, match), score
     return best if best is not None and best.match >= CREDIBLE else None
 
 
 def _turn(recorded: np.ndarray, simulated: np.ndarray, mirrored: bool) -> tuple[float, float]:
     """The turn (rad) that brings recorded ring motions onto simulated ones, and their correlation after it."""
     recorded = np.where(np.isfinite(recorded), np.conj(recorded) if mirrored else recorded, 0)
-    product = np.sum(np.conj(recorded) * simulated)
+    shared = np.sum(np.conj(recorded) * simulated)
     size = np.sqrt(np.sum(np.abs(recorded) ** 2) * np.sum(np.abs(simulated) ** 2))
-    return float(np.angle(product)), float(np.abs(product) / max(size, 1e-12))
+    return float(np.angle(shared)), float(np.abs(shared) / max(size, 1e-12))
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> float:

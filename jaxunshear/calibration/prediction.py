@@ -51,9 +51,13 @@ def skin_to_gel(sensor: Sensor) -> float:
     return sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
 
 
+def _probe_spacing(sensor: Sensor) -> float:
+    return sensor.dome_radius_mm * math.radians(PROBE_DEG)
+
+
 def probe(sensor: Sensor, ratio: float) -> Sensor:
     """The same dome with pins everywhere, which have no size: they may not overlap."""
-    spacing = sensor.dome_radius_mm * math.radians(PROBE_DEG)
+    spacing = _probe_spacing(sensor)
     return replace(
         sensor,
         name=f"{sensor.name}-probe",
@@ -68,14 +72,13 @@ def probe(sensor: Sensor, ratio: float) -> Sensor:
 @lru_cache(maxsize=64)
 def interpolation(sensor: Sensor) -> np.ndarray:
     """(P, Q): the probe's pins to the sensor's."""
-    return interpolation_at(pin_lattice(sensor), probe(sensor, 1.0).pin_spacing_mm)
+    return interpolation_at(sensor, pin_lattice(sensor))
 
 
-def interpolation_at(flat: np.ndarray, spacing_mm: float) -> np.ndarray:
-    """(P, Q): the pins of a probe whose rings are `spacing_mm` apart to places (P, 2) mm of arc from the apex; trigonometric around
-    the rings and cubic across them."""
+def interpolation_at(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
+    """(P, Q): the probe's pins to places (P, 2) mm of arc from the apex; trigonometric around the rings and cubic across them."""
     rings = PROBE_RINGS
-    across = np.linalg.norm(flat, axis=-1) / spacing_mm
+    across = np.linalg.norm(flat, axis=-1) / _probe_spacing(sensor)
     angle = np.arctan2(flat[:, 1], flat[:, 0])
     first = np.clip(np.floor(across).astype(int) - 1, 0, rings - 3)
     weights = np.zeros((len(flat), 1 + 3 * rings * (rings + 1)))
@@ -122,14 +125,22 @@ def within_reach(sensor: Sensor, paths: Paths) -> np.ndarray:
     return np.all(paths.points[..., DEPTH] <= deepest, axis=1)
 
 
+def spread(weights: np.ndarray, moved: np.ndarray) -> np.ndarray:
+    """(N, P, 3): probe displacements (N, Q, 3) at the places of `interpolation_at`'s weights (P, Q)."""
+    return (weights @ moved.swapaxes(0, 1).reshape(moved.shape[1], -1)).reshape(len(weights), -1, 3).swapaxes(0, 1)
+
+
+def seen_at(values: Values, sensor: Sensor, size: int, tips: np.ndarray) -> np.ndarray:
+    """(..., 2) px from the middle of an image of `size`, of tips (..., 3) mm."""
+    return np.asarray(project(values.camera(size), jnp.asarray(tips), values.sensor(sensor))) - (size - 1) / 2
+
+
 def place_of(values: Values, sensor: Sensor, size: int, moved: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Pins (N, P, 2) px of an image of `size` from its middle for probe displacements (N, Q, 3), and (P, 2) undisturbed ones."""
     own = values.sensor(sensor)
-    camera = values.camera(size)
     tips = pin_tips(own)
-    rest = np.asarray(project(camera, jnp.asarray(tips), own)) - (size - 1) / 2
+    rest = seen_at(values, sensor, size, tips)
     if moved is None:
         return rest[None], rest
     alike = replace(own, gel_modulus_mpa=sensor.gel_modulus_mpa)  # one entry of the cache for all stiffnesses
-    shift = (interpolation(alike) @ moved.swapaxes(0, 1).reshape(moved.shape[1], -1)).reshape(len(tips), -1, 3)
-    return np.asarray(project(camera, jnp.asarray(tips + shift.swapaxes(0, 1)), own)) - (size - 1) / 2, rest
+    return seen_at(values, sensor, size, tips + spread(interpolation(alike), moved)), rest

@@ -143,6 +143,12 @@ class Problem:
         scalars = [np.log(getattr(values, name) / getattr(self.start, name)) for name in self.scalars]
         return np.array(scalars + [values.surface_mm[i] - self.start.surface_mm[i] for i in self.surfaces])
 
+    def named(self, values: Values) -> dict[str, float]:
+        """What of the values is sought, by `names`."""
+        surfaces = [values.surface_mm[i] for i in self.surfaces]
+        found = [*(getattr(values, name) for name in self.scalars), *surfaces]
+        return dict(zip(self.names, found, strict=True))
+
     def nuisance(self) -> np.ndarray:
         return np.array([name not in self.scalars for name in self.names])
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from jaxunshear.calibration.alignment import DAMPING, ENOUGH, FARTHEST, SHORTER, STEPS, Matter
+from jaxunshear.calibration.alignment import DAMPING, ENOUGH, FARTHEST, SHORTER, STEPS, Matter, along
 from jaxunshear.calibration.calibrated import Calibrated, value_of, with_value
 from jaxunshear.calibration.folders import with_values
 from jaxunshear.calibration.labels import Frame
@@ -71,7 +71,7 @@ def refit(
         there, tried = here, motions
         for share in SHORTER:
             there = _along(here, start, names, framed, share * step)
-            if not all(holds for holds, _, _ in own_rules(there.known.sensor)):
+            if not _can_be(there.known):
                 continue
             tried = _compared(matters, there)
             if score(tried) > score(motions):
@@ -147,8 +147,7 @@ def _slopes(
         for name in framed:
             column = [np.zeros(recorded.size) for recorded, _ in motions]
             if name != "across_mm" or matter.side:
-                moved = frame._replace(**{name: getattr(frame, name) + STEPS[name]})
-                simulated = with_values(matter, here.known).compared(moved)[1]
+                simulated = with_values(matter, here.known).compared(along(frame, {name: 1.0}))[1]
                 column[i] = (simulated - motions[i][1]).ravel() / sizes[i]
             slopes.append(np.concatenate(column))
             advance()
@@ -160,8 +159,7 @@ def _along(here: Point, start: Calibrated, names: list[str], framed: Collection[
     for name, size in zip(names, step[: len(names)], strict=True):
         known = _changed(known, start, name, float(size))
     for frame, row in zip(here.frames, step[len(names) :].reshape(len(here.frames), -1), strict=True):
-        moved = {name: float(getattr(frame, name) + STEPS[name] * size) for name, size in zip(framed, row, strict=True)}
-        frames.append(frame._replace(**moved))
+        frames.append(along(frame, dict(zip(framed, row, strict=True))))
     return Point(known, tuple(frames))
 
 
@@ -199,4 +197,8 @@ def _framed_alike(matters: list[Matter], start: Calibrated, here: Point) -> Cali
     spacing = float(np.mean(spacings))
     radius = start.sensor.pin_radius_mm * spacing / start.sensor.pin_spacing_mm
     spaced = with_value(with_value(here.known, "pin_radius_mm", radius), "pin_spacing_mm", spacing)
-    return spaced if all(holds for holds, _, _ in own_rules(spaced.sensor)) else here.known
+    return spaced if _can_be(spaced) else here.known
+
+
+def _can_be(known: Calibrated) -> bool:
+    return all(holds for holds, _, _ in own_rules(known.sensor))

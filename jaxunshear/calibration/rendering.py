@@ -1,6 +1,5 @@
 """Simulated images of calibrated contacts, and the pin radius that makes their pins as large as the recorded ones."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
@@ -45,20 +44,21 @@ def contact_tips(group: Group, sensor: Sensor, values: Values, which: int) -> tu
     return tips, converged
 
 
-def render(camera: Camera, sensor: Sensor, size: int, tips: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Binary images (N, size, size) uint8 of pin tips (N, P, 3) mm, with the default disturbances."""
+def render(camera: Camera, sensor: Sensor, tips: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Binary images (N, S, S) uint8 of pin tips (N, P, 3) mm, with the default disturbances; S is the camera's `frame_px`."""
     keys = jax.random.split(jax.random.key(seed), len(tips))
-    draw = _drawer(replace(camera, frame_px=max(FRAME_PX, size)), sensor, size)
+    before = replace(camera, frame_px=max(FRAME_PX, camera.frame_px))
+
+    @jax.jit
+    def draw(tips: jax.Array, keys: jax.Array) -> jax.Array:
+        grey = jax.vmap(partial(frame, before, sensor, Nuisance()))(jnp.asarray(tips, jnp.float32), keys)
+        return binarise(Preprocess(size=camera.frame_px), grey)
+
     return np.concatenate([np.asarray(draw(tips[i : i + 1], keys[i : i + 1])) for i in range(len(tips))])
 
 
-def _drawer(camera: Camera, sensor: Sensor, size: int) -> Callable[[np.ndarray, jax.Array], jax.Array]:
-    @jax.jit
-    def draw(tips: jax.Array, keys: jax.Array) -> jax.Array:
-        grey = jax.vmap(partial(frame, camera, sensor, Nuisance()))(jnp.asarray(tips, jnp.float32), keys)
-        return binarise(Preprocess(size=size), grey)
-
-    return draw
+def _some(tips: np.ndarray) -> np.ndarray:
+    return tips[:: -(-len(tips) // SOME_IMAGES)]
 
 
 def fit_pin_radius(
@@ -75,10 +75,7 @@ def fit_pin_radius(
         """By what factor the rendered pins are larger than the recorded ones."""
         ratios = []
         for group, tip, wanted in zip(groups, tips, recorded, strict=True):
-            some = tip[:: -(-len(tip) // SOME_IMAGES)]
-            images = render(
-                values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), group.seen.size, some
-            )
+            images = render(values.camera(group.seen.size), replace(sensor, pin_radius_mm=radius), _some(tip))
             ratios.append(np.mean([np.nanmean(pin_diameters(i, find_pins(i))) for i in images]) / wanted)
         return float(np.mean(ratios))
 
@@ -107,7 +104,7 @@ def fit_housing(groups: list[Group], sensor: Sensor, values: Values, tips: list[
         excess = []
         for group, tip in zip(groups, tips, strict=True):
             camera = replace(values, housing=housing).camera(group.seen.size)
-            images = render(camera, sensor, group.seen.size, tip[:: -(-len(tip) // SOME_IMAGES)])
+            images = render(camera, sensor, _some(tip))
             ring = np.pi * outer_fraction(camera, sensor) ** 2
             excess.append((np.mean(images > 127) - np.mean(group.seen.white)) / ring)
         housing = float(np.sqrt(housing**2 + np.mean(excess)))

@@ -74,19 +74,19 @@ def _unit(row: Json) -> str:
     return "" if row["unit"] == "1" else row["unit"]
 
 
-def curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]] = ()) -> bytes:
-    """PNG: ring layout, spacing, pin size and motion over slide; below them, where given, names and images (S, S)."""
+def curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]]) -> bytes:
+    """PNG: ring layout, spacing, pin size and motion over slide; below them names and images (S, S)."""
     by_name = {kind: {row.name: row.values for row in rows} for kind, rows in summaries.items()}
     with rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}):
-        figure = Figure(figsize=(11, 7 if pictures else 3.2), layout="constrained", dpi=110)
-        panels = figure.subplots(2 if pictures else 1, 4, squeeze=False)
+        figure = Figure(figsize=(11, 7), layout="constrained", dpi=110)
+        panels = figure.subplots(2, 4)
         _rings(panels[0, 0], by_name)
         _histogram(panels[0, 1], by_name, "pin spacing", "pin spacing, px of 128")
         _histogram(panels[0, 2], by_name, "pin diameter", "pin diameter, px of 128")
         _slides(panels[0, 3], by_name)
-        for axes in panels[1:].ravel():
+        for axes in panels[1]:
             axes.axis("off")
-        for axes, (name, image) in zip(panels[1:].ravel(), pictures, strict=False):
+        for axes, (name, image) in zip(panels[1], pictures, strict=False):
             axes.imshow(image, cmap="gray", interpolation="nearest")
             axes.set_title(name if len(name) <= LONGEST else f"...{name[3 - LONGEST :]}")
         stream = io.BytesIO()

@@ -6,10 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.calibration.statistics import Seen, observe
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.image.preprocess import is_binary, to_grey
+from jaxunshear.progress import Progress
 from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sensor import Sensor
 
 SIZES_PX = (128, 440)  # least and most; raw frames are made 256
 
@@ -23,6 +26,21 @@ class Recorded:
     poses: np.ndarray | None
     moves: np.ndarray | None
     names: tuple[str, ...] = ()  # of the images, below the folder of all recordings
+
+    @property
+    def labelled(self) -> np.ndarray:
+        """(N,) bool: pose known, and the slide where the folder has any: one that cannot be read is no tap."""
+        if self.poses is None:
+            return np.zeros(len(self.images), bool)
+        known = np.isfinite(self.poses).all(axis=-1)
+        if self.moves is not None and np.isfinite(self.moves).any():
+            known &= np.isfinite(self.moves).all(axis=-1)
+        return known
+
+    def observe(self, sensor: Sensor) -> Seen:
+        """Its pins, with a line of progress."""
+        with Progress(f"pins of {self.name}", len(self.images)) as progress:
+            return observe(self.images, sensor, progress)
 
 
 def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str]]:

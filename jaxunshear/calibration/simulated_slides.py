@@ -15,7 +15,7 @@ from jaxunshear.calibration.calibrated import Calibrated
 from jaxunshear.calibration.labels import Frame, framed, motions
 from jaxunshear.calibration.matching import read_labels
 from jaxunshear.calibration.prediction import displacements
-from jaxunshear.calibration.statistics import Seen
+from jaxunshear.calibration.statistics import Seen, camera_turn
 from jaxunshear.calibration.validation import places, settled
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice
@@ -29,9 +29,6 @@ class Taps(NamedTuple):
 
     pins: np.ndarray
     pose: np.ndarray
-
-    def take(self, rows: np.ndarray) -> "Taps":
-        return Taps(self.pins[rows], self.pose[rows])
 
 
 class View(NamedTuple):
@@ -63,9 +60,7 @@ def view_of(taps: Taps, lattice: Lattice, size: int, known: Calibrated) -> View:
     )
     frame = find_frame(matter, Frame(reading.surface_mm))
     angle = reading.angle - matter.turn(frame)
-    turn = np.diag([1.0, -1.0 if reading.mirrored else 1.0]) @ np.array(
-        [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
-    )
+    turn = camera_turn(angle, reading.mirrored)
     view = View(frame, reading.side, turn, np.zeros((pins.shape[1], 2)), size, known)
     moved, fine = _moved(view, pose, None, known.friction)
     flat, _ = settled(known.values, known.sensor, size, (pins[fine] - lattice.middle) @ turn, moved[fine])

@@ -8,7 +8,7 @@ Rings are given by the motions of the pins that were found: their mean place wou
 outermost ring that the housing hides.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.lattice import Lattice, spacing_of
 from jaxunshear.image.pins import Found, find_pins
 from jaxunshear.image.tracking import follow_all
+from jaxunshear.progress import Progress
 from jaxunshear.settings.sensor import Sensor
 
 CENTRAL = 1  # pins up to this ring are the central ones: seven of them
@@ -44,8 +45,7 @@ class Seen(NamedTuple):
 
     def turned(self, mirrored: bool, angle: float) -> "Seen":
         """The same pins seen by a camera that is not mirrored, and turned by `angle` rad from column towards row."""
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        turn = np.diag([1.0, -1.0 if mirrored else 1.0]) @ turn
+        turn = camera_turn(angle, mirrored)
         return self._replace(place=self.place @ turn, lattice=self.lattice._replace(place=self.lattice.place @ turn))
 
     @property
@@ -54,16 +54,25 @@ class Seen(NamedTuple):
         return self.lattice.place - self.lattice.middle
 
 
+def camera_turn(angle: float, mirrored: bool = False) -> np.ndarray:
+    """(2, 2): px @ this are px of a camera that is not mirrored, and turned by `angle` rad from column towards row."""
+    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return np.diag([1.0, -1.0]) @ turn if mirrored else turn
+
+
 def unit_vectors(place: np.ndarray) -> np.ndarray:
     """(P, 2) -> (P, 2); zero for a pin within a twentieth of the outermost one's distance from the middle: the apex pin."""
     length = np.linalg.norm(place, axis=-1, keepdims=True)
     return np.where(length > 0.05 * length.max(), place / np.maximum(length, 1e-9), 0.0)
 
 
-def observe(images: Iterable[np.ndarray], sensor: Sensor) -> Seen:
+def observe(images: Sequence[np.ndarray] | np.ndarray, sensor: Sensor, progress: Progress | None = None) -> Seen:
     """Finds and follows the pins of binary images (S, S) uint8. Raises UserError where they are not this sensor's pins."""
-    images = list(images)
-    found = [find_pins(image) for image in images]
+    found = []
+    for image in images:
+        found.append(find_pins(image))
+        if progress is not None:
+            progress.advance()
     lattice = fit_lattice(found, layout_of(sensor))
     tracks = follow_all(lattice, [Found(pins) for pins in found])
     diameters = [pin_diameters(image, pins) for image, pins in zip(images, found, strict=True)]

@@ -8,24 +8,21 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PathCollection
 from matplotlib.figure import Figure
 
-from jaxunshear.calibration.validation import Compared, r2, rms
+from jaxunshear.calibration.validation import Compared, by_kind, r2, rms
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.style import COLOURS, FAINT, INK, STYLE
 
-KINDS = ("tap", "slide")
 PIN = 22  # points squared
 AXIS_PX = 4.0  # a line is so many times as long as the residual it stands for
 
 
 def validate_figure(parts: list[Compared]) -> bytes:
     """A PNG of compared folders; it shows no recorded image."""
-    mine = [(kind, [part.take(np.flatnonzero(part.taps == (kind == "tap"))) for part in parts]) for kind in KINDS]
-    mine = [(kind, [part for part in chosen if len(part.recorded)]) for kind, chosen in mine]
-    mine = [(kind, chosen) for kind, chosen in mine if chosen]
+    mine = by_kind(parts)
     with rc_context(STYLE):
         figure = Figure(figsize=(13, 4.2 * len(mine)), layout="constrained", dpi=110)
         panels = figure.subplots(len(mine), 3, squeeze=False, width_ratios=(1, 1, 0.9))
-        for row, (kind, chosen) in zip(panels, mine, strict=True):
+        for row, (kind, chosen) in zip(panels, mine.items(), strict=True):
             most = max(float(np.nanmax(rms(part.recorded, axis=0))) for part in chosen)
             for part in chosen:
                 heat = _map(row[0], part, rms(part.recorded, axis=0), most)

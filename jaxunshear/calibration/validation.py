@@ -11,19 +11,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.calibration.prediction import Values, interpolation_at, probe
+from jaxunshear.calibration.prediction import Values, interpolation_at, seen_at, spread
 from jaxunshear.calibration.statistics import SLIDE_BINS_MM, less_mean
-from jaxunshear.image.camera import project
-from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.pins import pin_tips, tips_at
 from jaxunshear.settings.sensor import Sensor
 
 FARTHEST_DEG = 68.0  # from the apex: pins that are seen farther out are taken for standing there
 SETTLING = 3  # rounds in which the places of untouched pins follow from the mean of the touched ones
 PARTS = 3  # of contacts by depth and by distance, equally many
 LEAST = 8  # contacts that a row is worth
+KINDS = ("tap", "slide")
 
 
 @dataclass(frozen=True)
@@ -61,29 +60,16 @@ def stand(values: Values, sensor: Sensor, size: int, rest: np.ndarray) -> np.nda
     own = values.sensor(sensor)
     angle = np.radians(np.linspace(0, FARTHEST_DEG, 500))
     line = np.stack([angle * own.dome_radius_mm, np.zeros_like(angle)], -1)
-    seen = (np.asarray(project(values.camera(size), jnp.asarray(_tips(own, line)), own)) - (size - 1) / 2)[:, 0]
+    seen = seen_at(values, sensor, size, tips_at(own, line))[:, 0]
     radius = np.linalg.norm(rest, axis=-1)
     arc = np.interp(radius, seen, line[:, 0])
     return rest * np.divide(arc, radius, out=np.zeros_like(arc), where=radius > 0)[:, None]
 
 
-def _tips(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
-    """Untouched tips (P, 3) mm of pins at `flat` (P, 2) mm of arc from the apex, as `scene.pins.pin_tips` has its lattice's."""
-    arc = np.linalg.norm(flat, axis=-1)
-    angle = arc / sensor.dome_radius_mm
-    direction = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)
-    outwards = np.concatenate([np.sin(angle)[:, None] * direction, -np.cos(angle)[:, None]], axis=-1)
-    inner = sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm
-    return sensor.dome_radius_mm * np.array([0, 0, 1.0]) + inner * outwards
-
-
 def places(values: Values, sensor: Sensor, size: int, flat: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """(N, P, 2) px from the middle, of pins at `flat` (P, 2) mm of arc, for displacements (N, Q, 3) mm of the probe's pins."""
-    own = values.sensor(sensor)
-    weights = interpolation_at(flat, probe(sensor, 1.0).pin_spacing_mm)
-    shift = (weights @ moved.swapaxes(0, 1).reshape(moved.shape[1], -1)).reshape(len(flat), -1, 3)
-    tips = _tips(own, flat) + shift.swapaxes(0, 1)
-    return np.asarray(project(values.camera(size), jnp.asarray(tips), own)) - (size - 1) / 2
+    weights = interpolation_at(sensor, flat)
+    return seen_at(values, sensor, size, tips_at(values.sensor(sensor), flat) + spread(weights, moved))
 
 
 def settled(
@@ -91,26 +77,20 @@ def settled(
 ) -> tuple[np.ndarray, np.ndarray]:
     """`stand` (P, 2) and `places` (N, P, 2) of pins that are recorded at `place` (N, P, 2): their mean over contacts gives where they
     stand, once it is known how far the contacts move it."""
-    wanted = np.nanmean(place, axis=0)
+    wanted, own = np.nanmean(place, axis=0), values.sensor(sensor)
     flat = stand(values, sensor, size, wanted)
     for _ in range(SETTLING):
         simulated = places(values, sensor, size, flat, moved)
-        drift = np.mean(simulated, axis=0) - _untouched(values, sensor, size, flat)
+        drift = np.mean(simulated, axis=0) - seen_at(values, sensor, size, tips_at(own, flat))
         flat = stand(values, sensor, size, wanted - drift)
     return flat, places(values, sensor, size, flat, moved)
-
-
-def _untouched(values: Values, sensor: Sensor, size: int, flat: np.ndarray) -> np.ndarray:
-    """(P, 2) px from the middle of untouched pins at `flat` (P, 2)."""
-    own = values.sensor(sensor)
-    return np.asarray(project(values.camera(size), jnp.asarray(_tips(own, flat)), own)) - (size - 1) / 2
 
 
 def mm_per_px(values: Values, sensor: Sensor, size: int, flat: np.ndarray) -> np.ndarray:
     """(P,) at the height of each untouched pin."""
     own, camera = values.sensor(sensor), values.camera(size)
     apex = pin_tips(own)[0, 2]
-    return camera.mm_across / size * (camera.distance_mm - _tips(own, flat)[:, 2]) / (camera.distance_mm - apex)
+    return camera.mm_across / size * (camera.distance_mm - tips_at(own, flat)[:, 2]) / (camera.distance_mm - apex)
 
 
 def centred(recorded: np.ndarray, simulated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -137,17 +117,24 @@ Row = dict[str, float | int | str | None]
 def rows_of(parts: list[Compared]) -> list[Row]:
     """Scores of taps and slides over all folders, in full and by ring, depth, distance to the edge and length of the slide."""
     rows: list[Row] = []
-    for kind in ("tap", "slide"):
-        mine = [part.take(np.flatnonzero(part.taps == (kind == "tap"))) for part in parts]
-        mine = [part for part in mine if len(part.recorded)]
-        if not mine:
-            continue
+    for kind, mine in by_kind(parts).items():
         rows += _scores(kind, mine, full=True)
         for shell in np.unique(mine[0].shell):
             rows += _scores(f"{kind}.ring.{shell}", [part.ring(shell) for part in mine])
         for name, chosen in _subsets(mine):
             rows += _scores(f"{kind}.{name}", chosen)
     return rows
+
+
+def by_kind(parts: list[Compared]) -> dict[str, list[Compared]]:
+    """Taps and slides of every folder that has some; only those kinds that there are."""
+    kinds = {kind: _some(parts, [part.taps == (kind == "tap") for part in parts]) for kind in KINDS}
+    return {kind: mine for kind, mine in kinds.items() if mine}
+
+
+def _some(parts: list[Compared], wanted: list[np.ndarray]) -> list[Compared]:
+    """The contacts `wanted` (N,) of each folder, folders without any left out."""
+    return [part.take(np.flatnonzero(here)) for part, here in zip(parts, wanted, strict=True) if here.any()]
 
 
 def _subsets(parts: list[Compared]) -> Iterator[tuple[str, list[Compared]]]:
@@ -166,10 +153,7 @@ def _binned(
     parts: list[Compared], quantity: str, field: str, ends: list[float]
 ) -> Iterator[tuple[str, list[Compared]]]:
     for low, high in pairwise(ends):
-        chosen = [
-            part.take(np.flatnonzero((getattr(part, field) >= low) & (getattr(part, field) < high))) for part in parts
-        ]
-        chosen = [part for part in chosen if len(part.recorded)]
+        chosen = _some(parts, [(getattr(part, field) >= low) & (getattr(part, field) < high) for part in parts])
         if sum(len(part.recorded) for part in chosen) >= LEAST:
             yield f"{quantity}.{low:.1f}-{high:.1f}", chosen
 

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxunshear.contact.elasticity import sixfold
 from jaxunshear.contact.frame import product
 from jaxunshear.contact.friction import Quality, Skin, Solved, System, follow_path, rest
+from jaxunshear.contact.harmonics import sixfold
 from jaxunshear.contact.level import STRONG, Level
 from jaxunshear.contact.obstacle import Obstacles, sample
 from jaxunshear.contact.plan import BATCHES, PATH_LENGTHS, Batch, gaps, increments, make_plan, padded
@@ -44,7 +44,7 @@ def plan_paths(
 ) -> list[Batch]:
     """What each batch solves for; `wide`: with more nodes about the contact, for those that turned out to need them."""
     nodes = dome(sensor).nodes
-    return make_plan(obstacles, nodes, sixfold(len(nodes)), sensor.dome_radius_mm, paths, level, batch, wide)
+    return make_plan(obstacles, nodes, sensor.dome_radius_mm, paths, level, batch, wide)
 
 
 def solve_batches(
@@ -97,9 +97,7 @@ def nothing_solved(sensor: Sensor, paths: Paths, level: Level) -> tuple[Contacts
 
 def _untouched(sensor: Sensor, obstacles: Obstacles, paths: Paths, level: Level) -> tuple[Contacts, Skins, np.ndarray]:
     """Of paths for which no node seemed to be needed. One that ends inside the stimulus shows that some are: a grazing touch."""
-    nodes = dome(sensor).nodes
-    pose = paths.points[:, -1].astype(float)
-    pose[:, [YAW, TILT_X, TILT_X + 1]] = np.radians(pose[:, [YAW, TILT_X, TILT_X + 1]])
+    nodes, pose = dome(sensor).nodes, paths.radians[:, -1]
     still = np.zeros((len(paths), *nodes.shape))
     gap = gaps(obstacles, nodes, sensor.dome_radius_mm, paths.stimulus, pose, still)
     return *nothing_solved(sensor, paths, level), np.min(gap, axis=1) < -PENETRATION_MM
@@ -149,9 +147,8 @@ def _solve(
                 level.solver,
             )
         )
-    solved = Skin(*(field[:count] for field in skin))
     turned = np.zeros((count, len(part.nodes), 3))
-    turned[..., 3 - unknowns :] = solved.force[:, : len(part.nodes)] * newtons
+    turned[..., 3 - unknowns :] = skin.force[:count, : len(part.nodes)] * newtons
     on_nodes = np.zeros((count, len(full.nodes), 3))
     np.put_along_axis(on_nodes, place[..., None], np.einsum("bij,bnj->bni", rotation, turned), 1)
     pins = _pins(sensor, on_nodes, level.precision)

@@ -46,25 +46,25 @@ def sensitivity(sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     return slopes.w, slopes.g
 
 
-def compute_dome(sensor: Sensor, mesh_mm: float | None = None, progress: Progress | None = None) -> Compliance:
-    """`dome` without the cache, on elements of `mesh_mm`. Raises `UserError` for a sensor that cannot be."""
-    return put_together(_compute(sensor, False, mesh_mm or _mesh_mm(sensor), progress))
+def compute_dome(sensor: Sensor) -> Compliance:
+    """`dome` without the cache. Raises `UserError` for a sensor that cannot be."""
+    return put_together(_compute(sensor, varied=False))
 
 
 def _mesh_mm(sensor: Sensor) -> float:
     return MESH_MM * ring_spacing(sensor) / RING_MM
 
 
-def _compute(sensor: Sensor, varied: bool, mesh_mm: float, progress: Progress | None) -> Response:
+def _compute(sensor: Sensor, varied: bool, progress: Progress | None = None) -> Response:
     check_sensor(sensor)
-    mesh = dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, mesh_mm)
+    mesh = dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, _mesh_mm(sensor))
     gel = isotropic(sensor.gel_modulus_mpa, sensor.gel_poisson)
     skin = isotropic(sensor.skin_modulus_mpa, sensor.skin_poisson)
     materials = np.where(mesh.skin[:, None, None], skin, gel)
     arcs = ring_arcs(sensor)
     hats = np.append(arcs, arcs[-1] + ring_spacing(sensor))
     levers, part = pin_levers(sensor), mesh.skin if varied else None
-    return respond(mesh, materials, hats, pin_tips(sensor), _harmonics(sensor), progress, levers, part)
+    return respond(mesh, materials, hats, pin_tips(sensor), _harmonics(sensor), levers, part, progress)
 
 
 def _harmonics(sensor: Sensor) -> int:
@@ -96,7 +96,7 @@ def _cached(sensor: Sensor, varied: bool) -> Response:
         path.parent.mkdir(parents=True, exist_ok=True)
         part.touch()  # before the work: a folder that cannot be written to is reported at once
         with Progress(f"dome of {sensor.name}", _harmonics(sensor) + 1, unit="harmonics") as progress:
-            made = _compute(sensor, varied, _mesh_mm(sensor), progress)
+            made = _compute(sensor, varied, progress)
         part.write_bytes(_packed(made, text))
         os.replace(part, path)
     except OSError as error:

@@ -22,13 +22,11 @@ from threadpoolctl import threadpool_limits
 
 from jaxunshear.contact.cholesky import factorise
 from jaxunshear.contact.harmonics import lattice, node_to_node, node_to_point, ring_sizes
-from jaxunshear.contact.harmonics import sixfold as sixfold
-from jaxunshear.contact.mesh import Mesh, shape_functions
+from jaxunshear.contact.mesh import GAUSS, Mesh, edge_shapes, sample_elements
 from jaxunshear.contact.pins import Pins, interpolation
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 
-_GAUSS = np.array([[x, y] for y in (-1, 1) for x in (-1, 1)]) / np.sqrt(3)
 _SAMPLES = 40  # of a surface edge
 
 
@@ -60,10 +58,14 @@ class Response:
     fields: np.ndarray
 
 
+def lame(modulus: float, poisson: float) -> tuple[float, float]:
+    """Lame's constants mu and lambda in MPa."""
+    return modulus / (2 * (1 + poisson)), modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
+
+
 def isotropic(modulus: float, poisson: float) -> Float[np.ndarray, "6 6"]:
     """Stiffness in MPa for strains (rr, theta theta, zz, rz, r theta, theta z), the last three engineering shears."""
-    first = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
-    shear = modulus / (2 * (1 + poisson))
+    shear, first = lame(modulus, poisson)
     d = np.diag([2 * shear] * 3 + [shear] * 3)
     d[:3, :3] += first
     return d
@@ -71,12 +73,7 @@ def isotropic(modulus: float, poisson: float) -> Float[np.ndarray, "6 6"]:
 
 def stiffness(mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]) -> tuple[sp.csc_matrix, sp.csc_matrix, sp.csc_matrix]:
     """K_0, K_1, K_2 of the module's docstring (per 2 pi); unknowns ordered U, V, W node by node."""
-    corners = mesh.nodes[mesh.elements]
-    values, gradients = shape_functions(_GAUSS)
-    jacobian = np.einsum("qnl,enx->eqlx", gradients, corners)
-    determinant = np.abs(np.linalg.det(jacobian))
-    slopes = np.einsum("eqxl,qnl->eqnx", np.linalg.inv(jacobian), gradients)
-    r = np.einsum("qn,en->eq", values, corners[..., 0])
+    values, slopes, area, r = sample_elements(mesh, GAUSS)
     over_r = values[None] / r[..., None]
     in_r, in_z = slopes[..., 0], slopes[..., 1]
 
@@ -93,7 +90,7 @@ def stiffness(mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]) -> tuple[sp.csc
     growing[..., 5, :, 2] = -over_r
     fixed, growing = fixed.reshape(*r.shape, 6, 24), growing.reshape(*r.shape, 6, 24)
 
-    weight = determinant * r
+    weight = area * r
     unknowns = (3 * mesh.elements[:, :, None] + np.arange(3)).reshape(len(mesh.elements), 24)
     rows, columns = np.repeat(unknowns, 24, axis=1).ravel(), np.tile(unknowns, (1, 24)).ravel()
     size = 3 * len(mesh.nodes)
@@ -109,8 +106,7 @@ def stiffness(mesh: Mesh, materials: Float[np.ndarray, "E 6 6"]) -> tuple[sp.csc
 
 def _along_surface(mesh: Mesh, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of the surface edges at `samples` (Q,) in [-1, 1]: shape functions (Q, 3), points (S, Q, 2), speeds (S, Q)."""
-    line = np.stack([samples * (samples - 1) / 2, 1 - samples**2, samples * (samples + 1) / 2], -1)
-    slope = np.stack([samples - 0.5, -2 * samples, samples + 0.5], -1)
+    line, slope = edge_shapes(samples)
     ends = mesh.nodes[mesh.surface]
     speeds = np.linalg.norm(np.einsum("qn,snx->sqx", slope, ends), axis=-1)
     return line, np.einsum("qn,snx->sqx", line, ends), speeds
@@ -162,9 +158,9 @@ def respond(
     ring_arcs: Float[np.ndarray, "_"],
     pins: Float[np.ndarray, "P 3"],
     harmonics: int,
-    progress: Progress | None = None,
     levers: Float[np.ndarray, "P 3"] | None = None,
     varied: Bool[np.ndarray, "E"] | None = None,
+    progress: Progress | None = None,
 ) -> Response:
     """As `condense`, before the harmonics are summed.
 
@@ -235,7 +231,6 @@ def condense(
     ring_arcs: Float[np.ndarray, "_"],
     pins: Float[np.ndarray, "P 3"],
     harmonics: int,
-    progress: Progress | None = None,
     levers: Float[np.ndarray, "P 3"] | None = None,
 ) -> Compliance:
     """Compliance of contact rings and of pins with tips at `pins`, for materials as of `isotropic`.
@@ -244,4 +239,4 @@ def condense(
     `ring_arcs`: as for `ring_loads`. `levers`: from the face on which a pin stands to its tip, along the
     face's normal: rigid, so that the tip moves with the face's rotation too; None: tips move with the gel around them.
     """
-    return put_together(respond(mesh, materials, ring_arcs, pins, harmonics, progress, levers))
+    return put_together(respond(mesh, materials, ring_arcs, pins, harmonics, levers))

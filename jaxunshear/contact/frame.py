@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from jaxunshear.scene.paths import DEPTH, TILT_X, YAW
+from jaxunshear.scene.paths import DEPTH, TILT_X, TURNS
 
 
 def level_frame(pose: Float[jax.Array, "B 6"]) -> Float[jax.Array, "B 3 3"]:
@@ -36,6 +36,17 @@ def rotate_back(frame: Float[jax.Array, "B 3 3"], vectors: Float[jax.Array, "B N
     return jnp.einsum("bji,bnj->bni", frame, vectors, precision="highest")
 
 
+def levelled(
+    frame: Float[jax.Array, "B 3 3"] | None, points: Float[jax.Array, "B N 3"], centre_mm: Float[jax.Array, ""]
+) -> Float[jax.Array, "B N 3"]:
+    """Points of the sensor frame in the level frame (None: the same), whose lowest point of the dome lies at z = 0."""
+    if frame is None:
+        return points
+    zero = jnp.zeros_like(centre_mm)
+    centre = jnp.stack([zero, zero, centre_mm])[None, None]
+    return rotate(frame, points - centre) + centre
+
+
 def turn(angle: Float[jax.Array, "B"], xy: Float[jax.Array, "B N 2"]) -> Float[jax.Array, "B N 2"]:
     """By angles in rad."""
     cos, sin = jnp.cos(angle)[:, None], jnp.sin(angle)[:, None]
@@ -47,5 +58,5 @@ def increment_length(
 ) -> Float[jax.Array, "B"]:
     """In mm, by which the dome's tip region moves from pose to pose; turns count at `radius_mm`."""
     change = after - before
-    turns = radius_mm * jnp.linalg.norm(change[:, jnp.array([YAW, TILT_X, TILT_X + 1])], axis=-1)
+    turns = radius_mm * jnp.linalg.norm(change[:, jnp.array(TURNS)], axis=-1)
     return jnp.linalg.norm(change[:, jnp.array([0, 1, DEPTH])], axis=-1) + turns

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.contact.frame import increment_length, level_frame, product, rotate, rotate_back, turn
+from jaxunshear.contact.frame import increment_length, level_frame, levelled, product, rotate, rotate_back, turn
 from jaxunshear.contact.level import STRONG
 from jaxunshear.contact.obstacle import Obstacles, drop
 from jaxunshear.scene.paths import DEPTH, YAW
@@ -159,15 +159,6 @@ def solve_increment(
     return z, y, missing, spent
 
 
-def _levelled(system: System, frame: Array | None, points: Array) -> Array:
-    """Points (B, N, 3) of the sensor frame in the level frame, whose lowest point of the dome lies at z = 0."""
-    if frame is None:
-        return points
-    zero = jnp.zeros_like(system.centre_mm)
-    centre = jnp.stack([zero, zero, system.centre_mm])[None, None]
-    return rotate(frame, points - centre) + centre
-
-
 def increment_offset(
     system: System,
     obstacles: Obstacles,
@@ -175,31 +166,30 @@ def increment_offset(
     skin: Skin,
     pose: Float[Array, "B 6"],
     tilted: bool,
-    displacement: Float[Array, "B N 3"] | None = None,
-) -> tuple[Float[Array, "B N d"], Float[Array, "B 3 3"] | None]:
-    """Offset b in mm of the increment from `skin` to a pose, and the level frame there (None if not tilted).
+    displacement: Float[Array, "B N 3"],
+) -> Float[Array, "B N d"]:
+    """Offset b in mm of the increment from `skin` to a pose, in the level frame there.
 
     How far each node slips if the skin keeps its shape, and its gap, taken where `displacement` puts the node: that
-    of `skin` (None) to begin with, then that of a first answer. At a shape's edge a node that slides by a step changes its gap
+    of `skin` to begin with, then that of a first answer. At a shape's edge a node that slides by a step changes its gap
     by half of that.
     """
     frame = level_frame(pose) if tilted else None
 
     def in_target_frame(displaced: Array) -> Array:
-        return turn(pose[:, YAW], _levelled(system, frame, displaced)[..., :2]) + pose[:, None, :2]
+        return turn(pose[:, YAW], levelled(frame, displaced, system.centre_mm)[..., :2]) + pose[:, None, :2]
 
     place = system.nodes[None] + skin.displacement
-    rest_height = _levelled(system, frame, jnp.broadcast_to(system.nodes, place.shape))[..., 2]
-    found = place if displacement is None else system.nodes[None] + displacement
-    fall = drop(obstacles, which, in_target_frame(found))
+    rest_height = levelled(frame, jnp.broadcast_to(system.nodes, place.shape), system.centre_mm)[..., 2]
+    fall = drop(obstacles, which, in_target_frame(system.nodes[None] + displacement))
     height = jnp.minimum(rest_height - pose[:, DEPTH, None] + fall, FAR_MM)
     if skin.force.shape[-1] == 1:
-        return height[..., None], frame
-    level_before = _levelled(system, level_frame(skin.pose) if tilted else None, place)
+        return height[..., None]
+    level_before = levelled(level_frame(skin.pose) if tilted else None, place, system.centre_mm)
     before = turn(skin.pose[:, YAW], level_before[..., :2]) + skin.pose[:, None, :2]
     slip = turn(-pose[:, YAW], in_target_frame(place) - before)
     moved = skin.displacement if frame is None else rotate(frame, skin.displacement)
-    return jnp.concatenate([slip - moved[..., :2], height[..., None]], axis=-1), frame
+    return jnp.concatenate([slip - moved[..., :2], height[..., None]], axis=-1)
 
 
 def rest(system: System, pose: Float[Array, "B 6"]) -> Skin:
@@ -239,7 +229,7 @@ def advance(
     solve = partial(solve_increment, strong=strong) if solver is None else solver
     count = jnp.zeros(len(which), jnp.int32)
     for allowed in [FIRST_PASS] * (PASSES - 1) + [1.0]:
-        offset, _ = increment_offset(system, obstacles, which, skin, pose, tilted, displacement)
+        offset = increment_offset(system, obstacles, which, skin, pose, tilted, displacement)
         # a free node's dual follows from the gap; carried over, it is what takes most iterations to forget
         moved = (displacement if frame is None else rotate(frame, displacement))[..., -force.shape[-1] :]
         start = (force, jnp.where(force[..., -1:] > 0, dual, -(moved + offset) / RHO), moved)

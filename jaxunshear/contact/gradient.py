@@ -35,7 +35,7 @@ from jaxunshear.contact.plan import increments, reachable
 from jaxunshear.contact.scope import check_batch, check_paths, check_start, level_named
 from jaxunshear.contact.skins import Skins
 from jaxunshear.errors import UserError
-from jaxunshear.scene.paths import TILT_X, YAW, Paths
+from jaxunshear.scene.paths import TURNS, Paths
 from jaxunshear.settings.sensor import Sensor
 
 SWITCH_MM = 1e-6  # nearer to a switch than this, rounding decides on which side a node is found
@@ -112,11 +112,11 @@ def pin_model(
         raise UserError(f"ratios {ratios}: give rising numbers above zero")
     own = sensor.skin_modulus_mpa / sensor.gel_modulus_mpa
     obstacles = obstacles_of(names)
-    nodes = domes.dome(sensor).nodes
-    within = lambda wide: reachable(obstacles, nodes, sensor.dome_radius_mm, paths, wide)  # noqa: E731
+    rest = domes.dome(sensor)
+    within = lambda wide: reachable(obstacles, rest.nodes, sensor.dome_radius_mm, paths, wide)  # noqa: E731
     touched = within(wide)
     if start is not None:
-        check_start(paths, start, len(nodes))
+        check_start(paths, start, len(rest.nodes))
         touched |= np.any(start.force_n != 0, axis=-1)
     index = np.flatnonzero(touched.any(axis=0))
     index = index if len(index) else np.arange(1)
@@ -135,9 +135,9 @@ def pin_model(
         w_slope=w_slope,
         g=g,
         g_slope=g_slope,
-        nodes=jnp.asarray(nodes[index]),
+        nodes=jnp.asarray(rest.nodes[index]),
         centre_mm=jnp.asarray(sensor.dome_radius_mm),
-        tips=jnp.asarray(domes.dome(sensor).pins),
+        tips=jnp.asarray(rest.pins),
         obstacles=obstacles,
         which=jnp.asarray(paths.stimulus, jnp.int32),
         shares=jnp.asarray(path_shares(paths, level, sensor.dome_radius_mm)),
@@ -196,7 +196,7 @@ def pins(
 
     Differentiable by all three; for points not far from the model's own, whose nodes and increments it keeps.
     """
-    turns = jnp.zeros(6, bool).at[jnp.array([YAW, TILT_X, TILT_X + 1])].set(True)
+    turns = jnp.zeros(6, bool).at[jnp.array(TURNS)].set(True)
     path = jnp.einsum("btk,bkc->tbc", model.shares, points * jnp.where(turns, jnp.pi / 180, 1.0)[None, None])
     w, g, scale = compliance(model, model.log_ratio if log_ratio is None else log_ratio)
     inverse = jnp.linalg.inv(jax.lax.stop_gradient(w) + RHO * jnp.eye(len(w), dtype=w.dtype))

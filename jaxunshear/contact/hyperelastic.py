@@ -19,9 +19,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Float
 
-from jaxunshear.contact.mesh import Mesh, shape_functions
-
-_GAUSS = np.array([[x, y] for y in (-1, 1) for x in (-1, 1)]) / np.sqrt(3)
+from jaxunshear.contact.mesh import GAUSS, Mesh, sample_elements
 
 Density = Callable[[jax.Array, jax.Array, jax.Array], jax.Array]
 
@@ -58,22 +56,12 @@ def neo_hookean(
     return shear / 2 * (jnp.sum(gradient**2) - 3 - 2 * log_j) + first / 2 * log_j**2
 
 
-def lame(modulus: float, poisson: float) -> tuple[float, float]:
-    """mu and lambda in MPa."""
-    return modulus / (2 * (1 + poisson)), modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
-
-
 def make_body(
     mesh: Mesh, shear: Float[np.ndarray, "E"], first: Float[np.ndarray, "E"], density: Density = neo_hookean
 ) -> Body:
     """Body of moduli MPa on a mesh."""
-    corners = mesh.nodes[mesh.elements]
-    values, local = shape_functions(_GAUSS)
-    jacobian = np.einsum("qnl,enx->eqlx", local, corners)
-    radius = np.einsum("qn,en->eq", values, corners[..., 0])
-    slopes = np.einsum("eqxl,qnl->eqnx", np.linalg.inv(jacobian), local)
-    volume = 2 * np.pi * radius * np.abs(np.linalg.det(jacobian))
-    return Body(mesh, slopes, values / radius[..., None], volume, shear, first, density)
+    values, slopes, area, r = sample_elements(mesh, GAUSS)
+    return Body(mesh, slopes, values / r[..., None], 2 * np.pi * r * area, shear, first, density)
 
 
 def _gradients(moved: jax.Array, slopes: jax.Array, hoop: jax.Array) -> jax.Array:

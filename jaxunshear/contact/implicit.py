@@ -36,7 +36,6 @@ from jaxunshear.contact.friction import (
     _times,
     increment_offset,
     project,
-    rest,
     solve_increment,
 )
 from jaxunshear.contact.obstacle import Obstacles
@@ -252,15 +251,14 @@ def pin_state(
     which: Int[Array, "B"],
     friction: Float[Array, "B"],
     path: Float[Array, "T B 6"],
-    skin: Skin | None = None,
-    most: int | None = None,
+    skin: Skin,
+    most: int,
 ) -> PinState:
     """Where the pins are after B skins followed `path`, as `friction.follow_path`, each increment to rounding.
 
     Differentiable by `system.w`, `to_pins` (both scaled as in `System`), `friction`, `path`, and the displacement of
-    `skin`, at rest at path[0] by default. `system` must have three unknowns a node; float64 is advised. Runs under jit;
-    the batch is its own.
-    `most`: see `contact_force`; all nodes by default.
+    `skin`, which is at path[0]. `system` must have three unknowns a node; float64 is advised. Runs under jit;
+    the batch is its own. `most`: see `contact_force`.
     """
 
     def step(state: tuple[Skin, Array, Array], pose: Array) -> tuple[tuple[Skin, Array, Array], None]:
@@ -273,9 +271,9 @@ def pin_state(
         @partial(jax.checkpoint, prevent_cse=False, policy=jax.checkpoint_policies.save_only_these_names("force"))
         def one_pass(state: _Pass, _: None) -> tuple[_Pass, None]:
             force, dual, displacement, margin, worst = state
-            offset = increment_offset(system, obstacles, which, skin, pose, True, displacement)[0]
+            offset = increment_offset(system, obstacles, which, skin, pose, True, displacement)
             guess = jax.lax.stop_gradient(Guess(system.inverse, force, dual, length))
-            force = contact_force(most or len(system.nodes), system.w, frame, offset, friction, guess)
+            force = contact_force(most, system.w, frame, offset, friction, guess)
             total = _times(system.w, force, frame) + offset
             displacement = (rotate(back, force).reshape(len(which), -1) @ system.w).reshape(force.shape)
             margin = jnp.minimum(margin, jnp.where(moves, switch_distance(force - total, friction), jnp.inf))
@@ -292,7 +290,6 @@ def pin_state(
         )
         return (after, margin, worst), None
 
-    skin = rest(system, path[0]) if skin is None else skin
     none = jnp.zeros(len(which), path.dtype)
     (skin, margin, worst), _ = jax.lax.scan(step, (skin, none + jnp.inf, none), path[1:])
     motion = (skin.force.reshape(len(which), -1) @ to_pins).reshape(len(which), -1, 3)

@@ -17,8 +17,9 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float
 from scipy.sparse.linalg import splu
 
-from jaxunshear.contact.hyperelastic import Body, Density, deformation, forces, lame, make_body, neo_hookean, tangent
-from jaxunshear.contact.mesh import Mesh, dome_mesh
+from jaxunshear.contact.elasticity import lame
+from jaxunshear.contact.hyperelastic import Body, Density, deformation, forces, make_body, neo_hookean, tangent
+from jaxunshear.contact.mesh import Mesh, dome_mesh, edge_shapes, inner_face
 from jaxunshear.errors import UserError
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pins import pin_lattice, pin_tips
@@ -99,17 +100,12 @@ def dome_body(sensor: Sensor, mesh_mm: float, density: Density = neo_hookean) ->
 
 def make_face(mesh: Mesh) -> Face:
     """Two points an edge: as many as the nodes that an edge adds, so that pressures are neither loose nor overtight."""
-    line, _ = _edge_shapes(_EDGE_GAUSS)
+    line, _ = edge_shapes(_EDGE_GAUSS)
     columns = np.repeat(mesh.surface, len(line), axis=0)
     rows = np.repeat(np.arange(len(columns)), 3)
     entries = np.tile(line, (len(mesh.surface), 1)).ravel()
     matrix = sp.csr_matrix((entries, (rows, columns.ravel())), shape=(len(columns), len(mesh.nodes)))
     return Face(matrix, matrix @ mesh.nodes)
-
-
-def _edge_shapes(s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Shape functions (S, 3) of an edge (end, middle, end) at s (S,) in [-1, 1], and their slopes."""
-    return np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], -1), np.stack([s - 0.5, -2 * s, s + 0.5], -1)
 
 
 def follow(body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Progress | None = None) -> list[State]:
@@ -220,22 +216,12 @@ def pins_at(sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]) -> Floa
 
 def _tips(sensor: Sensor, mesh: Mesh, nodes: np.ndarray, arcs: np.ndarray) -> np.ndarray:
     """Tips (A, 2) of pins at `arcs` (A,) mm of arc on the outer surface, with the mesh's nodes at `nodes`."""
-    edges = _inner_face(mesh)
+    edges = inner_face(mesh)
     rest = mesh.nodes[edges]
     angles = np.arctan2(rest[..., 0], sensor.dome_radius_mm - rest[..., 1])  # (S, 3), evenly spaced on each edge
     angle = arcs / sensor.dome_radius_mm
     edge = np.clip(np.searchsorted(angles[:, 0], angle, side="right") - 1, 0, len(edges) - 1)
-    shapes = _edge_shapes(2 * (angle - angles[edge, 0]) / (angles[edge, 2] - angles[edge, 0]) - 1)
+    shapes = edge_shapes(2 * (angle - angles[edge, 0]) / (angles[edge, 2] - angles[edge, 0]) - 1)
     base, along = (np.einsum("an,anx->ax", shape, nodes[edges[edge]]) for shape in shapes)
     inward = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
     return base + sensor.pin_length_mm * inward
-
-
-def _inner_face(mesh: Mesh) -> np.ndarray:
-    """Edges (S, 3) between skin and gel, from the axis outwards."""
-    sides = mesh.elements[:, [[0, 4, 1], [1, 5, 2], [2, 6, 3], [3, 7, 0]]]  # (E, 4, 3)
-    of_skin, of_gel = sides[mesh.skin].reshape(-1, 3), sides[~mesh.skin].reshape(-1, 3)
-    edges = of_skin[np.isin(of_skin[:, 1], of_gel[:, 1])]
-    flip = mesh.nodes[edges[:, 0], 0] > mesh.nodes[edges[:, 2], 0]
-    edges[flip] = edges[flip][:, ::-1]
-    return edges[np.argsort(mesh.nodes[edges[:, 1], 0])]

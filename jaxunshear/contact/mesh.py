@@ -5,13 +5,16 @@ Both are a quarter disk: a square core on the axis, then layers out to the arc, 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 # corners, then mid-sides, counter-clockwise in the reference square [-1, 1]^2
 _CORNERS = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
 _SIDES = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]], float)
+_EDGES = [[0, 4, 1], [1, 5, 2], [2, 6, 3], [3, 7, 0]]  # of an element: end, middle, end
+GAUSS = _CORNERS[[0, 1, 3, 2]] / np.sqrt(3)  # 2 x 2 points of reduced integration
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,30 @@ def shape_functions(local: Float[np.ndarray, "Q 2"]) -> tuple[Float[np.ndarray, 
     return np.concatenate(values, 1), np.stack([np.concatenate(in_x, 1), np.concatenate(in_y, 1)], -1)
 
 
+class Samples(NamedTuple):
+    """Q points of each of E elements."""
+
+    values: np.ndarray  # (Q, 8) shape functions
+    slopes: np.ndarray  # (E, Q, 8, 2) of these, in r and z
+    area: np.ndarray  # (E, Q) of the half-plane per unit of the reference square
+    r: np.ndarray  # (E, Q)
+
+
+def sample_elements(mesh: Mesh, local: Float[np.ndarray, "Q 2"]) -> Samples:
+    """At points of the reference square."""
+    corners = mesh.nodes[mesh.elements]
+    values, gradients = shape_functions(local)
+    jacobian = np.einsum("qnl,enx->eqlx", gradients, corners)
+    slopes = np.einsum("eqxl,qnl->eqnx", np.linalg.inv(jacobian), gradients)
+    r = np.einsum("qn,en->eq", values, corners[..., 0])
+    return Samples(values, slopes, np.abs(np.linalg.det(jacobian)), r)
+
+
+def edge_shapes(s: Float[np.ndarray, "S"]) -> tuple[Float[np.ndarray, "S 3"], Float[np.ndarray, "S 3"]]:
+    """Shape functions of an edge (end, middle, end) at s in [-1, 1], and their slopes."""
+    return np.stack([s * (s - 1) / 2, 1 - s**2, s * (s + 1) / 2], -1), np.stack([s - 0.5, -2 * s, s + 0.5], -1)
+
+
 def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     """Hemisphere of `radius` under a skin, clamped at its base plane; z from the apex (z = 0) to the base (z = radius), mm.
 
@@ -64,8 +91,7 @@ def dome_mesh(radius: float, skin: float, h: float) -> Mesh:
     skin_elements = block >= layers
     on_arc = np.abs(np.hypot(*points.T) - radius) < 1e-6 * radius
     clamped = np.flatnonzero(points[:, 1] < 1e-9)
-    surface = _surface_edges(elements, on_arc, key=points[:, 0])
-    return Mesh(nodes, elements, skin_elements, clamped, surface)
+    return Mesh(nodes, elements, skin_elements, clamped, _surface_edges(points, elements, on_arc))
 
 
 def half_space_mesh(contact: float, h: float, growth: float = 1.25, reach: float = 60.0) -> Mesh:
@@ -78,9 +104,8 @@ def half_space_mesh(contact: float, h: float, growth: float = 1.25, reach: float
     points, elements, _ = _quarter_disk(contact, core, np.array(radii[1:]), 0, 0.0)
     on_face = points[:, 1] < 1e-9
     clamped = np.flatnonzero(np.abs(np.hypot(*points.T) - radii[-1]) < 1e-6 * radii[-1])
-    return Mesh(
-        points, elements, np.zeros(len(elements), bool), clamped, _surface_edges(elements, on_face, key=points[:, 0])
-    )
+    no_skin = np.zeros(len(elements), bool)
+    return Mesh(points, elements, no_skin, clamped, _surface_edges(points, elements, on_face))
 
 
 def _quarter_disk(
@@ -136,12 +161,19 @@ def _quarter_disk(
     return np.array(points), np.array(elements), np.array(block)
 
 
-def _surface_edges(elements: np.ndarray, on_surface: np.ndarray, key: np.ndarray) -> np.ndarray:
-    edges = []
-    for a, middle, b in ((0, 4, 1), (1, 5, 2), (2, 6, 3), (3, 7, 0)):
-        face = elements[:, [a, middle, b]]
-        edges.append(face[on_surface[face].all(axis=1)])
-    found = np.concatenate(edges)
-    flip = key[found[:, 0]] > key[found[:, 2]]
-    found[flip] = found[flip][:, ::-1]
-    return found[np.argsort(key[found[:, 1]])]
+def _surface_edges(points: np.ndarray, elements: np.ndarray, on_surface: np.ndarray) -> np.ndarray:
+    edges = elements[:, _EDGES].reshape(-1, 3)
+    return _from_the_axis(points, edges[on_surface[edges].all(axis=1)])
+
+
+def inner_face(mesh: Mesh) -> Int[np.ndarray, "S 3"]:
+    """Edges between skin and gel, from the axis outwards."""
+    of_skin, of_gel = (mesh.elements[part][:, _EDGES].reshape(-1, 3) for part in (mesh.skin, ~mesh.skin))
+    return _from_the_axis(mesh.nodes, of_skin[np.isin(of_skin[:, 1], of_gel[:, 1])])
+
+
+def _from_the_axis(points: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Edges (S, 3) of one line in order, each with the end first that is nearer to the axis."""
+    r = points[:, 0]
+    edges = np.where((r[edges[:, 0]] > r[edges[:, 2]])[:, None], edges[:, ::-1], edges)
+    return edges[np.argsort(r[edges[:, 1]])]

@@ -1,6 +1,6 @@
 """What a scene needs, and what may be left out of its contact; scenes of like need share a batch.
 
-    batches = make_plan(rings_of_nodes, obstacles, paths, LEVELS["auto"], batch=64)
+    batches = make_plan(obstacles, nodes, dome_radius_mm, paths, LEVELS["auto"], batch=64, wide=False)
 
 Left out are scenes that touch nothing, friction where there is none, nodes that cannot touch, and increments of motions too
 short to need them. A node that was left out and would have touched after all is found afterwards (see `batches`).
@@ -14,10 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxunshear.contact.frame import level_frame, product, rotate
+from jaxunshear.contact.frame import level_frame, levelled, product, turn
+from jaxunshear.contact.harmonics import sixfold
 from jaxunshear.contact.level import STRONG, Level
 from jaxunshear.contact.obstacle import Obstacles, distance_at, drop
-from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
+from jaxunshear.scene.paths import DEPTH, TILT_X, TURNS, YAW, Paths
 from jaxunshear.settings.reach import REACHED
 
 MARGIN_MM = 1.25  # outside the shape: the skin is dragged and bulges
@@ -53,8 +54,7 @@ def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[Float[np.n
 
     Twists count as motion at `radius_mm` / 4 of the axis, tilts at the dome's radius.
     """
-    points = np.array(paths.points, float)
-    points[..., [YAW, TILT_X, TILT_X + 1]] = np.radians(points[..., [YAW, TILT_X, TILT_X + 1]])
+    points = paths.radians
     change = np.diff(points, axis=1)
     pressed = np.abs(change[..., DEPTH])
     along = np.linalg.norm(change[..., :2], axis=-1) + radius_mm / 4 * np.abs(change[..., YAW])
@@ -82,15 +82,15 @@ def increments(paths: Paths, level: Level, radius_mm: float) -> tuple[Float[np.n
 def _in_target_frame(
     nodes: jax.Array, displacement: jax.Array, centre: jax.Array, pose: jax.Array, tilted: bool
 ) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Places (B, N, 2) of displaced nodes in the target frame, and heights (B, N) of the undeformed ones over the lowest."""
-    place, height = nodes[None] + displacement, jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
-    if tilted:
-        frame, lift = level_frame(pose), jnp.array([0, 0, 1.0], nodes.dtype) * centre
-        place = rotate(frame, place - lift[None, None]) + lift[None, None]
+    """Places (B, N, 2) of displaced nodes in the target frame; heights (B, N) over the dome's lowest point, of undeformed nodes and of
+    displaced ones."""
+    frame = level_frame(pose) if tilted else None
+    place = levelled(frame, nodes[None] + displacement, centre)
+    height = jnp.broadcast_to(nodes[..., 2], displacement.shape[:2])
+    if frame is not None:
+        lift = jnp.array([0, 0, 1.0], nodes.dtype) * centre
         height = product(frame[:, 2], (nodes - lift[None]).T) + centre
-    cos, sin = jnp.cos(pose[:, YAW])[:, None], jnp.sin(pose[:, YAW])[:, None]
-    x, y = place[..., 0], place[..., 1]
-    return jnp.stack([cos * x - sin * y, sin * x + cos * y], -1) + pose[:, None, :2], height, place[..., 2]
+    return turn(pose[:, YAW], place[..., :2]) + pose[:, None, :2], height, place[..., 2]
 
 
 @partial(jax.jit, static_argnames=("tilted", "wide"))
@@ -156,12 +156,9 @@ def reachable(
     obstacles: Obstacles, nodes: Float[np.ndarray, "N 3"], centre_mm: float, paths: Paths, wide: bool
 ) -> Bool[np.ndarray, "B N"]:
     """The contact nodes that each path can bring into contact; `wide` searches further."""
-    points = paths.points.astype(float).copy()
-    points[..., [YAW, TILT_X, TILT_X + 1]] = np.radians(points[..., [YAW, TILT_X, TILT_X + 1]])
+    points = paths.radians
     change = np.diff(points, axis=1)
-    swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(
-        change[..., [YAW, TILT_X, TILT_X + 1]], axis=-1
-    )
+    swept = np.linalg.norm(change[..., :2], axis=-1) + centre_mm * np.linalg.norm(change[..., TURNS], axis=-1)
     pieces = 1 << int(np.ceil(np.log2(max(swept.max(initial=0) / BETWEEN_POSES_MM, 1))))
     share = (np.arange(pieces) + 1) / pieces
     poses = points[:, :-1, None] + share[:, None] * change[:, :, None]
@@ -188,14 +185,13 @@ def reachable(
 def make_plan(
     obstacles: Obstacles,
     nodes: Float[np.ndarray, "N 3"],
-    sixfold: Int[np.ndarray, "6 N"],
     centre_mm: float,
     paths: Paths,
     level: Level,
     batch: int,
     wide: bool,
 ) -> list[Batch]:
-    """Every path in one batch of at most `batch`; `sixfold` as `elasticity.sixfold`.
+    """Every path in one batch of at most `batch`; the nodes are those of complete rings.
 
     The dome is the same after a turn by 60 deg, so each scene is turned to bring its contact to the side of +x: scenes
     that touch with half of the dome then need the same half.
@@ -205,16 +201,17 @@ def make_plan(
     if "untouched" not in level.omit:
         mask[~mask.any(axis=1)] = True
     turn = _turns(mask, nodes) if "grouping" in level.omit and len(paths) > 1 else np.zeros(len(paths), int)
-    mask = np.take_along_axis(mask, sixfold[turn], axis=1)
+    mask = np.take_along_axis(mask, sixfold(len(nodes))[turn], axis=1)
     tilted = np.any(paths.points[..., TILT_X:] != 0, axis=(1, 2))
     friction = _needs_friction(paths) | tilted if "friction" in level.omit else np.ones(len(paths), bool)
     _, steps = increments(paths, level, centre_mm)
-    touching = mask.any(axis=1)
+    kinds = np.stack([mask.any(axis=1), friction, tilted], -1)
     batches = []
-    for kind in np.unique(np.stack([touching, friction, tilted], -1), axis=0):
-        rows = np.flatnonzero(np.all(np.stack([touching, friction, tilted], -1) == kind, axis=-1))
+    for kind in np.unique(kinds, axis=0):
+        rows = np.flatnonzero(np.all(kinds == kind, axis=-1))
         group = _Group(mask, steps, _features(mask, steps, nodes), 3 if kind[1] else 1, batch)
-        for index in _split(group, rows) if "grouping" in level.omit else _slices(rows, batch):
+        in_turn = np.array_split(rows, range(batch, len(rows), batch))
+        for index in _split(group, rows) if "grouping" in level.omit else in_turn:
             used = np.flatnonzero(mask[index].any(axis=0))
             batches.append(Batch(index, used, turn[index], int(steps[index].max()), bool(kind[1]), bool(kind[2])))
     return batches
@@ -273,10 +270,6 @@ def _split(group: _Group, rows: np.ndarray) -> list[np.ndarray]:
     if fits and sum(_cost(group, part) for part in parts) > WORTH * _cost(group, rows):
         return [rows]
     return parts
-
-
-def _slices(rows: np.ndarray, batch: int) -> list[np.ndarray]:
-    return [rows[start : start + batch] for start in range(0, len(rows), batch)]
 
 
 def padded(count: int, sizes: tuple[int, ...]) -> int:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxunshear.scene.scene import Scenes
 
 X, Y, YAW, DEPTH, TILT_X, TILT_Y = range(6)
+TURNS = (YAW, TILT_X, TILT_Y)
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,13 @@ class Paths:
 
     def __len__(self) -> int:
         return len(self.stimulus)
+
+    @property
+    def radians(self) -> np.ndarray:
+        """(B, K, 6) points, with angles in rad."""
+        points = np.array(self.points, float)
+        points[..., TURNS] = np.radians(points[..., TURNS])
+        return points
 
     def take(self, index: np.ndarray) -> "Paths":
         return Paths(self.stimulus[index], self.friction[index], self.points[index])

@@ -28,19 +28,22 @@ def pin_tips(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
     Raises `UserError` for a sensor that cannot be.
     """
     check_sensor(sensor)
-    return sensor.dome_radius_mm * np.array([0, 0, 1.0]) + _outwards(sensor) * (
-        sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm
-    )
+    return tips_at(sensor, pin_lattice(sensor))
+
+
+def tips_at(sensor: Sensor, flat: Float[np.ndarray, "P 2"]) -> Float[np.ndarray, "P 3"]:
+    """Undeformed tips in mm of pins that stand anywhere, at `flat` mm of arc from the apex."""
+    inner = sensor.dome_radius_mm - sensor.skin_mm - sensor.pin_length_mm
+    return sensor.dome_radius_mm * np.array([0, 0, 1.0]) + _outwards(sensor, flat) * inner
 
 
 def pin_levers(sensor: Sensor) -> Float[np.ndarray, "P 3"]:
     """In mm, from where each pin stands on the skin's inner face to its tip: along the normal, inwards."""
-    return -sensor.pin_length_mm * _outwards(sensor)
+    return -sensor.pin_length_mm * _outwards(sensor, pin_lattice(sensor))
 
 
-def _outwards(sensor: Sensor) -> np.ndarray:
-    """Outward unit normals of the dome above the pins, (P, 3)."""
-    flat = pin_lattice(sensor)
+def _outwards(sensor: Sensor, flat: np.ndarray) -> np.ndarray:
+    """Outward unit normals (P, 3) of the dome at `flat` (P, 2) mm of arc."""
     arc = np.linalg.norm(flat, axis=-1)
     angle = arc / sensor.dome_radius_mm
     direction = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)

@@ -83,11 +83,9 @@ def edge_labels(stimuli: tuple[str | Outline, ...], scenes: Scenes) -> Float[np.
     and the direction of that edge's outward normal in the sensor frame (deg, in (-180, 180]): the pose that is not ambiguous on a
     smooth edge."""
     labels = np.zeros((len(scenes), 2))
-    for index, touched in enumerate(stimuli):
-        here = np.flatnonzero(scenes.stimulus == index)
-        if not len(here):
-            continue
-        labels[here] = edge_teller(stimulus_of(touched))(scenes.pose[here, :3])
+    for index in np.unique(scenes.stimulus):
+        here = scenes.stimulus == index
+        labels[here] = edge_teller(stimulus_of(stimuli[index]))(scenes.pose[here, :3])
     return labels
 
 

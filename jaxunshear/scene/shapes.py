@@ -17,9 +17,8 @@ import numpy as np
 from jaxtyping import Float, Num
 
 Distance = Callable[[Float[jax.Array, "*B 2"]], Float[jax.Array, "*B"]]
-Radius = Callable[
-    [jax.Array], tuple[jax.Array, ...]
-]  # angle (rad) -> a polar curve's radius and its first two derivatives
+# angle (rad) -> a polar curve's radius and its first two derivatives
+Radius = Callable[[jax.Array], tuple[jax.Array, ...]]
 
 FAR_MM = 125.0  # further than any dome reaches
 AT_CORNER_MM = 1e-4  # nearer than this to a corner, rounding decides where a point lies from it
@@ -161,7 +160,8 @@ def spiral(inner: float, pitch: float, turns: float, half_width: float) -> Dista
     last = 2 * np.pi * turns
 
     def radius(angle: jax.Array) -> tuple[jax.Array, ...]:
-        return _spiral_radius(inner, pitch, angle)
+        rise = jnp.full_like(angle, pitch / (2 * np.pi))
+        return inner + rise * angle, rise, jnp.zeros_like(angle)
 
     def distance(p: jax.Array) -> jax.Array:
         fixed = jax.lax.stop_gradient(p)[..., None, :]
@@ -174,11 +174,6 @@ def spiral(inner: float, pitch: float, turns: float, half_width: float) -> Dista
         return _length(p - point) - half_width
 
     return distance
-
-
-def _spiral_radius(inner: float, pitch: float, angle: jax.Array) -> tuple[jax.Array, ...]:
-    rise = jnp.full_like(angle, pitch / (2 * np.pi))
-    return inner + rise * angle, rise, jnp.zeros_like(angle)
 
 
 def spiral_target(inner: float, pitch: float, half_width: float, turns: float) -> tuple[float, float, float]:

@@ -45,13 +45,11 @@ def seconds(work: Callable[[], object]) -> float:
     return time.perf_counter() - start
 
 
-def laps(
-    work: Callable[[], object], product: Callable[[], None], repeats: int, budget_s: float = np.inf, products: int = 3
-) -> Laps:
-    """`repeats` of the work, or fewer once `budget_s` is spent; after each, the median of some matrix products."""
+def laps(work: Callable[[], object], product: Callable[[], None], repeats: int, budget_s: float = np.inf) -> Laps:
+    """`repeats` of the work, or fewer once `budget_s` is spent; after each, the median of three matrix products."""
     spent: list[float] = []
     yard: list[float] = []
     while len(spent) < max(repeats, 1) and (not spent or sum(spent) < budget_s):
         spent.append(seconds(work))
-        yard.append(float(np.median([seconds(product) for _ in range(products)])))
+        yard.append(float(np.median([seconds(product) for _ in range(3)])))
     return Laps(np.array(spent), np.array(yard))

@@ -12,8 +12,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from jaxunshear.contact.elasticity import isotropic, stiffness
-from jaxunshear.contact.mesh import Mesh, dome_mesh, shape_functions
+from jaxunshear.contact.elasticity import isotropic, lame, stiffness
+from jaxunshear.contact.mesh import Mesh, dome_mesh, sample_elements
 from jaxunshear.verification.tables import Row, fit_order, vanishes
 
 GROUP = "elements"
@@ -103,8 +103,7 @@ def _cartesian(m: int, point: jax.Array) -> jax.Array:
 
 def body_force(m: int, modulus: float, poisson: float, r: jax.Array, z: jax.Array) -> jax.Array:
     """(3,) that bears the made-up field: minus the divergence of its stress, radial, tangential and axial as U, V, W are."""
-    first = modulus * poisson / ((1 + poisson) * (1 - 2 * poisson))
-    shear = modulus / (2 * (1 + poisson))
+    shear, first = lame(modulus, poisson)
 
     def at(angle: float) -> jax.Array:
         point = jnp.stack([r * np.cos(angle), r * np.sin(angle), z])
@@ -148,13 +147,9 @@ def _everywhere(m: int, poisson: float, r: np.ndarray, z: np.ndarray) -> _Sample
 
 def made_up_errors(mesh: Mesh, m: int, poisson: float) -> tuple[float, float]:
     """Relative errors of displacement and of its slopes, in the mean square over the body."""
-    values, gradients = shape_functions(GAUSS_3)
-    corners = mesh.nodes[mesh.elements]
-    jacobian = np.einsum("qnl,enx->eqlx", gradients, corners)
-    weight = np.abs(np.linalg.det(jacobian)) * WEIGHT_3
-    slopes = np.einsum("eqxl,qnl->eqnx", np.linalg.inv(jacobian), gradients)
-    r, z = np.moveaxis(np.einsum("qn,enx->eqx", values, corners), -1, 0)
-    weight = weight * r
+    values, slopes, area, r = sample_elements(mesh, GAUSS_3)
+    z = np.einsum("qn,en->eq", values, mesh.nodes[mesh.elements][..., 1])
+    weight = area * WEIGHT_3 * r
     exact, at_nodes = _everywhere(m, poisson, r, z), _everywhere(m, poisson, *mesh.nodes.T).field
     load = np.zeros((len(mesh.nodes), 3))
     np.add.at(load, mesh.elements, np.einsum("eq,qn,eqi->eni", weight, values, exact.force))

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxunshear.contact.elasticity import sixfold
+from jaxunshear.contact.harmonics import sixfold
 from jaxunshear.contact.level import LEVELS, Level
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, Paths
 from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.stimuli import Stimulus
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.verification.px import px_apart
 from jaxunshear.verification.tables import Row, vanishes
@@ -22,7 +21,7 @@ GROUP = "the dome"
 FINE = "fine tolerance"
 # solved so well that what is left is the model's; scenes are not turned to a common side, as that would be the answer
 EXACT = replace(LEVELS["auto"], tolerance=0.003, limit=20000, precision="float64", omit=("untouched", "nodes"))
-EDGE = Stimulus("straight edge", lambda p: p[..., 0], (0.0, 0.0, 0.0), 120.0)
+EDGE = "edge"  # a straight one
 FLAT_MM = 30.0  # inside the edge: no contact reaches it
 FRICTION = 0.7
 Points = np.ndarray | list[np.ndarray]  # (B, K, 6)

@@ -158,7 +158,7 @@ def _scan(system: System, friction: jax.Array, poses: jax.Array, tolerance: floa
     which = jnp.zeros(count, jnp.int32)
 
     def step(skin: Skin, pose: jax.Array) -> tuple[Skin, _Made]:
-        offset, _ = increment_offset(system, flat, which, skin, pose, False)
+        offset = increment_offset(system, flat, which, skin, pose, False, skin.displacement)
         after, quality = advance(system, flat, which, friction, pose, skin, tolerance, 20000, False)
         apart = offset + after.displacement
         # where nothing moves the skin is left as it is

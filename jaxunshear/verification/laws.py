@@ -10,48 +10,57 @@ from jaxunshear.verification.shear import FRICTION, slip_distance
 from jaxunshear.verification.tables import Row, compare, fit_order, vanishes
 
 GROUP = "laws of every answer"
-SIZE = 5.5  # contact radius in spacings
+RADIUS_MM = 5.5 * SPACING_MM  # of the contact
+
+
+def _trace(body: HalfSpace, poses: np.ndarray, tolerance: float = 1e-5) -> Trace:
+    """A sphere, as deep as makes the contact RADIUS_MM wide."""
+    return trace(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.3 * RADIUS_MM, tolerance=tolerance)
 
 
 def random_paths(body: HalfSpace, count: int = 8, steps: int = 24, seed: int = 0) -> np.ndarray:
     """Poses (steps + 1, count, 6): walks in x, y, yaw and depth that slip, stick, lift off and touch again."""
     generator = np.random.default_rng(seed)
-    a = SIZE * SPACING_MM
-    stride = 0.5 * slip_distance(body, a)
-    walk = generator.normal(size=(steps, count, 4)) * np.array([stride, stride, stride / a, 0.3 * depth(a)])
+    stride, deep = 0.5 * slip_distance(body, RADIUS_MM), depth(RADIUS_MM)
+    walk = generator.normal(size=(steps, count, 4)) * np.array([stride, stride, stride / RADIUS_MM, 0.3 * deep])
     poses = np.zeros((steps + 1, count, 6))
     poses[1:, :, :4] = np.cumsum(walk, axis=0)
-    poses[1:, :, 3] = np.minimum(depth(a) - np.abs(poses[1:, :, 3]), depth(a))
+    poses[1:, :, 3] = np.minimum(deep - np.abs(poses[1:, :, 3]), deep)
     return poses
 
 
 def of_random_paths(body: HalfSpace) -> list[Row]:
-    made = trace(body, body.sphere(SPHERE_MM), random_paths(body), FRICTION, within_mm=1.3 * SIZE * SPACING_MM)
+    made = _trace(body, random_paths(body))
     force, slip, gap = made.force[1:], made.slip, made.gap
     pull, push = np.linalg.norm(force[..., :2], axis=-1), force[..., 2]
-    most, deep = push.max(), depth(SIZE * SPACING_MM)
+    most, deep = push.max(), depth(RADIUS_MM)
     finite = np.where(np.isfinite(gap), gap, 0.0)
     power = -np.sum(force[..., :2] * slip, axis=-1)
     heat = FRICTION * np.sum(push * np.linalg.norm(slip, axis=-1))
     what = "over 8 random paths of 24 increments with twists and lift-offs"
-    share = made.settled
+    settled = made.settled
     return [
         vanishes(GROUP, "adhesion: least pressure, of the largest", max(-push.min(), 0.0), most, 1e-12, note=what),
         vanishes(GROUP, "pull beyond mu p, of the largest pressure", (pull - FRICTION * push).max(), most, 1e-9),
-        vanishes(GROUP, "penetration, of the depth", max(-finite.min(), 0.0), deep, 1e-3, settled=share),
+        vanishes(GROUP, "penetration, of the depth", max(-finite.min(), 0.0), deep, 1e-3, settled=settled),
         vanishes(
             GROUP,
             "pressure x gap, of the largest x the depth",
             np.abs(push * finite).max(),
             most * deep,
             1e-3,
-            settled=share,
+            settled=settled,
         ),
         vanishes(
-            GROUP, "dissipation below zero, summed, of all heat", -np.minimum(power, 0).sum(), heat, 1e-3, settled=share
+            GROUP,
+            "dissipation below zero, summed, of all heat",
+            -np.minimum(power, 0).sum(),
+            heat,
+            1e-3,
+            settled=settled,
         ),
         vanishes(
-            GROUP, "pull that is not against the slip, of all heat", heat - power.sum(), heat, 1e-3, settled=share
+            GROUP, "pull that is not against the slip, of all heat", heat - power.sum(), heat, 1e-3, settled=settled
         ),
     ]
 
@@ -76,14 +85,13 @@ def of_the_compliance(body: HalfSpace) -> list[Row]:
 def no_contact(body: HalfSpace) -> list[Row]:
     poses = np.zeros((4, 1, 6))
     poses[:, 0, 0], poses[:, 0, 3] = np.linspace(0, 1, 4), -0.01
-    made = trace(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=SIZE * SPACING_MM)
+    made = _trace(body, poses)
     return [vanishes(GROUP, "no contact: largest force, exactly zero", np.abs(made.force).max(), 1.0, 0.0)]
 
 
 def _slide(body: HalfSpace, angles: np.ndarray, share: float, steps: int) -> np.ndarray:
-    a = SIZE * SPACING_MM
-    poses = press(np.full(len(angles), depth(a)), steps)
-    along = np.linspace(0, 1, steps + 1)[1:, None] * share * slip_distance(body, a)
+    poses = press(np.full(len(angles), depth(RADIUS_MM)), steps)
+    along = np.linspace(0, 1, steps + 1)[1:, None] * share * slip_distance(body, RADIUS_MM)
     poses[2:, :, 0], poses[2:, :, 1] = along * np.cos(angles), along * np.sin(angles)
     return poses
 
@@ -91,14 +99,7 @@ def _slide(body: HalfSpace, angles: np.ndarray, share: float, steps: int) -> np.
 def turned(body: HalfSpace) -> list[Row]:
     """The same slide in other directions: by 60 deg the nodes are the same, by other angles they are not."""
     angles = np.radians([0.0, 60.0, 17.0, 30.0, 45.0])
-    made = trace(
-        body,
-        body.sphere(SPHERE_MM),
-        _slide(body, angles, 0.6, 4),
-        FRICTION,
-        within_mm=1.3 * SIZE * SPACING_MM,
-        tolerance=1e-7,
-    )
+    made = _trace(body, _slide(body, angles, 0.6, 4), tolerance=1e-7)
     cos, sin = np.cos(angles), np.sin(angles)
     total = made.total[-1]
     back = np.stack([cos * total[:, 0] + sin * total[:, 1], -sin * total[:, 0] + cos * total[:, 1], total[:, 2]], -1)
@@ -117,9 +118,7 @@ def turned(body: HalfSpace) -> list[Row]:
 
 
 def full_slip(body: HalfSpace) -> list[Row]:
-    made = trace(
-        body, body.sphere(SPHERE_MM), _slide(body, np.zeros(1), 2.0, 4), FRICTION, within_mm=1.3 * SIZE * SPACING_MM
-    )
+    made = _trace(body, _slide(body, np.zeros(1), 2.0, 4))
     total = made.total[-1, 0]
     words = "full slip: Q / P"
     return [compare(GROUP, words, FRICTION, np.hypot(*total[:2]) / total[2], 1e-4, settled=made.settled)]
@@ -129,10 +128,9 @@ def closed_loop(body: HalfSpace) -> list[Row]:
     """Press, circle, lift off: at the end the body stores nothing, and all work of the motion has become heat."""
     counts = np.array([12, 24, 48, 96])
     share = np.minimum(np.arange(counts[-1] + 1)[:, None] / counts, 1.0)
-    a = SIZE * SPACING_MM
-    poses = _arc(1.5 * slip_distance(body, a), 2 * np.pi * np.clip(3 * share - 1, 0, 1))
-    poses[..., 3] = depth(a) * np.clip(np.minimum(3 * share, 3 - 3 * share), 0, 1)
-    made = trace(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.3 * a)
+    poses = _arc(1.5 * slip_distance(body, RADIUS_MM), 2 * np.pi * np.clip(3 * share - 1, 0, 1))
+    poses[..., 3] = depth(RADIUS_MM) * np.clip(np.minimum(3 * share, 3 - 3 * share), 0, 1)
+    made = _trace(body, poses)
     work, heat, stored = energies(body, made, poses)
     order = fit_order(1 / counts, heat / work - 1)
     note = f"order in increments; {counts[-1]} of them"
@@ -156,10 +154,9 @@ def of_increments(body: HalfSpace) -> list[Row]:
     """A slide whose direction turns all along, in more and more increments."""
     counts = np.array([4, 8, 16, 32, 64])
     share = np.minimum(np.arange(counts[-1] + 1)[:, None] / counts, 1.0)
-    a = SIZE * SPACING_MM
-    poses = press(np.full(len(counts), depth(a)), counts[-1])
-    poses[1:] += _arc(slip_distance(body, a), np.pi / 2 * share)
-    made = trace(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.3 * a)
+    poses = press(np.full(len(counts), depth(RADIUS_MM)), counts[-1])
+    poses[1:] += _arc(slip_distance(body, RADIUS_MM), np.pi / 2 * share)
+    made = _trace(body, poses)
     change = np.linalg.norm(np.diff(made.force[-1], axis=0), axis=(1, 2)) / np.linalg.norm(made.force[-1, -1])
     words = f"quarter circle in {counts[-1]} increments against {counts[-2]}: nodal forces"
     order = fit_order(1 / counts[1:], change)
@@ -188,12 +185,8 @@ def energies(body: HalfSpace, made: Trace, poses: np.ndarray) -> tuple[np.ndarra
 def of_tolerance(body: HalfSpace) -> list[Row]:
     """A slide at looser and looser tolerance, against one solved far more exactly."""
     tolerances = (1e-3, 1e-4, 1e-5, 1e-6)
-    a = SIZE * SPACING_MM
     poses = _slide(body, np.zeros(1), 0.6, 4)
-    exact, *found = (
-        trace(body, body.sphere(SPHERE_MM), poses, FRICTION, within_mm=1.3 * a, tolerance=t).force[-1]
-        for t in (1e-8, *tolerances)
-    )
+    exact, *found = (_trace(body, poses, tolerance).force[-1] for tolerance in (1e-8, *tolerances))
     errors = np.array([np.linalg.norm(force - exact) for force in found]) / np.linalg.norm(exact)
     words = "nodal forces at tolerance 1e-6 against 1e-8"
     order = fit_order(tolerances, errors)

@@ -22,7 +22,7 @@ from jaxunshear.scene.paths import path_of
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.verification.px import px_apart
+from jaxunshear.verification.px import pin_error
 
 DEPTHS_MM = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 INSIDE_MM = 25.0  # of the edge of the disk, so far that no contact reaches it
@@ -57,9 +57,9 @@ def model_error(
     for i, depth in enumerate(depths):
         converged = bool(exact.converged[i] and straight.converged[i] and contacts.converged[i])
         figures = (
-            _rms(px_apart(sensor, exact.pins[i], pin_tips(sensor))),
-            *pin_errors(px_apart(sensor, contacts.pins[i], exact.pins[i])),
-            _rms(px_apart(sensor, straight.pins[i], exact.pins[i])),
+            pin_error(sensor, exact.pins[i], pin_tips(sensor)).rms_px,
+            *pin_error(sensor, contacts.pins[i], exact.pins[i])[:3],
+            pin_error(sensor, straight.pins[i], exact.pins[i]).rms_px,
             _ratio(contacts.force_n[i, 2], exact.force_n[i]),
             _ratio(radii[i], exact.contact_radius_mm[i]),
             float(exact.strained[i]),
@@ -78,15 +78,6 @@ def logarithmic(gradient: jax.Array, shear: jax.Array, first: jax.Array) -> jax.
     spread = jnp.sqrt(((squared[0, 0] - squared[1, 1]) / 2) ** 2 + squared[0, 1] ** 2 + TINY)
     strains = jnp.stack([jnp.log(mean + spread) / 2, jnp.log(mean - spread) / 2, jnp.log(gradient[1, 1])])
     return shear * jnp.sum(strains**2) + first / 2 * jnp.sum(strains) ** 2
-
-
-def pin_errors(px: np.ndarray) -> tuple[float, float, float]:
-    """Rms, 95th percentile and maximum of errors (P,) of the pins."""
-    return _rms(px), float(np.percentile(px, 95)), float(px.max())
-
-
-def _rms(error: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(error**2)))
 
 
 def _ratio(value: float, reference: float) -> float:

@@ -207,13 +207,9 @@ def _table(rows: Sequence[Row]) -> str:
 def _line(row: Row, width: int) -> str:
     if row.finite is None:
         return f"{row.case:{width}}  {row.outcome}: {row.said}"
-    figures = [_short(value) for value in (row.residual_mm, row.float_px, row.twin_px, row.tight_px)]
+    figures = [stability_networks.short(value) for value in (row.residual_mm, row.float_px, row.twin_px, row.tight_px)]
     answers = ["yes" if value else "NO" for value in (row.finite, row.converged)]
     return (
         f"{row.case:{width}}  {answers[0]:6} {answers[1]:5}  {figures[0]:9}  {figures[1]:7}  {figures[2]:7}  {figures[3]:7}  "
         f"{row.iterations:<5}  {row.nodes:<5}  {row.ms:<7.4g}  {row.outcome}"
     )
-
-
-def _short(value: float) -> str:
-    return "" if np.isnan(value) else f"{value:.2g}"

@@ -141,7 +141,7 @@ def table(rows: Sequence[NetworkRow]) -> str:
     width = max(len(row.case) for row in rows)
     lines = [f"{'case':{width}}  steps  loss     gradient  error    allowed  kept  s      outcome"]
     for row in rows:
-        figures = [_short(value) for value in (row.loss, row.gradient, row.error, row.bar)]
+        figures = [short(value) for value in (row.loss, row.gradient, row.error, row.bar)]
         lines.append(
             f"{row.case:{width}}  {row.steps or '':<5}  {figures[0]:7}  {figures[1]:8}  {figures[2]:7}  {figures[3]:7}  "
             f"{'' if row.kept is None else row.kept:<4}  {row.seconds:<5.1f}  {row.outcome}"
@@ -157,5 +157,5 @@ def table(rows: Sequence[NetworkRow]) -> str:
     return "\n".join(lines)
 
 
-def _short(value: float) -> str:
+def short(value: float) -> str:
     return "" if np.isnan(value) else f"{value:.2g}"

@@ -9,6 +9,7 @@ friction; the dome is the sensor as everybody uses it.
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -25,10 +26,6 @@ Check = Callable[[], list[Row]]
 
 def _on_half_space(check: Callable[..., list[Row]]) -> Check:
     return lambda: check(half_space(INCOMPRESSIBLE))
-
-
-def _on_dome(check: Callable[..., list[Row]]) -> Check:
-    return lambda: check(TACTIP_331)
 
 
 def compressible() -> list[Row]:
@@ -69,7 +66,7 @@ CHECKS: tuple[Check, ...] = (
     compressible,
     *(_on_half_space(check) for check in _LAWS),
     laws.scaled,
-    *(_on_dome(check) for check in _DOME),
+    *(partial(check, TACTIP_331) for check in _DOME),
     large_strain,
 )
 

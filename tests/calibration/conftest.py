@@ -26,7 +26,7 @@ SMALL = Sensor(
     skin_mm=0.7,
     gel_modulus_mpa=0.1,
 )
-GUESS = Camera(mm_across=12.6, distance_mm=80.0)  # where the fit starts
+GUESS = Camera(frame_px=128, mm_across=12.6, distance_mm=80.0)  # where the fit starts
 SURFACE_MM = 0.35
 
 
@@ -69,7 +69,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Truth:
     contacts = motions(poses, moves)
     solved, _ = follow(sensor, (HALF_PLANE,), to_paths(contacts, sensor, SURFACE_MM, 0, friction))
     assert solved.converged.all()
-    images = render(camera, sensor, 128, solved.pins, seed=1)
+    images = render(camera, sensor, solved.pins, seed=1)
     folder = tmp_path_factory.mktemp("recording")
     write_recording(folder, np.ascontiguousarray(np.rot90(images, axes=(1, 2))), poses, moves)
     return Truth(folder, sensor, camera, friction)

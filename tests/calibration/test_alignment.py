@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.alignment import Matter, find_frame, turn_between, turned
+from jaxunshear.calibration.alignment import Matter, find_frame, turn_between
 from jaxunshear.calibration.labels import Frame, framed, motions, to_paths
 from jaxunshear.calibration.prediction import Values, probe, skin_to_gel
-from jaxunshear.calibration.statistics import Seen
+from jaxunshear.calibration.statistics import Seen, camera_turn
 from jaxunshear.calibration.validation import places
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.scene.paths import DEPTH, TILT_X, X
@@ -92,6 +92,6 @@ def test_a_tilted_top_is_deeper_on_one_side():
 
 def test_motions_are_turned_back():
     motion = np.random.default_rng(0).normal(size=(5, 7, 2))
-    assert turn_between(turned(motion, 0.3), motion) == pytest.approx(0.3)
+    assert turn_between(motion @ camera_turn(0.3), motion) == pytest.approx(0.3)
     motion[0, 0] = np.nan
-    assert turn_between(turned(motion, -0.2), motion) == pytest.approx(-0.2)
+    assert turn_between(motion @ camera_turn(-0.2), motion) == pytest.approx(-0.2)

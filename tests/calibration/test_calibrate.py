@@ -7,13 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.calibrate import calibrate, readable
-from jaxunshear.calibration.rendering import render
+from jaxunshear.calibration.calibrate import calibrate
 from jaxunshear.calibration.sampling import Recorded
-from jaxunshear.calibration.statistics import observe
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import outer_fraction
-from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import Sensor
 from tests.calibration.conftest import GUESS, SMALL, SURFACE_MM, write_recording
@@ -95,13 +92,12 @@ def test_what_is_no_recording_is_refused(tmp_path):
 
 
 def test_an_image_whose_slide_cannot_be_read_is_no_tap():
-    seen = observe(render(GUESS, SMALL, 128, np.repeat(pin_tips(SMALL)[None], 20, axis=0)), SMALL)
     moves = np.ones((20, 6))
     moves[4] = np.nan
     part = Recorded("one", np.zeros((20, 128, 128), np.uint8), np.arange(120.0).reshape(20, 6), moves)
-    np.testing.assert_array_equal(readable(part, seen), np.delete(np.arange(20), 4))
+    np.testing.assert_array_equal(part.labelled, np.arange(20) != 4)
     unmoved = replace(part, moves=np.full((20, 6), np.nan))  # no move is known: which are taps is not
-    np.testing.assert_array_equal(readable(unmoved, seen), np.arange(20))
+    assert unmoved.labelled.all()
 
 
 def test_what_was_held_is_not_called_undetermined(results):

@@ -21,7 +21,7 @@ RINGS = SMALL.rings
 
 @pytest.fixture(scope="module")
 def group():
-    seen = observe(render(GUESS, SMALL, 128, np.repeat(pin_tips(SMALL)[None], COUNT, axis=0)), SMALL)
+    seen = observe(render(GUESS, SMALL, np.repeat(pin_tips(SMALL)[None], COUNT, axis=0)), SMALL)
     poses = np.zeros((COUNT, 6))
     poses[:, 2] = 1.0 + 0.1 * np.arange(COUNT)
     return Group("one", seen, motions(poses, np.tile([1.0, 0, 0, 0, 0, 0], (COUNT, 1))))

@@ -27,7 +27,7 @@ from jaxunshear.settings.sensor import TACTIP_331
 @pytest.fixture(scope="module")
 def images():
     """Two of undisturbed pins, 128 px."""
-    return render(Camera(), TACTIP_331, 128, np.repeat(pin_tips(TACTIP_331)[None], 2, axis=0))
+    return render(Camera(frame_px=128), TACTIP_331, np.repeat(pin_tips(TACTIP_331)[None], 2, axis=0))
 
 
 def _means(images):

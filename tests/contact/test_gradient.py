@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.contact.friction import RHO, System
+from jaxunshear.contact.friction import RHO, System, rest
 from jaxunshear.contact.gradient import SWITCH_MM, compliance, path_shares, pin_gradient, pin_model, pins
 from jaxunshear.contact.implicit import GOAL_MM, pin_state
 from jaxunshear.contact.level import LEVELS
@@ -279,7 +279,8 @@ def test_half_space_in_stick_and_in_slip(half_space):
                 .at[2:, :, 0]
                 .set(jnp.outer(jnp.arange(1, 3) / 2, slide))
             )
-            state = pin_state(system, jnp.zeros((len(w), 3)), FLAT, jnp.zeros(2, jnp.int32), friction, path)
+            skin, which = rest(system, path[0]), jnp.zeros(2, jnp.int32)
+            state = pin_state(system, jnp.zeros((len(w), 3)), FLAT, which, friction, path, skin, len(nodes))
             return -jnp.sum(state.skin.force[..., 0], axis=1) / scale, state.residual_mm
 
         values = jnp.full(2, slide), jnp.array([jnp.inf, MU])

@@ -11,8 +11,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq, nnls
 from scipy.sparse.linalg import splu
 
-from jaxunshear.contact.elasticity import isotropic, stiffness
-from jaxunshear.contact.hyperelastic import deformation, energy, forces, lame, make_body, neo_hookean, tangent
+from jaxunshear.contact.elasticity import isotropic, lame, stiffness
+from jaxunshear.contact.hyperelastic import deformation, energy, forces, make_body, neo_hookean, tangent
 from jaxunshear.contact.large_strain import (
     State,
     contact_radius,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.contact.dome import dome
-from jaxunshear.contact.elasticity import sixfold
+from jaxunshear.contact.harmonics import sixfold
 from jaxunshear.contact.level import LEVELS, unabridged
 from jaxunshear.contact.obstacle import REACH_MM, distance_at, sample
 from jaxunshear.contact.plan import increments, make_plan, padded
@@ -42,7 +42,7 @@ def mixed(count=200, seed=2):
 
 
 def planned(obstacles, nodes, paths, level, batch=64):
-    return make_plan(obstacles, nodes, sixfold(len(nodes)), RADIUS, paths, level, batch, False)
+    return make_plan(obstacles, nodes, RADIUS, paths, level, batch, False)
 
 
 def test_every_path_once_and_needs_apart(obstacles, nodes):

@@ -8,24 +8,26 @@ from jaxunshear.contact.hyperelastic import neo_hookean
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.verification.model_error import logarithmic, model_error, pin_errors
-from jaxunshear.verification.px import px_apart
+from jaxunshear.verification.model_error import logarithmic, model_error
+from jaxunshear.verification.px import pin_error, px_apart
 
 REST = pin_tips(TACTIP_331)
 
 
 def test_a_shift_is_measured_as_one():
     camera = Camera()
-    px, _, largest = pin_errors(px_apart(TACTIP_331, REST + np.array([0.3, -0.4, 0.1]), REST))
+    px, _, largest, *_ = pin_error(TACTIP_331, REST + np.array([0.3, -0.4, 0.1]), REST)
     apex = px_apart(TACTIP_331, REST[:1] + np.array([0.5, 0, 0]), REST[:1])[0]
     assert apex == pytest.approx(0.5 * camera.frame_px / camera.mm_across, rel=1e-4)
     assert 0.9 * apex < px <= largest < 1.2 * apex
 
 
 def test_one_pin_in_ten_shows_in_the_percentile_and_not_in_the_mean():
-    errors = np.zeros(331)
-    errors[::10] = 1.0
-    assert pin_errors(errors) == pytest.approx((np.sqrt(34 / 331), 1, 1))
+    moved = REST.copy()
+    moved[::10, 0] += 1.0
+    error, px = pin_error(TACTIP_331, moved, REST), px_apart(TACTIP_331, moved, REST)
+    assert (error.rms_mm, error.p95_mm, error.max_px) == pytest.approx((np.sqrt(34 / 331), 1, px.max()))
+    assert error.rms_px == pytest.approx(np.sqrt(np.mean(px**2))) and error.p95_px > 0.8 * error.max_px
 
 
 def test_the_logarithmic_law_is_the_neo_hookean_one_at_small_strain_and_turns_with_the_body():
