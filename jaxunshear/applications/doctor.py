@@ -19,6 +19,7 @@ from jaxunshear.applications.uses import Use, lacks_of, learnt_from, uses_of
 from jaxunshear.dataset.labels import MOVE_COLUMNS, POSE_COLUMNS, Problem, columns_of, read_table, table_of
 from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.evenly import evenly
 from jaxunshear.image.grey import check_frame
 from jaxunshear.progress import Progress
 from jaxunshear.settings.image import Preprocess
@@ -160,7 +161,7 @@ def _seen(recordings: Recordings, rows: list[int], share: int, problems: list[Pr
     """What some of these images show; None, and a problem, where that cannot be found out."""
     if not rows:
         return None
-    files = [recordings.files[rows[i]] for i in np.unique(np.linspace(0, len(rows) - 1, share).round().astype(int))]
+    files = [recordings.files[rows[i]] for i in evenly(len(rows), share)]
     try:
         return seen([(file.name, read_image(file)) for file in files])
     except UserError as error:

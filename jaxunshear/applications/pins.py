@@ -12,6 +12,7 @@ import numpy as np
 
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.evenly import evenly
 from jaxunshear.image.fitting import Layout, fit_lattice
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import Found, detect
@@ -92,7 +93,7 @@ def _found(recordings: Recordings, view: View) -> tuple[list[Found], list[str], 
     """Pins and names of all images that can be read, some of the images, and the seconds that finding took."""
     found: list[Found] = []
     names: list[str] = []
-    wanted = set(np.linspace(0, len(recordings) - 1, min(DRAWN, len(recordings))).round().astype(int).tolist())
+    wanted = set(evenly(len(recordings), DRAWN).tolist())
     drawn: dict[int, np.ndarray] = {}
     spent, seen = 0.0, 0
     with Progress(f"pins {recordings.path.name}", len(recordings)) as progress:

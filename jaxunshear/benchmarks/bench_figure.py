@@ -1,6 +1,5 @@
 """The work-precision diagram of `check bench sim`: how far off against how long, a panel for slides and one for taps."""
 
-import io
 from collections.abc import Sequence
 from functools import partial
 
@@ -11,7 +10,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.benchmarks.bench_sim import OWN
 from jaxunshear.storage import Json
-from jaxunshear.style import FAINT, INK, LABEL, STYLE
+from jaxunshear.style import FAINT, INK, LABEL, STYLE, png_of
 from jaxunshear.verification.paper import KINDS
 
 COLOURS = ("#1f6feb", "#d9822b", "#2a9d6f", "#8957e5", "#bf3989", "#57606a", "#9a6700")
@@ -22,15 +21,13 @@ def work_precision(rows: Sequence[Json]) -> bytes:
     """PNG. Rows without an error to show (the reference itself) and rows that crashed are left out; failures are named below."""
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     with rc_context(STYLE):
-        figure = Figure(figsize=(6.4 * len(kinds), 6.4), layout="constrained")
+        figure = Figure(figsize=(6.4 * len(kinds), 6.4), layout="constrained", dpi=130)
         panels = figure.subplots(1, len(kinds), squeeze=False)[0]
         for axes, kind in zip(panels, kinds, strict=True):
             _panel(axes, [row for row in rows if row["kind"] == kind])
             axes.set_title(f"{kind}s")
         panels[0].set_ylabel("rms pin error (px of 256); bar: up to the 95th percentile")
-        picture = io.BytesIO()
-        figure.savefig(picture, format="png", dpi=130, metadata={"Software": ""})
-    return picture.getvalue()
+        return png_of(figure)
 
 
 def series_of(row: Json) -> str:

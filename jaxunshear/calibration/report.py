@@ -1,6 +1,5 @@
 """What a calibration reports: rows of recorded, before and after, and one page of curves and example images."""
 
-import io
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,6 +9,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.calibration.statistics import SLIDE_BINS_MM, Summary
 from jaxunshear.storage import Json
+from jaxunshear.style import png_of
 
 RECORDED, BEFORE, AFTER = "recorded", "simulated, before", "simulated, after"
 COLOURS = {RECORDED: "#1c2330", BEFORE: "#d9822b", AFTER: "#1f6feb"}
@@ -89,9 +89,7 @@ def curves(summaries: Summaries, pictures: Sequence[tuple[str, np.ndarray]]) -> 
         for axes, (name, image) in zip(panels[1], pictures, strict=False):
             axes.imshow(image, cmap="gray", interpolation="nearest")
             axes.set_title(name if len(name) <= LONGEST else f"...{name[3 - LONGEST :]}")
-        stream = io.BytesIO()
-        figure.savefig(stream, format="png")
-    return stream.getvalue()
+        return png_of(figure)
 
 
 def _rings(axes: Axes, by_name: ByName) -> None:

@@ -1,7 +1,5 @@
 """Where on the dome the simulator goes wrong: maps of recorded motion and of what is left, pin by pin, of taps and of slides."""
 
-import io
-
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -10,7 +8,7 @@ from matplotlib.figure import Figure
 
 from jaxunshear.calibration.validation import Compared, by_kind, r2, rms
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.style import COLOURS, FAINT, INK, STYLE
+from jaxunshear.style import COLOURS, FAINT, INK, STYLE, png_of
 
 PIN = 22  # points squared
 AXIS_PX = 4.0  # a line is so many times as long as the residual it stands for
@@ -32,9 +30,7 @@ def validate_figure(parts: list[Compared]) -> bytes:
             row[0].set_title(f"{kind}s: recorded motion, each pin less its mean")
             row[1].set_title(f"{kind}s: left over; lines: its main direction, x {AXIS_PX:g}")
             _rings(row[2], kind, chosen)
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", metadata={"Software": ""})
-    return buffer.getvalue()
+        return png_of(figure)
 
 
 def _map(axes: Axes, part: Compared, values: np.ndarray, most: float) -> PathCollection:

@@ -186,7 +186,7 @@ def pack(images: np.ndarray) -> np.ndarray:
     return np.packbits(images.reshape(len(images), -1) > 0, axis=-1)
 
 
-def png_of(chunk: dict[str, np.ndarray], place: int, size: int) -> bytes:
+def stored_png(chunk: dict[str, np.ndarray], place: int, size: int) -> bytes:
     """One image of a chunk, as sets store it."""
     return png(unpack(chunk["images"][place], size), PNG_LEVEL)
 

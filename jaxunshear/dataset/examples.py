@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, png_of, usable_rows
+from jaxunshear.dataset.chunks import load_chunk, stored_png, usable_rows
 from jaxunshear.dataset.shots import Shots
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import SPLITS
@@ -84,7 +84,7 @@ def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split
     inside = shots.split == SPLITS.index(split)
     tap_images, tap_pins = {}, {}
     for chunk, place, row in usable_rows(paths, inside & ~shots.slid):
-        tap_images[row] = png_of(chunk, place, settings.preprocess.size)
+        tap_images[row] = stored_png(chunk, place, settings.preprocess.size)
         tap_pins[row] = chunk["pins"][place]
     taps = _by_pose(shots, np.array(sorted(tap_images), int))
     keys = _pose_keys(shots)
@@ -98,7 +98,7 @@ def paired_examples(settings: PairedData, shots: Shots, paths: list[Path], split
             f"{labels['stimulus']}_{labels['pose_id']}_{slide}",
             {
                 "canonical": tap_images[tap],
-                "sheared": png_of(chunk, place, settings.preprocess.size),
+                "sheared": stored_png(chunk, place, settings.preprocess.size),
                 "canonical_pins": tap_pins[tap],
                 "sheared_pins": chunk["pins"][place],
                 **labels,
@@ -121,7 +121,7 @@ def pose_examples(settings: PoseData, shots: Shots, paths: list[Path], split: st
         yield (
             f"{labels['stimulus']}_{labels['pose_id']}",
             {
-                "image": png_of(chunk, place, settings.preprocess.size),
+                "image": stored_png(chunk, place, settings.preprocess.size),
                 "pins": chunk["pins"][place],
                 **labels,
                 "residual_mm": np.float32(chunk["residual_mm"][place]),

@@ -19,6 +19,7 @@ from jaxunshear.dataset.recorded import LARGEST_PX, Contacts, common_view, probe
 from jaxunshear.dataset.recordings import Recordings, read_image
 from jaxunshear.environment import cores
 from jaxunshear.errors import UserError
+from jaxunshear.evenly import evenly
 from jaxunshear.progress import Progress
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
@@ -96,7 +97,7 @@ def frame_of_files(
     from jaxunshear.image.preprocess import prepare_frame
     from jaxunshear.image.understood import inverse
 
-    rows = np.unique(np.linspace(0, len(files) - 1, min(LATTICE_FRAMES, len(files))).round().astype(int))
+    rows = evenly(len(files), LATTICE_FRAMES)
     found = []
     for row in rows:
         try:

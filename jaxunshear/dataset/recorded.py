@@ -17,6 +17,7 @@ import numpy as np
 from jaxunshear.dataset.labels import read_pair_table
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.evenly import evenly
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import SENSORS, Sensor
@@ -94,7 +95,7 @@ def sensor_of(contacts: Contacts, preprocess: Preprocess) -> Sensor:
 def probes_of(contacts: Contacts) -> np.ndarray:
     """Rows of up to PROBES training contacts, evenly spaced: what a camera's frames have in common is found from these alone."""
     rows = np.flatnonzero(contacts.split == SPLITS.index("train"))
-    return rows[np.unique(np.linspace(0, len(rows) - 1, min(PROBES, len(rows))).round().astype(int))]
+    return rows[evenly(len(rows), PROBES)]
 
 
 def common_view(contacts: Contacts, preprocess: Preprocess) -> "View":

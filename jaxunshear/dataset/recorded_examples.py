@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.dataset.chunks import load_chunk, png_of, usable_rows
+from jaxunshear.dataset.chunks import load_chunk, stored_png, usable_rows
 from jaxunshear.dataset.preparing import Frame, frame_of, prepare
 from jaxunshear.dataset.recorded import Contacts, survey
 from jaxunshear.errors import UserError
@@ -87,7 +87,7 @@ def examples(settings: Recorded, contacts: Contacts, paths: list[Path], split: s
         yield (
             f"{row:08d}",
             {
-                "image": png_of(chunk, place, settings.preprocess.size),
+                "image": stored_png(chunk, place, settings.preprocess.size),
                 "pins": chunk["pins"][place].astype(np.float32),
                 "sure": int(chunk["sure"][place]),
                 "slid": int(contacts.slid[row]),

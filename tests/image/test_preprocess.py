@@ -103,11 +103,9 @@ def test_every_pin_of_an_undeformed_frame_is_found_where_it_is(frames, size):
     images = np.asarray(binarise(preprocess, frames[:4]))
     assert [len(find_pins(image)) for image in images] == [331] * 4
     true = to_image_px(CAMERA, preprocess, project(CAMERA, pin_tips(TACTIP_331), TACTIP_331))
-    error = pin_error(
-        images, np.tile(np.asarray(true)[None], (4, 1, 1)), mm_per_px=CAMERA.mm_across / size, limit_px=5.0
-    )
-    assert error.missed == error.extra == 0
-    assert error.rms_px < 0.3
+    error = pin_error(images, np.tile(np.asarray(true)[None], (4, 1, 1)), limit_px=5.0)
+    assert error["missed_per_image"] == error["extra_per_image"] == 0
+    assert error["rms_px"] < 0.3
 
 
 @SIZES
