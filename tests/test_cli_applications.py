@@ -104,7 +104,7 @@ def test_a_half_trained_network_is_refused(command, tmp_path, model, name):
 
 
 def test_servo_then_reconstruct(command, brief, tmp_path, model):
-    """A few steps by each way; networks that have learnt nothing go astray, which is told."""
+    """A few steps by each way; networks that have learnt nothing go astray, which is said."""
     out = tmp_path / "walks"
     words = ("--model", model, "--out", out, "--stimulus", "disk")
     answer = command("servo", *words, "--starts", 1, "--json", tmp_path / "rows.json")

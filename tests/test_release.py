@@ -1,4 +1,4 @@
-"""Weights made of a run: enough to unshear and to read poses, nothing more; found by name; damage is told."""
+"""Weights made of a run: enough to unshear and to read poses, nothing more; found by name; damage is named."""
 
 import json
 import shutil

@@ -1,4 +1,4 @@
-"""The whole way at its smallest: one command, then what a person does with the result."""
+"""The full way at its smallest: one command, then what a person does with the result."""
 
 import contextlib
 import fcntl
@@ -43,7 +43,7 @@ def run_command(folder: Path, *more: str) -> list[str]:
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the runs/ and datasets/ of a finished tiny experiment."""
-    folder = tmp_path_factory.mktemp("whole")
+    folder = tmp_path_factory.mktemp("full")
     words = run_command(folder, "--json", str(folder / "rows.json"))
     done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and every failure names its path."""
+"""Files appear complete or not at all, and every failure names its path."""
 
 import contextlib
 import errno

@@ -98,7 +98,7 @@ def score_transfer(
         pose_recovery={"unsheared": _recovery(mae)},
         readers=_score_reader(tuple(aligned), known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
         counts=Counts(
-            told_taps=int(known_half.sum()),
+            known_taps=int(known_half.sum()),
             test_taps=int((~known_half).sum()),
             test_poses=len(slides.files),
             unread_taps=unread[0],

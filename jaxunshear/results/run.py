@@ -109,7 +109,7 @@ class Counts:
     retried: int | None = None
     dropped: int | None = None
     reader_taps: Mapping[str, int] | None = None
-    told_taps: int | None = None
+    known_taps: int | None = None
     unread_taps: int | None = None
 
 

@@ -44,7 +44,7 @@ def test_evidence_changes_sign_at_the_edge(occupancy):
     assert said[(apart > -1.5) & (apart < -0.5)].mean() > 0.3 and said[(apart < 1.5) & (apart > 0.5)].mean() < -0.3
 
 
-def test_bounded_and_untold_stays_untold(occupancy):
+def test_bounded_and_unknown_stays_unknown(occupancy):
     growth, _ = taps(2, 3)
     growth[0] = np.nan
     growth[1] *= 1e6

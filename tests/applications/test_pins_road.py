@@ -1,4 +1,4 @@
-"""Networks over pins put to use: pins are followed in the image, the networks read them, and what is not followed is told as NaN."""
+"""Networks over pins put to use: pins are followed in the image, the networks read them, and what is not followed is given as NaN."""
 
 import json
 from functools import partial

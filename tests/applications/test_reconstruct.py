@@ -1,4 +1,4 @@
-"""Whole objects out of evidence that is known: the shape comes back, and what was not felt is not made up."""
+"""Complete objects out of evidence that is known: the shape comes back, and what was not felt is not made up."""
 
 import numpy as np
 import pytest

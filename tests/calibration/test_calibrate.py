@@ -1,4 +1,4 @@
-"""Known sensors are found again from images; what images do not tell is said, and what is no recording is refused."""
+"""Known sensors are found again from images; what images do not show is said, and what is no recording is refused."""
 
 import json
 import shutil

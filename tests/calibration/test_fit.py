@@ -1,4 +1,4 @@
-"""What images leave open is told as such: the interval is then the prior's."""
+"""What images leave open is reported as such: the interval is then the prior's."""
 
 import numpy as np
 import pytest

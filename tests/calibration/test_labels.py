@@ -1,4 +1,4 @@
-"""Labels become the motions they tell of."""
+"""Labels become the motions they stand for."""
 
 import numpy as np
 import pytest

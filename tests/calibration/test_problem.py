@@ -1,4 +1,4 @@
-"""Contacts that do not converge bend nobody's slope; unlabelled images tell as much as their scatter lets them."""
+"""Contacts that do not converge bend nobody's slope; unlabelled images say as much as their scatter lets them."""
 
 from dataclasses import replace
 

@@ -53,7 +53,7 @@ def test_places_on_the_lattice_are_those_of_the_calibration():
 
 
 def test_rings_with_phases_of_their_own_are_followed():
-    """Pins that stand between the simulated ones: their mean place, which contacts shift, tells where."""
+    """Pins that stand between the simulated ones: their mean place, which contacts shift, says where."""
     moved = _moved()
     turn = 0.3 + 0.05 * shells(SENSOR)
     flat = pin_lattice(SENSOR)

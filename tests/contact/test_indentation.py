@@ -1,4 +1,4 @@
-"""How far the skin above the pins was pressed in: on a flat face geometry alone tells."""
+"""How far the skin above the pins was pressed in: on a flat face geometry alone says."""
 
 import numpy as np
 import pytest

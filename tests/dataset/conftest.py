@@ -1,4 +1,4 @@
-"""A stand-in for the simulator: microseconds a contact, and every image tells which contact it is of."""
+"""A stand-in for the simulator: microseconds a contact, and every image says which contact it is of."""
 
 import os
 import time

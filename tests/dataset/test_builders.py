@@ -189,7 +189,7 @@ def start(folder: Path, seconds: float) -> subprocess.Popen:
 
 
 def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(paired, sensor, engine, tmp_path):
-    make_set(paired, sensor, tmp_path / "whole", engine)
+    make_set(paired, sensor, tmp_path / "full", engine)
     chunks = unfinished_folder(paired, sensor, tmp_path / "killed")
     process = start(tmp_path / "killed", 0.5)
     try:
@@ -213,7 +213,7 @@ def test_a_killed_run_goes_on_to_the_same_bits_and_only_one_runs_at_a_time(paire
     assert {path.name: path.stat().st_mtime_ns for path in half.iterdir()} == kept
     assert all(load_chunk(path)["usable"].all() for path in half.iterdir())
     assert checksums(set_folder(paired, sensor, tmp_path / "killed")) == checksums(
-        set_folder(paired, sensor, tmp_path / "whole")
+        set_folder(paired, sensor, tmp_path / "full")
     )
     assert not chunks.exists()
 

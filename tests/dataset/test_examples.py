@@ -113,7 +113,7 @@ def test_a_damaged_chunk_is_named(paired, sensor, engine, tmp_path):
 def test_contacts_that_were_tried_again_are_reported_and_used(paired, sensor, engine, tmp_path):
     engine, marked = breaking(engine, helped=True)
     scenes = draw(paired).scenes
-    marked += scenes.pose[[0, 60], 0].tolist()  # two whole poses
+    marked += scenes.pose[[0, 60], 0].tolist()  # two complete poses
     shots, paths = make(paired, sensor, tmp_path, engine)
     counts = summary(paired, shots, paths)
     assert (counts["retried"], counts["dropped"]) == (10, 0)

@@ -45,7 +45,7 @@ def test_poses_of_a_group_feel_the_same_slides_and_groups_do_not_cross_splits(st
     sizes = np.bincount(leader)[np.unique(leader)]
     assert np.count_nonzero(sizes != 4) <= len(SPLITS) and sizes.max() == 4
     own = np.unique(leader)
-    assert len(np.unique(felt[own, 0], axis=0)) == len(own)  # and groups are told apart
+    assert len(np.unique(felt[own, 0], axis=0)) == len(own)  # and groups differ
 
 
 def test_a_shared_slide_includes_its_twist():
@@ -148,7 +148,7 @@ def test_images_have_the_partners_of_their_pins_and_shift_with_them(reader, shif
         for place, image, own in zip(batch[pins], batch[images], batch[FEEDS], strict=True):
             off = place - stored[FEEDS]
             steps = np.round(off[:, :1])
-            (row,) = np.flatnonzero(np.all(np.abs(off - steps) < 1e-4, axis=(1, 2)))  # moved by whole pixels
+            (row,) = np.flatnonzero(np.all(np.abs(off - steps) < 1e-4, axis=(1, 2)))  # moved by full pixels
             offset = steps[row, 0].astype(int)
             plain = reader.take("train", np.array([row]), (IMAGE,))[IMAGE]
             np.testing.assert_array_equal(shifted({IMAGE: plain}, offset[None])[IMAGE][0], image)

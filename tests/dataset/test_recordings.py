@@ -1,4 +1,4 @@
-"""Every layout of recordings, whole and broken, written by the test."""
+"""Every layout of recordings, complete and broken, written by the test."""
 
 import contextlib
 import csv

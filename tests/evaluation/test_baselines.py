@@ -15,7 +15,7 @@ def dots(seed, count=1):
 
 
 def moved(image, rows, columns):
-    """By whole pixels, black flowing in."""
+    """By full pixels, black flowing in."""
     framed = np.pad(image[..., 0], SIZE)
     return framed[SIZE - rows : 2 * SIZE - rows, SIZE - columns : 2 * SIZE - columns, None]
 

@@ -1,4 +1,4 @@
-"""Pins found in simulated images: which pairs are scored, what is told of them, and what is compared with what."""
+"""Pins found in simulated images: which pairs are scored, what is said of them, and what is compared with what."""
 
 from dataclasses import replace
 from functools import partial

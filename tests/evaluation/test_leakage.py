@@ -1,4 +1,4 @@
-"""Leakage of codes, on a toy skin whose pins tell pose and slide by a known, linear law."""
+"""Leakage of codes, on a toy skin whose pins show pose and slide by a known, linear law."""
 
 import dataclasses
 import json
@@ -108,7 +108,7 @@ def test_every_quantity_is_asked_of_every_code_by_every_probe(found, folder):
 
 
 def test_ceiling_and_floor_are_where_they_must_be(found):
-    """The input tells the slide by a linear law; of the pose x and y alone. Shuffled labels tell nothing."""
+    """The input gives the slide by a linear law; of the pose x and y alone. Shuffled labels give nothing."""
     for row in (row for row in found["rows"] if row["probe"] == "linear"):
         assert row["shuffled"] < 0.3
         if row["name"].startswith("slide"):
@@ -191,7 +191,7 @@ def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
 
 
 def test_fewer_pairs_train_beside_taps(folder, tmp_path):
-    """In a whole training: taps, and slides of one pose, are terms of it, and of no validation; its weights say what they know."""
+    """In a full training: taps, and slides of one pose, are terms of it, and of no validation; its weights say what they know."""
     training = dataclasses.replace(
         EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, paired_share=0.1, tap_weight=0.5, alike_weight=0.5
     )

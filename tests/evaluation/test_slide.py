@@ -10,7 +10,7 @@ COUNTS = (1500, 600, 900)
 
 
 def made(count):
-    """Codes that tell a slide the less surely the larger their second number; the slide, and whether it has slipped."""
+    """Codes that give a slide the less surely the larger their second number; the slide, and whether it has slipped."""
     slide = RNG.uniform(-2.5, 2.5, (count, 2))
     doubt = RNG.uniform(0, 1, (count, 1))
     codes = np.concatenate([slide + 0.05 * (1 + 9 * doubt) * RNG.normal(size=(count, 2)), doubt], axis=1)

@@ -1,4 +1,4 @@
-"""The whole stage on files: networks on disk and a stand-in for the data set, results.json and montage.npz out."""
+"""The stage on files: networks on disk and a stand-in for the data set, results.json and montage.npz out."""
 
 import importlib
 import json

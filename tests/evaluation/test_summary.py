@@ -124,7 +124,7 @@ def test_interval_width_is_the_standard_error_of_independent_poses():
     by_pose = generator.normal(size=200)
     once = intervals({"a": by_pose}, np.arange(200), 0)["a"]
     assert once[1] - once[0] == pytest.approx(2 * 1.96 * by_pose.std() / np.sqrt(200), rel=0.1)
-    # ten equal slides at each pose tell nothing new: the interval stays as wide
+    # ten equal slides at each pose say nothing new: the interval stays as wide
     often = intervals({"a": np.repeat(by_pose, 10)}, np.repeat(np.arange(200), 10), 0)["a"]
     assert often == pytest.approx(once)
 

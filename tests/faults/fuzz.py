@@ -97,8 +97,8 @@ def _parsed(pairs: list[tuple[str, str]]) -> bool:
 def _tables() -> st.SearchStrategy[Any]:
     heading = st.lists(st.one_of(st.sampled_from(NAMES), CELLS), max_size=16)
     lines = st.lists(st.lists(CELLS, max_size=16), max_size=5)
-    whole = st.tuples(st.just(list(NAMES)), st.lists(st.lists(CELLS, min_size=15, max_size=15), max_size=4))
-    table = st.one_of(st.tuples(heading, lines), whole)
+    full = st.tuples(st.just(list(NAMES)), st.lists(st.lists(CELLS, min_size=15, max_size=15), max_size=4))
+    table = st.one_of(st.tuples(heading, lines), full)
     return table.map(lambda rows: "\n".join(",".join(row) for row in [rows[0], *rows[1]]).encode("utf-8", "replace"))
 
 

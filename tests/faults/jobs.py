@@ -39,7 +39,7 @@ class Job:
 
 
 def jobs(places: Places) -> dict[str, Job]:
-    """By name. What they read lies elsewhere, and is whole."""
+    """By name. What they read lies elsewhere, and is complete."""
     run, data, frames = places.run, places.data, places.frames
 
     def of_run(work: Path) -> None:

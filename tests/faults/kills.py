@@ -64,7 +64,7 @@ def _of(job: Job, size: Size, work: Path) -> Row:
 
 
 def _compare(job: Job, work: Path, right: object, row: Row, where: str) -> None:
-    """Counts what ended with another result: where that says which part was killed, the same command must make it whole on demand."""
+    """Counts what ended with another result: where that says which part was killed, the same command must make it complete on demand."""
     if job.found(work) == right:
         return
     if not job.named(work):

@@ -86,7 +86,7 @@ def test_a_pin_without_company_counts_as_not_seen():
     motion = np.zeros_like(place)
     rim = int(np.argmax(place[:, 0]))
     motion[lattice.near[rim, :7]] = np.nan
-    motion[rim] = (0.9 * lattice.spacing, 0)  # the neighbour's place: nobody is left who could tell
+    motion[rim] = (0.9 * lattice.spacing, 0)  # the neighbour's place: nobody is left who could say
     track = judged(lattice, motion, np.arange(len(place)), len(place))
     assert not track.seen[rim] and track.missed == 8
 

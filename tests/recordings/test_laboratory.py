@@ -225,7 +225,7 @@ def test_images_take_the_same_road(command, recording, place, tmp_path):
     refused = command(
         "unshear", recording / "shear", "--model", tmp_path / "runs" / "images", "--out", tmp_path / "out"
     )
-    assert refused.code == 2 and "--force" in refused.err  # 32 px are too few to tell pins by
+    assert refused.code == 2 and "--force" in refused.err  # 32 px are too few to know pins by
     words = ("--model", tmp_path / "runs" / "images", "--out", tmp_path / "out", "--force")
     answer = command("unshear", recording / "shear", *words)
     assert answer.code == 0, answer.err

@@ -67,7 +67,7 @@ def test_a_killed_reading_goes_on_to_the_same_bits(recording, tmp_path):
     settings = settings_of(recording)
     contacts = survey(settings)
     frame = preparing.frame_of(contacts, settings, TACTIP_127)
-    full = preparing.prepare(contacts, settings, frame, tmp_path / "whole")
+    full = preparing.prepare(contacts, settings, frame, tmp_path / "full")
     assert len(full) == 2
     (tmp_path / "killed").mkdir()
     shutil.copy(full[0], tmp_path / "killed")

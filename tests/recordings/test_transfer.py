@@ -123,7 +123,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     assert max(reader["unsheared"][name] for name in ("z_mm", "Rz_deg")) < 0.5
     assert "reader pins" in table(results)
     counts = results.counts
-    assert counts.told_taps + counts.test_taps == 60 and counts.test_poses == 40 and counts.test_unsure == 0
+    assert counts.known_taps + counts.test_taps == 60 and counts.test_poses == 40 and counts.test_unsure == 0
     json.dumps(plain(results))
 
 
@@ -165,10 +165,10 @@ def weights(tmp_path_factory):
 
 def test_images_one_by_one_are_read_as_in_their_folder(command, weights, tmp_path):
     folder = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
-    full = command("unshear", folder, "--model", weights, "--out", tmp_path / "whole")
+    full = command("unshear", folder, "--model", weights, "--out", tmp_path / "full")
     assert full.code == 0, full.err
     assert "30 images unsheared, 0 left out" in full.out and "simulated touches only" in full.out
-    rows = (tmp_path / "whole" / "poses.csv").read_text().splitlines()
+    rows = (tmp_path / "full" / "poses.csv").read_text().splitlines()
     one = folder / "images" / "image_7.png"
     alone = command("unshear", one, "--model", weights, "--out", tmp_path / "alone")
     assert alone.code == 2 and "--like" in alone.err and alone.err.count("\n") == 1

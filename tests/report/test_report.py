@@ -1,4 +1,4 @@
-"""The report from a made-up run: whole, self-contained, escaped, the same bytes again, and clear about what is missing."""
+"""The report from a made-up run: complete, self-contained, escaped, the same bytes again, and clear about what is missing."""
 
 import base64
 import contextlib

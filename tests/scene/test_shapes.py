@@ -50,7 +50,7 @@ def drawn(name):
 
 
 def places(line):
-    """About the target, about the whole shape, on its outline, and within a hair of it."""
+    """About the target, about the full shape, on its outline, and within a hair of it."""
     generator = np.random.default_rng(0)
     target, full = (
         generator.uniform(-8, 8, (1000, 2)),

@@ -1,4 +1,4 @@
-"""`--sensor-from`: what a calibration tells becomes the sensor of a simulated experiment."""
+"""`--sensor-from`: what a calibration finds becomes the sensor of a simulated experiment."""
 
 import json
 from dataclasses import replace

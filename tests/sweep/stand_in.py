@@ -1,6 +1,6 @@
 """A worker whose networks, data sets and evaluation are made up: `python stand_in.py FOLDER PARENT`, as sweep/work.py.
 
-And a whole sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray|retry]`. A training takes ten steps of
+And a sweep of such workers, for a test to kill: `python stand_in.py sweep OUT [ray|retry]`. A training takes ten steps of
 `STAND_IN_PAUSE` seconds with a checkpoint each, and writes a line for every step to <data>/steps.txt; learning rates of 1/2, 1/4 and
 1/8 let it fail, 1/16 finds the disk full where `STAND_IN_FULL` is set.
 """

@@ -162,9 +162,9 @@ def asked(monkeypatch, tmp_path):
 
 @pytest.mark.parametrize("network", [network for network in TRAINABLE if network != RENDERER])
 def test_equal_parts_are_equal_trainings(asked, network):
-    """The part of an experiment asks for the very training that the whole one does, so rows that share a part may share it."""
+    """The part of an experiment asks for the very training that the full one does, so rows that share a part may share it."""
     full = Experiment(
-        name="whole",
+        name="full",
         claim="none",
         seed=5,
         networks=ALL_NETWORKS,

@@ -1,4 +1,4 @@
-"""Whole sweeps of made-up networks in real processes: nothing is done twice, nothing is lost, and a failure is one row's."""
+"""Sweeps of made-up networks in real processes: nothing is done twice, nothing is lost, and a failure is one row's."""
 
 import json
 import os
@@ -325,7 +325,7 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
             words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=os.environ | {"STAND_IN_PAUSE": str(pause)}
         )
 
-    undisturbed = start(tmp_path / "whole", 0)
+    undisturbed = start(tmp_path / "full", 0)
     entire, _ = undisturbed.communicate()
     assert undisturbed.returncode == 0
     moments = random.Random(int(kill))
@@ -349,7 +349,7 @@ def test_killed_again_and_again_it_ends_with_the_same_table(stand_in, tmp_path, 
     ended = [record_of(json.loads(text), SweepResult, "its output", "again") for text in (killed, entire)]
     assert reproducible(ended[0]) == reproducible(ended[1])
     assert (tmp_path / "killed" / "small" / "sweep.png").read_bytes() == (
-        tmp_path / "whole" / "small" / "sweep.png"
+        tmp_path / "full" / "small" / "sweep.png"
     ).read_bytes()
     lines = (tmp_path / "killed" / "data" / "steps.txt").read_text().splitlines()
     assert 0 <= len(lines) - len(set(lines)) <= kills  # at most the step that each kill interrupted is done again

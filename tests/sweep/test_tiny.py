@@ -41,12 +41,12 @@ def summary(folder: Path) -> SweepResult:
 
 @pytest.mark.long
 def test_killed_at_any_time_it_ends_with_the_same_table(tmp_path):
-    assert start(tmp_path / "whole").wait() == 0
-    full = summary(tmp_path / "whole")
+    assert start(tmp_path / "full").wait() == 0
+    full = summary(tmp_path / "full")
     assert [list(cell.seeds) for cell in full.cells[:2]] == [[0], [0]]
     assert full.reference == "patch_weight=0.1"
     assert {"ms_ssim/disentangled", "pose/disentangled/edge_mm"} <= set(full.cells[0].difference)
-    assert len(list((tmp_path / "whole" / "small" / "shared").glob("posenet*/posenet/summary.json"))) == 1
+    assert len(list((tmp_path / "full" / "small" / "shared").glob("posenet*/posenet/summary.json"))) == 1
     moments = random.Random(0)
     kills = 0
     while kills < 5:

@@ -1,4 +1,4 @@
-"""Checkpoints: whole or refused."""
+"""Checkpoints: complete or refused."""
 
 import json
 import shutil
@@ -126,11 +126,11 @@ def test_settings_there_and_back(tmp_path, kind, net):
 
 def test_a_posenet_gives_its_targets_and_others_may(tmp_path):
     targets = of_ranges((), Ranges())
-    for name, more in (("told", {"targets": to_json(targets)}), ("older", {})):
+    for name, more in (("known", {"targets": to_json(targets)}), ("older", {})):
         for kind in ("posenet", "unshear"):
             checkpoint.write_settings(tmp_path / name / kind, {"kind": kind, **more})
-    assert checkpoint.read_targets(tmp_path / "told" / "posenet") == targets
-    assert checkpoint.read_targets(tmp_path / "told" / "unshear") == targets
+    assert checkpoint.read_targets(tmp_path / "known" / "posenet") == targets
+    assert checkpoint.read_targets(tmp_path / "known" / "unshear") == targets
     assert checkpoint.read_targets(tmp_path / "older" / "unshear") == ()
     with pytest.raises(UserError, match=r"older.posenet.model\.json states no pose targets .*: train again"):
         checkpoint.read_targets(tmp_path / "older" / "posenet")

@@ -57,7 +57,7 @@ def examples(load=rows):
 
 
 def numbered(start=0):
-    """Batches that tell their step."""
+    """Batches that name their step."""
     return ({"step": np.array([step])} for step in range(start, 100))
 
 

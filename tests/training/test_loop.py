@@ -29,7 +29,7 @@ import small
 
 
 class Stop(Exception):
-    """A kill, as far as the loop can tell."""
+    """A kill, as far as the loop can see."""
 
 
 def stopped(make, start, at):

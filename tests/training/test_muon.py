@@ -172,7 +172,7 @@ def test_a_stopped_training_with_muon_ends_equal(tmp_path):
             task, training, batches, lambda: iter([small.pair(1000, 4)]), 0, folder, epoch_images=small.IMAGES
         )
 
-    full = train(tmp_path / "whole")
+    full = train(tmp_path / "full")
     with pytest.raises(KeyboardInterrupt):
         train(tmp_path / "stopped", last=6)
     again = train(tmp_path / "stopped")

@@ -67,15 +67,15 @@ def test_a_training_goes_on_from_released_weights_and_knows_which(tmp_path):
     """Those hold E, the pose code and DC: the rest is as fresh as without them."""
     there = unshearnet.init(small.NET, jax.random.key(5))
     released = {kind: {m: v for m, v in parts.items() if m not in ("shear", "DS")} for kind, parts in there.items()}
-    trained(tmp_path / "begun", Start(released, "of these"))
+    trained(tmp_path / "started", Start(released, "of these"))
     trained(tmp_path / "fresh", None)
-    found, fresh = (checkpoint.load_best(tmp_path / name)["params"] for name in ("begun", "fresh"))
+    found, fresh = (checkpoint.load_best(tmp_path / name)["params"] for name in ("started", "fresh"))
     for module in ("E", "pose", "DC"):
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), found[module], there["params"][module])
     for module in ("shear", "DS"):
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-9), found[module], fresh[module])
     assert not np.allclose(found["E"]["First_0"]["kernel"], fresh["E"]["First_0"]["kernel"])
-    assert json.loads((tmp_path / "begun" / "model.json").read_text())["start"] == "of these"
+    assert json.loads((tmp_path / "started" / "model.json").read_text())["start"] == "of these"
     assert "start" not in json.loads((tmp_path / "fresh" / "model.json").read_text())
     with pytest.raises(UserError, match="start = of these, now others"):
-        trained(tmp_path / "begun", Start(released, "others"))
+        trained(tmp_path / "started", Start(released, "others"))

@@ -1,4 +1,4 @@
-"""What the table's figures mean; the whole comparison takes a minute and runs with the long tests."""
+"""What the table's figures mean; the full comparison takes a minute and runs with the long tests."""
 
 import jax
 import numpy as np

@@ -94,13 +94,13 @@ constexpr const Tile* kTiles[] = {
 void add(const Pixels& numbers, const Pixels& vectors, Index first, Index last, const Slab& slab, float* out) {
   const Index count = vectors.pixel;
   for (Index n = 0; n < count;) {
-    const Index whole = std::min(kVectors, (count - n) / kLanes);
-    const Index at = whole ? n : count - kLanes;
+    const Index full = std::min(kVectors, (count - n) / kLanes);
+    const Index at = full ? n : count - kLanes;
     for (Index c = first; c < last; c += kRows) {
-      const Tile run = kTiles[std::max<Index>(whole, 1) - 1][std::min(kRows, last - c) - 1];
+      const Tile run = kTiles[std::max<Index>(full, 1) - 1][std::min(kRows, last - c) - 1];
       run(numbers, vectors, c, at, slab, out + c * count + at, count, n - at);
     }
-    n = at + std::max<Index>(whole, 1) * kLanes;
+    n = at + std::max<Index>(full, 1) * kLanes;
   }
 }
 
