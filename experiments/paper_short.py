@@ -2,8 +2,8 @@
 
     jaxunshear run experiments/paper_short.py
 
-Expected on two cores: two hours. One seed's disentangled network and PoseNet learnt for 95 and 12 minutes on a core each, and gave
-docs/results/paper_short.json; its entangled network has not been trained on today's data. Sensor and shapes are those of
+Expected on two cores: two hours. One seed's disentangled network and PoseNet learnt for 78 and 12 minutes on a core each, other work
+beside, and gave docs/results/paper_short.json; its entangled network has not been trained on today's data. Sensor and shapes are those of
 experiments/standard.py at twice the resolution.
 
 Slides are paired with taps of their own depth; against taps that miss it by up to 1 mm, as the paper pairs them, stands a test of its

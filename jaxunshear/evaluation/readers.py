@@ -63,9 +63,9 @@ def places(pins: np.ndarray) -> np.ndarray:
 FEATURES = {PIXELS: pixels, PIN_PLACES: places}
 
 
-def learnt(name: str, taps: Reader, targets: Targets) -> PoseReader | None:
-    """PIXELS or PIN_PLACES from training taps alone; None where there are too few."""
-    rows = evenly(taps.length("train"), MOST_TAPS)
+def learnt(name: str, taps: Reader, targets: Targets, most: int = MOST_TAPS) -> PoseReader | None:
+    """PIXELS or PIN_PLACES from training taps alone, at most so many; None where there are too few."""
+    rows = evenly(taps.length("train"), most)
     fields = fields_of(targets)
     batch = taps.take("train", rows, (FIELD[name], *fields))
     return reader_of(FEATURES[name](batch[FIELD[name]]), {field: batch[field] for field in fields}, targets)

@@ -88,11 +88,10 @@ def test_the_same_taps_give_the_same_bits(reader):
     np.testing.assert_array_equal(again.ridge.weights, reader.ridge.weights)
 
 
-def test_of_many_taps_some_are_learnt_from_and_of_too_few_nothing(monkeypatch):
+def test_of_many_taps_some_are_learnt_from_and_of_too_few_nothing():
     assert learnt(PIN_PLACES, Taps(FEWEST - 1), TARGETS) is None
     assert learnt(PIN_PLACES, Taps(20), ()) is None
-    monkeypatch.setattr("jaxunshear.evaluation.readers.MOST_TAPS", 30)
-    assert learnt(PIN_PLACES, Taps(200), TARGETS).taps == 30
+    assert learnt(PIN_PLACES, Taps(200), TARGETS, most=30).taps == 30
 
 
 def test_pins_that_are_not_seen_count_as_they_are_on_average(reader):
