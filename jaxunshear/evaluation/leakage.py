@@ -1,16 +1,17 @@
-"""What each code holds that it should not: pose in the shear code, slide in the pose code, asked by probes on held-out poses.
+"""What each code holds that it should not: pose in the shear code, slide in the pose code, by probes on held-out poses.
 
     results = leakage(experiment, Path("runs/demo"), Path("datasets"), command)
 
-A probe learns from codes of training slides and answers for those of test slides; R2 is 1 where it recovers all, 0 where nothing. Beside it
-stand a ceiling (the same probe on the network's own input), a floor (labels shuffled among training slides) and the codes of an
-untrained network. A slide is given as the sensor feels it, in its own frame.
+Each quantity is probed by itself, by every family of `probes`; reported is the largest R2 over the
+families, which errs towards a leak. Beside it stands a ceiling: the largest R2 that the same families
+reach from the pins of the network's input. Quantities that the input does not show have no ceiling; they
+are named, and left out of means. A slide is given as the sensor feels it, in its own frame.
 """
 
 from collections.abc import Mapping, Sequence
-from functools import partial
 from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,11 +19,12 @@ from jaxunshear.dataset.reading import Batch, Reader
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.codes import Encode, encoder_of, untrained
 from jaxunshear.evaluation.exchange import errors_of
-from jaxunshear.evaluation.probes import LEAST, PROBES
-from jaxunshear.evaluation.readers import pixels, places
+from jaxunshear.evaluation.probes import FAMILIES, fit_whitening
+from jaxunshear.evaluation.readers import places
 from jaxunshear.evaluation.slide import slides_read, slipping
 from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
 from jaxunshear.evenly import evenly
+from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.settings.data import PairedData, Ranges
@@ -36,6 +38,8 @@ from jaxunshear.training.origin import check_origin
 
 MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen
 MOST_COMPARED = 500  # poses, in the criterion of independence
+LEAST_CEILING = 0.1  # R2 from the input: below it a quantity cannot be seen, and has no ceiling
+PLANTED = 0.01  # deviation of a planted leak, in shares of the code's widest direction
 SEED = 0
 CODES = ("z_s", "z_p")
 LEAKS = (("pose", "z_s"), ("slide", "z_p"))  # what should not be there; the rest should
@@ -43,16 +47,43 @@ UNITS = {"rms_grey": "of 1 in grey", "rms_px": "px"}  # of what DS draws, over i
 DRAWN = (*UNITS, "missed_per_image")
 SLIDE = ("mae", "rmse", "coverage")
 LABELS = ("pose", "move", "stimulus", "pose_id")
+PINS = "sheared_pins"
 
 Known = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
 
 
-def leakage(experiment: Experiment, run_dir: Path, data_dir: Path, command: str, leaks_alone: bool = False) -> Json:
-    """Probes the disentangled network in `run_dir`, over images or pins; writes leakage.json there. `leaks_alone`: not what should be in
-    each code, and neither ceiling, floor nor an untrained network beside it.
+class Split(NamedTuple):
+    """Slides that probes learn from, or are tested on."""
 
-    Raises `UserError` where the network or the data set is missing or damaged, there is no shear code, or the network learnt from other
-    data or is not trained to the end.
+    seen: np.ndarray  # what the network is given
+    pins: np.ndarray  # (N, 2 P) px, finite
+    wanted: dict[str, Known]  # "pose" and "slide"
+    poses: np.ndarray  # (N,) which pose a slide belongs to
+    batch: Batch
+
+
+class Estimate(NamedTuple):
+    """Errors of the family that estimates a quantity best."""
+
+    family: str
+    squares: np.ndarray  # (M,) squared error
+    scatter: np.ndarray  # (M,) squared distance from the mean
+    families: dict[str, float]  # R2 of every family
+
+    @property
+    def r2(self) -> float:
+        return self.families[self.family]
+
+
+def leakage(
+    experiment: Experiment, run_dir: Path, data_dir: Path, command: str, controls: bool = True
+) -> Json:
+    """Probe the disentangled network in `run_dir`, over images or pins; write leakage.json there.
+
+    `controls` adds an untrained network and shuffled labels, and the slide with its intervals.
+
+    Raises `UserError` if the network or the data set is missing or damaged, there is no shear code, or
+    the network learnt from other data or is not trained to the end.
     """
     folder = Path(run_dir) / DISENTANGLED
     check_finished(folder)
@@ -60,85 +91,154 @@ def leakage(experiment: Experiment, run_dir: Path, data_dir: Path, command: str,
     check_origin(experiment, DISENTANGLED, run_dir)
     encode = encoder_of(net, variables)
     if encode is None:
-        raise UserError(f"{folder} holds no network with a shear code: there is nothing to leak from")
+        raise UserError(
+            f"{folder} holds no network with a shear code: there is nothing to leak from"
+        )
     examples = open_examples(experiment, DISENTANGLED, data_dir, run_dir)
-    reader = examples.reader
-    seen = "sheared_pins" if over_pins(experiment) else "sheared"
-    learnt, tested = (
-        _taken(experiment, reader, split, seen, most) for split, most in (("train", MOST_LEARNT), ("test", MOST_TESTED))
-    )
-    pose = _pose(experiment, data_dir)
-    wanted = [{"pose": _values(pose, b), "slide": _slides(examples.slides, b)} for b in (learnt, tested)]
-    groups, poses = (numbered_poses(batch["stimulus"], batch["pose_id"]) for batch in (learnt, tested))
-    codes = [encode(batch[seen]) for batch in (learnt, tested)]
-    others: dict[str, list[Mapping[str, np.ndarray]]] = {}
-    if not leaks_alone:
-        fresh = encoder_of(net, untrained(net, variables, SEED))
-        assert fresh is not None
-        features = places if over_pins(experiment) else pixels
-        inputs = [features(batch[seen]) for batch in (learnt, tested)]
-        mean = np.nanmean(inputs[0], axis=0)  # a pin that is not seen counts as it is on average
-        others = {
-            "untrained": [fresh(batch[seen]) for batch in (learnt, tested)],
-            "input": [dict.fromkeys(CODES, np.where(np.isfinite(values), values, mean)) for values in inputs],
-        }
+    train, test = _splits(experiment, examples, data_dir)
+    codes = [encode(split.seen) for split in (train, test)]
+    fresh = []
+    if controls:
+        untrained_encode = encoder_of(net, untrained(net, variables, SEED))
+        assert untrained_encode is not None
+        fresh = [untrained_encode(split.seen) for split in (train, test)]
+    rows = _probe_all(codes, fresh, train, test, controls)
     results = {
         "experiment": experiment.name,
         "simulated": recorded_of(experiment) is None,
-        "metric": f"R2 on test poses, mean over the quantities named in 'each'; brackets: 95 % over {OVER}",
-        "rows": _probed(codes, others, wanted, groups, poses, leaks_alone),
-        "independence": [_independence(what, code, codes[1][code], wanted[1][what], poses) for what, code in LEAKS],
-        "exchanged": errors_of(net, variables, reader),
-        "slide": [] if leaks_alone else _slide(experiment, examples, seen, encode, (learnt, tested)),
-        "slides": {"learnt": len(groups), "tested": len(poses)},
+        "metric": "R2 on test poses of the family of probes that finds most; share: R2 over its ceiling, the R2 "
+        f"from the input's pins; brackets: 95 % over {OVER}",
+        "rows": rows,
+        "summary": [
+            _summarise(rows, pair, test.poses) for pair in product(("pose", "slide"), CODES)
+        ],
+        "independence": _independence(codes[1], test, rows),
+        "scores": _standard_scores(codes, train, test, rows),
+        "exchanged": errors_of(net, variables, examples.reader),
+        "slide": _slide(experiment, examples, encode, (train, test)) if controls else [],
+        "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
         "command": command,
         "machine": machine(),
         "versions": versions(),
     }
+    for row in rows:
+        del row["estimate"]
     write_json(Path(run_dir) / "leakage.json", results)
     return results
 
 
-def _probed(
+def _splits(experiment: Experiment, examples: Examples, data_dir: Path) -> tuple[Split, Split]:
+    pose = _pose(experiment, data_dir)
+    train = _read_split(experiment, examples, pose, "train", MOST_LEARNT)
+    test = _read_split(experiment, examples, pose, "test", MOST_TESTED)
+    mean = np.nanmean(train.pins, axis=0)  # a pin that is not seen counts as it is on average
+    train, test = (
+        s._replace(pins=np.where(np.isfinite(s.pins), s.pins, mean)) for s in (train, test)
+    )
+    return train, test
+
+
+def _read_split(
+    experiment: Experiment, examples: Examples, pose: list[Target], split: str, most: int
+) -> Split:
+    batch = _take(experiment, examples.reader, split, most)
+    wanted = {"pose": _values(pose, batch), "slide": _slides(examples.slides, batch)}
+    seen = batch[PINS if over_pins(experiment) else "sheared"]
+    poses = numbered_poses(batch["stimulus"], batch["pose_id"])
+    return Split(seen, places(batch[PINS]), wanted, poses, batch)
+
+
+def probe_quantity(
+    codes: Sequence[np.ndarray], known: np.ndarray, true: np.ndarray, groups: np.ndarray
+) -> Estimate:
+    """Estimate one quantity from a code by every family; return the errors of the best.
+
+    `codes`: of training slides (N, F) and test slides (M, F); `known` (N, K) and `true` (M, K) are the
+    quantity, with two columns for an angle over the full circle; `groups` (N,) are training poses.
+    """
+    scatter = np.sum(np.square(true - true.mean(axis=0)), axis=1)
+    squares = {
+        name: np.sum(np.square(probe(codes[0], known, codes[1], groups) - true), axis=1)
+        for name, probe in FAMILIES.items()
+    }
+    families = {name: r2(errors, scatter) for name, errors in squares.items()}
+    best = max(families, key=families.__getitem__)
+    return Estimate(best, squares[best], scatter, families)
+
+
+def _probe_all(
     codes: Sequence[Mapping[str, np.ndarray]],
-    others: Mapping[str, Sequence[Mapping[str, np.ndarray]]],
-    wanted: Sequence[Mapping[str, Known]],
-    groups: np.ndarray,
-    poses: np.ndarray,
-    leaks_alone: bool,
+    fresh: Sequence[Mapping[str, np.ndarray]],
+    train: Split,
+    test: Split,
+    controls: bool,
 ) -> list[Json]:
-    """A row for each quantity, code and probe. Of codes, of what stands beside them and of what is wanted, learnt slides
-    come first, in `groups` of one pose, then tested ones, of `poses`."""
-    shuffled = np.random.default_rng(SEED).permutation(len(groups))
+    """Return a row for each quantity and code."""
+    shuffled = np.random.default_rng(SEED).permutation(len(train.poses))
     rows = []
-    for what, code, probe in product(("pose", "slide"), CODES, PROBES):
-        if leaks_alone and (what, code) not in LEAKS:
-            continue
-        known, true = (each[what] for each in wanted)
-        asked = partial(_scores, probe, true=true, groups=groups)
-        own = (codes[0][code], codes[1][code])
-        each, band = _with_interval(asked(known, *own), poses)
-        row = {"name": f"{what} from {code}", "probe": probe, "leak": (what, code) in LEAKS}
-        row |= {"r2": float(np.mean(list(each.values()))), "r2 interval": band, "each": each}
-        row |= {name: _mean_r2(asked(known, pair[0][code], pair[1][code])) for name, pair in others.items()}
-        if not leaks_alone:
-            row["shuffled"] = _mean_r2(asked({name: value[shuffled] for name, value in known.items()}, *own))
-        rows.append(row)
+    for what in ("pose", "slide"):
+        for quantity, known in train.wanted[what].items():
+            true = test.wanted[what][quantity]
+            ceiling = probe_quantity((train.pins, test.pins), known, true, train.poses).r2
+            for code in CODES:
+                pair = (codes[0][code], codes[1][code])
+                estimate = probe_quantity(pair, known, true, train.poses)
+                row = {
+                    "name": f"{quantity} from {code}",
+                    "what": what,
+                    "code": code,
+                    "quantity": quantity,
+                    "leak": (what, code) in LEAKS,
+                    "r2": estimate.r2,
+                    "r2 interval": _bootstrap_r2([estimate], test.poses),
+                    "family": estimate.family,
+                    "families": estimate.families,
+                    "ceiling": ceiling if ceiling >= LEAST_CEILING else None,
+                    "estimate": estimate,
+                }
+                if controls:
+                    other = (fresh[0][code], fresh[1][code])
+                    row["untrained"] = probe_quantity(other, known, true, train.poses).r2
+                    row["shuffled"] = probe_quantity(pair, known[shuffled], true, train.poses).r2
+                rows.append(row)
     return rows
 
 
+def _summarise(rows: Sequence[Json], pair: tuple[str, str], poses: np.ndarray) -> Json:
+    """Return the means over the quantities that have a ceiling, of what is in which code."""
+    what, code = pair
+    asked = [row for row in rows if (row["what"], row["code"]) == pair]
+    seen = [row for row in asked if row["ceiling"] is not None]
+    summary = {
+        "name": f"{what} from {code}",
+        "leak": pair in LEAKS,
+        "quantities": [row["quantity"] for row in seen],
+        "without a ceiling": [row["quantity"] for row in asked if row["ceiling"] is None],
+    }
+    for name in ("r2", "ceiling", "untrained", "shuffled"):
+        if seen and name in seen[0]:
+            summary[name] = float(np.mean([row[name] for row in seen]))
+    if seen:
+        summary["r2 interval"] = _bootstrap_r2([row["estimate"] for row in seen], poses)
+        summary["share"] = float(np.mean([max(row["r2"], 0) / row["ceiling"] for row in seen]))
+        summary["largest share"] = max(max(row["r2"], 0) / row["ceiling"] for row in seen)
+    return summary
+
+
 def _slide(
-    experiment: Experiment, examples: Examples, seen: str, encode: Encode, batches: Sequence[Batch]
+    experiment: Experiment, examples: Examples, encode: Encode, splits: Sequence[Split]
 ) -> list[Json]:
     """What both codes together say of the slide, in mm and deg, and how surely."""
-    learnt, tested = batches
-    between = _taken(experiment, examples.reader, "validation", seen, MOST_TESTED)
-    codes = [np.concatenate(list(encode(batch[seen]).values()), axis=1) for batch in (learnt, between, tested)]
-    wanted = [_slides(examples.slides, batch) for batch in (learnt, between, tested)]
-    groups, poses = (numbered_poses(batch["stimulus"], batch["pose_id"]) for batch in (learnt, tested))
-    slipped = slipping(tested["stuck"], tested["slipping"]) if "stuck" in tested else None
-    return slides_read(codes, wanted, groups, poses, slipped)
+    train, test = splits
+    batch = _take(experiment, examples.reader, "validation", MOST_TESTED)
+    seen = (train.seen, batch[PINS if over_pins(experiment) else "sheared"], test.seen)
+    codes = [np.concatenate(list(encode(each).values()), axis=1) for each in seen]
+    wanted = [train.wanted["slide"], _slides(examples.slides, batch), test.wanted["slide"]]
+    slipped = (
+        slipping(test.batch["stuck"], test.batch["slipping"]) if "stuck" in test.batch else None
+    )
+    return slides_read(codes, wanted, train.poses, test.poses, slipped)
 
 
 def for_sweep(results: Json) -> list[Json]:
@@ -146,24 +246,49 @@ def for_sweep(results: Json) -> list[Json]:
     rows = []
     for part, errors in _exchanged(results):
         for name, row in errors["drawn"].items():
-            rows.append({"name": f"DS, codes {name}{part}"} | {n: row[n] for n in DRAWN if n in row})
-    rows += [{"name": f"{row['name']} ({row['probe']})", "r2": row["r2"]} for row in results["rows"]]
-    read = ({"name": f"{row['name']}, {row['part']}"} | {n: row[n] for n in SLIDE} for row in results["slide"])
-    return [*rows, *read]
+            rows.append(
+                {"name": f"DS, codes {name}{part}"} | {n: row[n] for n in DRAWN if n in row}
+            )
+    for row in results["summary"]:
+        if row["quantities"]:
+            rows.append({n: row[n] for n in ("name", "r2", "ceiling", "share", "largest share")})
+    rows += [{"name": row["name"], "r2": row["r2"]} for row in results["rows"]]
+    rows.append({"name": "standard scores", **results["scores"]})
+    rows += [
+        {"name": f"{row['name']}, {row['part']}"} | {n: row[n] for n in SLIDE}
+        for row in results["slide"]
+    ]
+    return rows
 
 
 def table(results: Json) -> str:
     """For people."""
-    lines = [f"{'R2 of':16}  probe   code [95 %]              untrained  input   shuffled"]
+    lines = [f"{'R2 of':24}  code [95 %]              strongest      ceiling  untrained  shuffled"]
     for row in results["rows"]:
         low, high = row["r2 interval"]
-        more = "  ".join(f"{row[name]:8.3f}" for name in ("untrained", "input", "shuffled") if name in row)
+        values = [row.get(name) for name in ("ceiling", "untrained", "shuffled")]
+        more = "  ".join("    none" if value is None else f"{value:8.3f}" for value in values)
         mark = "  a leak" if row["leak"] else ""
-        lines.append(f"{row['name']:16}  {row['probe']:6}  {row['r2']:6.3f} [{low:.3f}, {high:.3f}]   {more}{mark}")
+        lines.append(
+            f"{row['name']:24}  {row['r2']:6.3f} [{low:.3f}, {high:.3f}]   {row['family']:12}  {more}{mark}"
+        )
+    for row in results["summary"]:
+        if row["quantities"]:
+            share, largest = row["share"], row["largest share"]
+            lines.append(
+                f"{row['name']}: {share:.0%} of the ceiling on average, {largest:.0%} at most"
+            )
+        if row["without a ceiling"]:
+            lines.append(
+                f"{row['name']}: the input does not show {', '.join(row['without a ceiling'])}: left out"
+            )
     for row in results["independence"]:
         lines.append(
-            f"{row['name']}: HSIC {row['hsic']:.4f} of 1, p = {row['p']:.3f} of independence, {row['poses']} poses"
+            f"{row['name']}: HSIC {row['hsic']:.4f} of 1, p = {row['p']:.3f} of independence, "
+            f"{row['planted p']:.3f} of a planted leak; {row['poses']} poses"
         )
+    for name, value in results["scores"].items():
+        lines.append(f"{name} by block: {value:.3f}")
     for part, errors in _exchanged(results):
         for name, row in errors["drawn"].items():
             low, high = row["interval"]
@@ -172,7 +297,8 @@ def table(results: Json) -> str:
             lines.append(f"DS, codes {name}{part}: {text}")
     for row in results["slide"]:
         mae, coverage = (
-            "{:.3g} [{:.3g}, {:.3g}]".format(row[name], *row[f"{name} interval"]) for name in ("mae", "coverage")
+            "{:.3g} [{:.3g}, {:.3g}]".format(row[name], *row[f"{name} interval"])
+            for name in ("mae", "coverage")
         )
         lines.append(
             f"{row['name']} from both codes, {row['part']} ({row['slides']}): error {mae}; 95 % intervals hold {coverage}"
@@ -183,20 +309,27 @@ def table(results: Json) -> str:
 def _exchanged(results: Json) -> list[tuple[str, Json]]:
     """What DS draws of exchanged codes, all of it and its parts, each with what its name ends in."""
     errors = results["exchanged"]
-    return [("", errors), *((f", {part['part']}", part) for part in errors["by slip"])] if errors else []
+    return (
+        [("", errors), *((f", {part['part']}", part) for part in errors["by slip"])]
+        if errors
+        else []
+    )
 
 
-def _taken(experiment: Experiment, reader: Reader, split: str, seen: str, most: int) -> Batch:
+def _take(experiment: Experiment, reader: Reader, split: str, most: int) -> Batch:
     """Evenly chosen slides with labels, those whose pins are sure."""
     sure = ("sure",) if recorded_of(experiment) else ()
     batch = reader.take(split, np.arange(reader.length(split)), (*LABELS, *sure))
     kept = np.isfinite(batch["pose"]).all(axis=1) & np.isfinite(batch["move"]).all(axis=1)
     rows = np.flatnonzero(kept & (batch["sure"] == 1) if sure else kept)
     if not len(rows):
-        raise UserError(f"no {split} slide has labels of its pose and its slide: there is nothing to probe for")
+        raise UserError(
+            f"no {split} slide has labels of its pose and its slide: there is nothing to probe for"
+        )
     rows = rows[evenly(len(rows), most)]
     more = () if recorded_of(experiment) else ("felt", "edge", "stuck", "slipping")
-    return reader.take(split, rows, (seen, *LABELS, *more))
+    images = () if over_pins(experiment) else ("sheared",)
+    return reader.take(split, rows, (PINS, *images, *LABELS, *more))
 
 
 def _pose(experiment: Experiment, data_dir: Path) -> list[Target]:
@@ -223,43 +356,72 @@ def _values(targets: list[Target], batch: Batch) -> Known:
     for target in targets:
         value = batch[target.field][:, target.column].astype(np.float64)
         angle = np.radians(value)
-        scaled = [np.cos(angle), np.sin(angle)] if target.circle else [(value - target.middle) / target.reach]
+        scaled = (
+            [np.cos(angle), np.sin(angle)]
+            if target.circle
+            else [(value - target.middle) / target.reach]
+        )
         values[target.name] = np.stack(scaled, axis=-1)
     return values
 
 
-def _scores(
-    probe: str, known: Known, codes: np.ndarray, asked: np.ndarray, true: Known, groups: np.ndarray
-) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """By quantity, of each test slide: its squared error, and its squared distance from the mean."""
-    answers = PROBES[probe](codes, np.concatenate(list(known.values()), axis=1), asked, groups)
-    found, column = {}, 0
-    for name, value in true.items():
-        answer = answers[:, column : column + value.shape[1]]
-        column += value.shape[1]
-        error, scatter = (np.sum(np.square(value - other), axis=1) for other in (answer, value.mean(axis=0)))
-        found[name] = (error, scatter)
+def _bootstrap_r2(estimates: Sequence[Estimate], poses: np.ndarray) -> list[float]:
+    """Return the 95 % interval of the mean R2 over redrawn poses."""
+    redrawn = []
+    for estimate in estimates:
+        values = {"squares": estimate.squares, "scatter": estimate.scatter}
+        means = redrawn_means(values, poses, SEED)
+        redrawn.append(1 - means["squares"] / means["scatter"])
+    return interval(np.mean(redrawn, axis=0))
+
+
+def _independence(codes: Mapping[str, np.ndarray], test: Split, rows: Sequence[Json]) -> list[Json]:
+    """Test each leak for independence, one slide at each pose: rows are independent draws.
+
+    The planted leak shows the test's power: codes of other contacts, which know nothing, with the
+    quantity hidden in a direction of PLANTED of the code's spread. A test that does not find it says
+    nothing by a large p.
+    """
+    first = np.unique(test.poses, return_index=True)[1]
+    chosen = first[evenly(len(first), MOST_COMPARED)]
+    shuffled = np.random.default_rng(SEED).permutation(chosen)
+    found = []
+    for row in rows:
+        if not row["leak"] or row["ceiling"] is None:
+            continue
+        code, quantity = codes[row["code"]], test.wanted[row["what"]][row["quantity"]][chosen]
+        statistic, p = hsic(fit_whitening(code).apply(code[chosen]), quantity, SEED)
+        hidden = PLANTED * code.std(axis=0).max() * quantity / max(quantity.std(), 1e-12)
+        planted = np.concatenate([code[shuffled], hidden], axis=1)
+        _, power = hsic(fit_whitening(planted).apply(planted), quantity, SEED)
+        name = f"{row['quantity']} and {row['code']}"
+        found.append(
+            {"name": name, "hsic": statistic, "p": p, "planted p": power, "poses": len(chosen)}
+        )
     return found
 
 
-def _mean_r2(scores: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> float:
-    return float(np.mean([r2(*pair) for pair in scores.values()]))
-
-
-def _with_interval(
-    scores: Mapping[str, tuple[np.ndarray, np.ndarray]], poses: np.ndarray
-) -> tuple[dict[str, float], list[float]]:
-    values = {f"{name}/{i}": part for name, pair in scores.items() for i, part in enumerate(pair)}
-    means = redrawn_means(values, poses, SEED)
-    redrawn = np.mean([1 - means[f"{name}/0"] / means[f"{name}/1"] for name in scores], axis=0)
-    return {name: r2(*pair) for name, pair in scores.items()}, interval(redrawn)
-
-
-def _independence(what: str, code: str, codes: np.ndarray, wanted: Known, poses: np.ndarray) -> Json:
-    """Of one slide at each pose: rows are independent draws."""
-    first = np.unique(poses, return_index=True)[1]
-    rows = first[evenly(len(first), MOST_COMPARED)]
-    known = np.concatenate(list(wanted.values()), axis=1)
-    one, other = ((x - x.mean(axis=0)) / np.maximum(x.std(axis=0), LEAST) for x in (codes, known))
-    statistic, p = hsic(one[rows], other[rows], SEED)
-    return {"name": f"{what} and {code}", "hsic": statistic, "p": p, "poses": len(rows)}
+def _standard_scores(
+    codes: Sequence[Mapping[str, np.ndarray]], train: Split, test: Split, rows: Sequence[Json]
+) -> dict[str, float]:
+    """Return MIG, SAP and DCI by block over the quantities with a ceiling, on whitened codes."""
+    asked = {(row["what"], row["quantity"]) for row in rows if row["ceiling"] is not None}
+    if {what for what, _ in asked} != {"pose", "slide"}:
+        return {}
+    whitenings = {name: fit_whitening(codes[0][name]) for name in ("z_p", "z_s")}
+    sizes = [whitening.directions.shape[1] for whitening in whitenings.values()]
+    blocks = []
+    for split, encoded in zip((train, test), codes, strict=True):
+        factors = [(int(w == "slide"), split.wanted[w][q]) for w, q in sorted(asked)]
+        blocks.append(
+            Blocks(
+                np.concatenate(
+                    [whitenings[name].apply(encoded[name]) for name in whitenings], axis=1
+                ),
+                np.repeat([0, 1], sizes),
+                np.concatenate([values for _, values in factors], axis=1),
+                np.concatenate([np.full(values.shape[1], owner) for owner, values in factors]),
+            )
+        )
+    dci = {f"DCI {name}": value for name, value in score_dci(*blocks).items()}
+    return {"MIG": score_mig(blocks[0]), "SAP": score_sap(*blocks), **dci}

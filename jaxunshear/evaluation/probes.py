@@ -1,13 +1,17 @@
-"""Probes: what a linear map and a small network can recover of a quantity from a code, learnt on some contacts, asked on others.
+"""Probes: estimate one quantity from a code, by regressors of several families.
 
->>> answers = PROBES["mlp"](codes, wanted, others, groups)    # (N, F), (N, K), (M, F) -> (M, K)
->>> mean, deviation = gaussian(codes, wanted, others, groups)  # the same network, that says how sure it is: (M, K) each
+>>> probe = FAMILIES["kernel ridge"]
+>>> estimates = probe(codes, quantity, others, groups)         # (N, F), (N, K), (M, F) -> (M, K)
+>>> mean, deviation = gaussian(codes, wanted, others, groups)  # a network with its uncertainty
 
-Both scale each number of the code by its own spread, so that what is whispered counts as what is shouted.
+A code can hide a quantity in directions of small variance, so probes see whitened codes. A quantity that
+no family finds may still be there: report the strongest family, and compare it with what the same
+families find in the network's input.
 """
 
 from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import flax.linen as nn
 import jax
@@ -15,15 +19,47 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from flax.typing import VariableDict
+from jaxtyping import Float, Int
 from scipy import linalg
+from sklearn.decomposition import PCA
+from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.neighbors import KNeighborsRegressor
+from threadpoolctl import threadpool_limits
+
+from jaxunshear.evaluation import ridge
 
 HIDDEN, LAYERS = 128, 2
 STEPS, BATCH, RATE, DECAY = 1000, 128, 2e-3, 1e-3
-CHECKS = 20  # at the fifth that is kept out of fitting
+CHECKS = 20  # how often the held-out groups choose among the states of a training
 RIDGES = (1e-6, 1e-4, 1e-2, 1.0)  # times the number of examples
+NEIGHBOURS = (5, 10, 20, 40, 80, 160)
+TREES = 300
 LOG_DEVIATIONS = (-6.0, 2.0)  # least and most, of what is scaled to a deviation of one
 LEAST = 1e-12  # spread of a number that does not vary
+NOISE_FLOOR = 1e-5  # of the widest direction's deviation: below it lies the rounding of float32
+MOST_DIRECTIONS = 256
 _State = tuple[VariableDict, optax.OptState]
+Codes = Float[np.ndarray, "N F"]
+Probe = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+class Whitening(NamedTuple):
+    """Principal directions of a code, each scaled to a deviation of one."""
+
+    mean: np.ndarray  # (F,)
+    directions: np.ndarray  # (F, D)
+
+    def apply(self, codes: Codes) -> Float[np.ndarray, "N D"]:
+        return (codes - self.mean) @ self.directions
+
+
+def fit_whitening(codes: Codes) -> Whitening:
+    """Return the whitening of the codes' principal directions, the widest MOST_DIRECTIONS at most."""
+    codes = np.asarray(codes, np.float64)
+    pca = PCA(min(MOST_DIRECTIONS, *codes.shape), random_state=0).fit(codes)
+    deviations = np.sqrt(pca.explained_variance_)
+    kept = deviations > max(LEAST, NOISE_FLOOR * deviations[0])
+    return Whitening(pca.mean_, (pca.components_[kept] / deviations[kept, None]).T)
 
 
 class MLP(nn.Module):
@@ -33,83 +69,167 @@ class MLP(nn.Module):
     def __call__(self, x: jax.Array) -> jax.Array:
         for _ in range(LAYERS):
             x = nn.gelu(nn.Dense(HIDDEN)(x))
-        return nn.Dense(self.outputs, kernel_init=nn.initializers.zeros)(x)  # at first it knows the mean alone
+        # zeros: an untrained network predicts the mean
+        return nn.Dense(self.outputs, kernel_init=nn.initializers.zeros)(x)
 
 
-def linear(codes: np.ndarray, wanted: np.ndarray, others: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Ridge regression, its ridge the one that does best on the groups (N,) kept out."""
-    x, y, z, back = _scaled(codes, wanted, others)
-    kept_out = _kept_out(groups)
-    errors = [np.mean((x[kept_out] @ _solved(x[~kept_out], y[~kept_out], r) - y[kept_out]) ** 2) for r in RIDGES]
-    return back(z @ _solved(x, y, RIDGES[int(np.argmin(errors))]))
+def fit_linear(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> np.ndarray:
+    """Predict by ridge regression; held-out groups choose the ridge."""
+    data = _prepare(codes, wanted, others, groups)
+    learnt = ~data.held_out
+
+    def error(r: float) -> float:
+        weights = _solve(data.x[learnt], data.y[learnt], r)
+        return float(np.mean((data.x[data.held_out] @ weights - data.y[data.held_out]) ** 2))
+
+    return data.unscale(data.others @ _solve(data.x, data.y, min(RIDGES, key=error)))
 
 
-def mlp(codes: np.ndarray, wanted: np.ndarray, others: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    """Two hidden layers, trained by AdamW; the state that does best on the groups (N,) kept out."""
-    x, y, z, back = _scaled(codes, wanted, others)
-    kept_out = _kept_out(groups)
-    return back(_answers(x, y, z, kept_out, False))
+def fit_kernel_ridge(
+    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+) -> np.ndarray:
+    """Predict by kernel ridge regression on codes as they are or whitened, whichever held-out groups prefer."""
+    data = _prepare(codes, wanted, others, groups)
+    choices = ((data.x, data.others), (np.asarray(codes, np.float64), others))
+    learnt, judged = ~data.held_out, data.held_out
+    some = np.flatnonzero(learnt)
+
+    def error(features: tuple[np.ndarray, np.ndarray]) -> float:
+        fitted = ridge.fitted(features[0][some], data.y[some])
+        return float(np.mean((ridge.answers(fitted, features[0][judged]) - data.y[judged]) ** 2))
+
+    features, asked = min(choices, key=error)
+    return data.unscale(ridge.answers(ridge.fitted(features, data.y), asked))
 
 
-def gaussian(
-    codes: np.ndarray, wanted: np.ndarray, others: np.ndarray, groups: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and standard deviation of a normal distribution, by its likelihood; the deviation is not calibrated."""
-    x, y, z, back = _scaled(codes, wanted, others)
-    answers = _answers(x, y, z, _kept_out(groups), True)
-    mean, log_deviation = np.split(answers, 2, axis=1)
-    return back(mean), np.abs(back(np.exp(log_deviation)) - back(0.0))
+def fit_mlp(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> np.ndarray:
+    """Predict by a network of two hidden layers, trained by AdamW; held-out groups stop it early."""
+    data = _prepare(codes, wanted, others, groups)
+    return data.unscale(_train(data, gaussian=False))
 
 
-PROBES: dict[str, Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]] = {
-    "linear": linear,
-    "mlp": mlp,
+def fit_trees(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray) -> np.ndarray:
+    """Predict by gradient-boosted trees, a forest for each column; held-out groups stop it early."""
+    data = _prepare(codes, wanted, others, groups)
+    # threads that wait for each other on busy cores take many times as long
+    with threadpool_limits(1, "openmp"):
+        columns = [_fit_forest(data, column) for column in data.y.T]
+    return data.unscale(np.stack(columns, axis=-1))
+
+
+def fit_neighbours(
+    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+) -> np.ndarray:
+    """Predict by the mean of the nearest codes; held-out groups choose how many."""
+    data = _prepare(codes, wanted, others, groups)
+
+    def error(count: int) -> float:
+        nearest = KNeighborsRegressor(count).fit(data.x[~data.held_out], data.y[~data.held_out])
+        return float(np.mean((nearest.predict(data.x[data.held_out]) - data.y[data.held_out]) ** 2))
+
+    possible = [count for count in NEIGHBOURS if count <= np.count_nonzero(~data.held_out)]
+    best = min(possible or [1], key=error)
+    return data.unscale(KNeighborsRegressor(best).fit(data.x, data.y).predict(data.others))
+
+
+FAMILIES: dict[str, Probe] = {
+    "linear": fit_linear,
+    "kernel ridge": fit_kernel_ridge,
+    "mlp": fit_mlp,
+    "trees": fit_trees,
+    "neighbours": fit_neighbours,
 }
 
 
-def _scaled(
-    codes: np.ndarray, wanted: np.ndarray, others: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, Callable[[np.ndarray | float], np.ndarray]]:
-    middle, spread = codes.mean(axis=0, dtype=np.float64), codes.std(axis=0, dtype=np.float64)
-    spread = np.where(spread > LEAST, spread, 1)
+def gaussian(
+    codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Predict mean and standard deviation of a normal distribution by the MLP's likelihood.
+
+    The deviation is not calibrated.
+    """
+    data = _prepare(codes, wanted, others, groups)
+    mean, log_deviation = np.split(_train(data, gaussian=True), 2, axis=1)
+    return data.unscale(mean), np.exp(log_deviation) * data.reach
+
+
+def _fit_forest(data: "_Data", wanted: np.ndarray) -> np.ndarray:
+    """Return the predictions (M,) of one column (N,)."""
+    learnt, held = ~data.held_out, data.held_out
+    trees = HistGradientBoostingRegressor(max_iter=TREES, early_stopping=True, random_state=0)
+    trees.fit(data.x[learnt], wanted[learnt], X_val=data.x[held], y_val=wanted[held])
+    return trees.predict(data.others)
+
+
+class _Best(NamedTuple):
+    """State of a training, and its parameters that did best on the held-out groups."""
+
+    state: _State
+    error: jax.Array
+    params: VariableDict
+
+
+class _Data(NamedTuple):
+    """Whitened codes and standardised quantities."""
+
+    x: np.ndarray  # (N, D)
+    y: np.ndarray  # (N, K)
+    others: np.ndarray  # (M, D)
+    held_out: np.ndarray  # (N,) bool
+    centre: np.ndarray  # (K,)
+    reach: np.ndarray  # (K,)
+
+    def unscale(self, y: np.ndarray) -> np.ndarray:
+        return self.centre + self.reach * y
+
+
+def _prepare(
+    codes: Codes, wanted: np.ndarray, others: Codes, groups: Int[np.ndarray, "N"]
+) -> _Data:
+    whitening = fit_whitening(codes)
     centre, reach = wanted.mean(axis=0, dtype=np.float64), wanted.std(axis=0, dtype=np.float64)
     reach = np.where(reach > LEAST, reach, 1)
-    return (
-        (codes - middle) / spread,
-        (wanted - centre) / reach,
-        (others - middle) / spread,
-        lambda y: centre + reach * y,
-    )
+    x, z = whitening.apply(codes), whitening.apply(others)
+    return _Data(x, (wanted - centre) / reach, z, hold_out(groups), centre, reach)
 
 
-def _kept_out(groups: np.ndarray) -> np.ndarray:
-    """(N,) all of every fifth group."""
+def hold_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
+    """Return which examples (N,) belong to every fifth group."""
     return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
 
 
-def _answers(x: np.ndarray, y: np.ndarray, z: np.ndarray, kept_out: np.ndarray, gaussian: bool) -> np.ndarray:
-    parts = (x[~kept_out], y[~kept_out], x[kept_out], y[kept_out], z)
-    return np.asarray(_trained(*(jnp.asarray(part, jnp.float32) for part in parts), gaussian=gaussian), np.float64)
-
-
-def _solved(x: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
-    """(F, K): by the smaller of the two systems."""
+def _solve(x: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
+    """Solve for the weights (D, K) of ridge regression, by the smaller of the two systems."""
     if len(x) < x.shape[1]:
-        return x.T @ linalg.solve(x @ x.T + ridge * len(x) * np.eye(len(x)), y, assume_a="pos")
-    return linalg.solve(x.T @ x + ridge * len(x) * np.eye(x.shape[1]), x.T @ y, assume_a="pos")
+        kernel = x @ x.T + ridge * len(x) * np.eye(len(x))
+        return x.T @ linalg.solve(kernel, y, assume_a="pos")
+    scatter = x.T @ x + ridge * len(x) * np.eye(x.shape[1])
+    return linalg.solve(scatter, x.T @ y, assume_a="pos")
+
+
+def _train(data: _Data, gaussian: bool) -> np.ndarray:
+    learnt, held = ~data.held_out, data.held_out
+    parts = (data.x[learnt], data.y[learnt], data.x[held], data.y[held], data.others)
+    arrays = (jnp.asarray(part, jnp.float32) for part in parts)
+    return np.asarray(_train_mlp(*arrays, gaussian=gaussian), np.float64)
 
 
 @partial(jax.jit, static_argnames="gaussian")
-def _trained(
-    x: jax.Array, y: jax.Array, x_out: jax.Array, y_out: jax.Array, others: jax.Array, gaussian: bool
+def _train_mlp(
+    x: jax.Array,
+    y: jax.Array,
+    x_held: jax.Array,
+    y_held: jax.Array,
+    others: jax.Array,
+    gaussian: bool,
 ) -> jax.Array:
-    """What the network, trained on (x, y), says of `others`: (M, K), or (M, 2 K), mean and the deviation's logarithm."""
+    """Train on (x, y); predict for `others`: (M, K), or (M, 2 K), mean and log deviation."""
     net = MLP(y.shape[1] * (2 if gaussian else 1))
     key = jax.random.key(0)
     params: VariableDict = net.init(key, x[:1])
     optimiser = optax.adamw(optax.cosine_decay_schedule(RATE, STEPS), weight_decay=DECAY)
 
-    def says(params: VariableDict, x: jax.Array) -> jax.Array:
+    def predict(params: VariableDict, x: jax.Array) -> jax.Array:
         answer = jnp.asarray(net.apply(params, x))
         if not gaussian:
             return answer
@@ -118,8 +238,8 @@ def _trained(
 
     def error(params: VariableDict, x: jax.Array, y: jax.Array) -> jax.Array:
         if not gaussian:
-            return jnp.mean((says(params, x) - y) ** 2)
-        mean, log_deviation = jnp.split(says(params, x), 2, axis=-1)
+            return jnp.mean((predict(params, x) - y) ** 2)
+        mean, log_deviation = jnp.split(predict(params, x), 2, axis=-1)
         return jnp.mean(0.5 * ((y - mean) / jnp.exp(log_deviation)) ** 2 + log_deviation)
 
     def loss(params: VariableDict, rows: jax.Array) -> jax.Array:
@@ -131,16 +251,13 @@ def _trained(
         updates, opt_state = optimiser.update(jax.grad(loss)(params, rows), opt_state, params)
         return (optax.apply_updates(params, updates), opt_state), None
 
-    def check(
-        carry: tuple[_State, jax.Array, VariableDict], keys: jax.Array
-    ) -> tuple[tuple[_State, jax.Array, VariableDict], None]:
-        state, best, chosen = carry
-        state, _ = jax.lax.scan(step, state, keys)
-        off = error(state[0], x_out, y_out)
-        chosen = jax.tree.map(partial(jnp.where, off < best), state[0], chosen)
-        return (state, jnp.minimum(off, best), chosen), None
+    def check(carry: _Best, keys: jax.Array) -> tuple[_Best, None]:
+        state, _ = jax.lax.scan(step, carry.state, keys)
+        off = error(state[0], x_held, y_held)
+        params = jax.tree.map(partial(jnp.where, off < carry.error), state[0], carry.params)
+        return _Best(state, jnp.minimum(off, carry.error), params), None
 
     keys = jax.random.split(jax.random.fold_in(key, 1), (CHECKS, STEPS // CHECKS))
-    carry = ((params, optimiser.init(params)), error(params, x_out, y_out), params)
-    (_, _, chosen), _ = jax.lax.scan(check, carry, keys)
-    return says(chosen, others)
+    start = _Best((params, optimiser.init(params)), error(params, x_held, y_held), params)
+    best, _ = jax.lax.scan(check, start, keys)
+    return predict(best.params, others)

@@ -6,7 +6,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet is not to agree at any cost
+RIDGE = 1e-4  # of the mean variance of a code: directions narrower than this by far cannot be told from rounding
+LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet need not agree at any cost
 
 
 class Decoded(NamedTuple):
@@ -16,12 +17,24 @@ class Decoded(NamedTuple):
     z_p: Array | None = None  # (B, ...)
     sheared: Array | None = None
     exchanged: Array | None = None  # DS of the slide's pose code and the other's shear code
-    disagreement: Array | None = None  # (B,) see `disagreement`
+    disagreement: Array | None = None  # (B,) see `measure_disagreement`
     z_s: Array | None = None  # (B, ...)
+    same_pose: Array | None = None  # DC of the pose code of a partner at the same pose
 
 
-def disagreement(one: Float[Array, "B *F"], other: Float[Array, "B *F"]) -> Float[Array, "B"]:
-    """Mean square difference of codes that should be equal, over their mean variance in the batch."""
+def measure_disagreement(one: Float[Array, "B *F"], other: Float[Array, "B *F"]) -> Float[Array, "B"]:
+    """Return the squared difference of codes that should be equal, in every direction over its variance.
+
+    This is the Mahalanobis distance by the covariance of the batch, over the number of directions. A
+    difference over the mean variance costs next to nothing in narrow directions, and a shear that hides
+    there stays in the pose code.
+    """
     one, other = (code.reshape(code.shape[0], -1) for code in (one, other))
-    variance = jnp.mean(jnp.var(jnp.concatenate([one, other]), axis=0))
-    return jnp.mean(jnp.square(one - other), -1) / (variance + LEAST_VARIANCE)
+    both = jnp.concatenate([one, other])
+    centred = both - jnp.mean(both, axis=0, keepdims=True)
+    covariance = centred.T @ centred / len(both)
+    size = covariance.shape[0]
+    floor = RIDGE * jnp.trace(covariance) / size + RIDGE * LEAST_VARIANCE
+    covariance += floor * jnp.eye(size, dtype=covariance.dtype)
+    apart = one - other
+    return jnp.mean(apart * jnp.linalg.solve(covariance, apart.T).T, axis=1)

@@ -19,7 +19,7 @@ from jax import Array
 from jax.typing import ArrayLike
 from jaxtyping import Float
 
-from jaxunshear.model.decoded import Decoded, disagreement
+from jaxunshear.model.decoded import Decoded, measure_disagreement
 from jaxunshear.model.parts import Variables, check_sheared, holds
 from jaxunshear.model.pin_grid import GridTrunk, grid_of
 from jaxunshear.settings.networks import PinNet, PinPoseNet, PinRenderer, PinUnshear
@@ -139,13 +139,16 @@ def reconstruct(
     # one by one: where trunks are apart, the partner in the slide passes E by
     z_p, z_s = zip(*(encode(net, variables, each) for each in jnp.split(seen, 1 + len(partners))), strict=True)
     canonical = decode_canonical(net, variables, z_p[0])
-    apart = None if same_pose is None else disagreement(z_p[0], z_p[-1])
+    apart = again = None
+    if same_pose is not None:
+        apart = measure_disagreement(z_p[0], z_p[-1])
+        again = decode_canonical(net, variables, z_p[-1])
     if z_s[0] is None:
-        return Decoded(canonical, z_p[0], disagreement=apart)
+        return Decoded(canonical, z_p[0], disagreement=apart, same_pose=again)
     held = jax.lax.stop_gradient((z_p, z_s)) if net.apart else (z_p, z_s)
     sheared = decode_sheared(net, variables, held[0][0], held[1][0])
     exchanged = None if same_slide is None else decode_sheared(net, variables, held[0][0], held[1][1])
-    return Decoded(canonical, z_p[0], sheared, exchanged, apart, z_s[0])
+    return Decoded(canonical, z_p[0], sheared, exchanged, apart, z_s[0], again)
 
 
 def predict(

@@ -26,7 +26,7 @@ from jaxtyping import Float
 
 from jaxunshear.errors import UserError
 from jaxunshear.model import kernels
-from jaxunshear.model.decoded import Decoded, disagreement
+from jaxunshear.model.decoded import Decoded, measure_disagreement
 from jaxunshear.model.fast import layers as fast_layers
 from jaxunshear.model.fast import networks as fast
 from jaxunshear.model.layers import Down, Last, Same, Up
@@ -117,7 +117,9 @@ class Network(nn.Module):
         z_s, other = _with(images, same_slide, lambda seen: self.encode_slide(seen, True))
         held = jax.lax.stop_gradient(z_p)
         drawn = _with(z_s, other, lambda z: self.decode_sheared(_twice(held, z), jax.lax.stop_gradient(z), True))
-        return Decoded(self.DC(z_p, True), z_p, *drawn, None if again is None else disagreement(z_p, again), z_s)
+        canonical, partner = _with(z_p, again, lambda z: self.DC(z, True))
+        apart = None if again is None else measure_disagreement(z_p, again)
+        return Decoded(canonical, z_p, *drawn, apart, z_s, partner)
 
 
 def init(net: UnshearNet, key: Array) -> Variables:

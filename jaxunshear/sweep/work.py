@@ -129,7 +129,7 @@ def _spoilt(experiment: Experiment, folder: Path, data: Path, command: str) -> l
     over = over_pins(experiment)
     rows = [] if over else ablate(experiment, folder, data, command)["rows"]
     if experiment.pins.shear_code if over else experiment.unshear.shear_channels:
-        rows += for_sweep(leakage(experiment, folder, data, command, leaks_alone=not over))
+        rows += for_sweep(leakage(experiment, folder, data, command, controls=False))
     return rows
 
 

@@ -63,7 +63,7 @@ def task_of(experiment: Experiment, network: str, examples: Examples, folder: Pa
     teacher = partial(posenet.predict, *_of_taps(experiment, TEACHER, folder)) if training.pose_weight else None
     net = unshear_net(experiment.unshear, network)
     room = net.shear_channels if isinstance(net, UnshearNet) and net.apart else 0
-    slides = _slides(examples, "unshear.shear_channels", room) if room else ()
+    slides = _slides(examples, room) if room else ()
     task = tasks.unshear_task(net, training, teacher, targets, slides)
     partners = _partners(experiment, training, OTHER_IMAGE, SWAPPED_IMAGE) if room else ()
     named = ("canonical", "sheared", *partners, *weighed, *(labels if labelled(training) else ()), *fields_of(slides))
@@ -93,7 +93,7 @@ def _over_pins(
     partners = _partners(experiment, training, OTHER, SWAPPED) if network == DISENTANGLED else ()
     named = ("canonical_pins", "sheared_pins", *partners, *sure, *weighed, *(labels if labelled(training) else ()))
     taught = training.slide_weight and network == DISENTANGLED
-    slides = _slides(examples, "pins.shear_code", codes.shear_code) if taught else ()
+    slides = _slides(examples, codes.shear_code) if taught else ()
     named = tuple(dict.fromkeys((*named, *fields_of(slides))))
     return pin_tasks.pin_unshear_task(codes, training, *known, teacher, slides), named
 
@@ -105,17 +105,14 @@ def _partners(experiment: Experiment, training: Training, other: str, swapped: s
     return tuple(field for field, weight in wanted.items() if shared and weight)
 
 
-def _slides(examples: Examples, field: str, size: int) -> Targets:
-    """What the shear code, of the `size` that `field` sets, is taught. Raises UserError where there is nothing to teach, or no room for
-    it."""
-    slides = examples.slides
-    if not slides:
+def _slides(examples: Examples, size: int) -> Targets:
+    """Return what a shear code of `size` numbers is taught: shifts before turns, as many as it has room for.
+
+    Raises UserError if no slide of the data differs from others.
+    """
+    if not examples.slides:
         raise UserError("slide_weight: no slide of this data set is known to differ from others: leave it at 0")
-    if len(slides) > size:
-        raise UserError(
-            f"{field} {size}: slides of this data set differ in {len(slides)} numbers: use {len(slides)} or more"
-        )
-    return slides
+    return examples.slides[:size]
 
 
 def _drawn(task: Task, examples: Examples, share: float) -> Task:

@@ -20,7 +20,17 @@ from jaxunshear.settings.targets import Targets
 from jaxunshear.settings.training import Training
 from jaxunshear.training import losses
 from jaxunshear.training.few_pairs import ANOTHER, ONE, TAPS
-from jaxunshear.training.tasks import Batch, Task, Tree, code_terms, pose_error_terms, watcher, weighed, weights_of
+from jaxunshear.training.tasks import (
+    Batch,
+    Task,
+    Tree,
+    code_terms,
+    pose_error_terms,
+    supervise,
+    watcher,
+    weighed,
+    weights_of,
+)
 from jaxunshear.training.turning import ANGLES, Turns, turned, turned_outputs
 
 
@@ -44,10 +54,10 @@ def pin_unshear_task(
     watch = watcher(training, teacher, targets, losses.absolute_pose)
 
     def named_of(variables: Tree, batch: Batch, found: Decoded) -> dict[str, Array]:
-        named = {"supervised": pinnets.distance(found.canonical, batch["canonical_pins"], variables)}
+        off = partial(pinnets.distance, variables=variables)
+        named = {"supervised": supervise(found, batch["canonical_pins"], off)}
         if watch:
             named["pose"] = watch(found.canonical, batch["canonical_pins"], batch)
-        off = partial(pinnets.distance, variables=variables)
         return weighed(named | code_terms(found, ("sheared_pins", SWAPPED), off, batch, slides), batch)
 
     def decoded(variables: Tree, batch: Batch, key: Array | None = None) -> Decoded:

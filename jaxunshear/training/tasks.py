@@ -69,7 +69,7 @@ def unshear_task(
         canonical = batch["canonical"]
         found, batch_stats = decoded(variables, batch)
         image = jax.nn.sigmoid(found.canonical)
-        named = {"supervised": losses.supervised(image, canonical)}
+        named = {"supervised": supervise(found, canonical, _off_image)}
         if training.patch_weight:
             corners = losses.random_corners(key, len(image), training.crops, net.size, training.crop_px)
             named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, training.crop_px))
@@ -111,6 +111,15 @@ def _decoded(
     other = batch[OTHER_IMAGE] if parted and training.swap_weight else None
     partners = (None if images is None else seen(images) for images in (alike, other))
     return unshearnet.reconstruct(net, variables, seen(batch["sheared"]), *partners)
+
+
+def supervise(found: Decoded, canonical: Array, off: Callable[[Array, Array], Array]) -> Array:
+    """Return L_sup (B,) of the slide, averaged with its partner's where codes of one pose should agree.
+
+    `off` is the distance of what DC reconstructs from the tap (B,).
+    """
+    own = off(found.canonical, canonical)
+    return own if found.same_pose is None else 0.5 * (own + off(found.same_pose, canonical))
 
 
 def code_terms(

@@ -9,6 +9,7 @@ import pytest
 
 from jaxunshear.errors import Note, UserError
 from jaxunshear.model import pinnets
+from jaxunshear.model.decoded import measure_disagreement
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear
 
 SMALL = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
@@ -148,14 +149,29 @@ def test_exchanged_codes_are_those_they_are_called():
     assert np.all(pinnets.reconstruct(net, variables, own, None, own).disagreement == 0)
     assert np.all(pinnets.reconstruct(net, variables, own, None, own, own).disagreement == 0)
     assert np.all(decoded.disagreement > 0)
+    z_p, _ = pinnets.encode(net, variables, same_pose)
+    again = pinnets.decode_canonical(net, variables, z_p)
+    np.testing.assert_allclose(decoded.same_pose, again, rtol=1e-5)
 
 
-def test_disagreement_is_zero_of_equal_codes_and_does_not_depend_on_their_scale():
+def test_disagreement_is_zero_of_equal_codes_and_depends_on_no_scale():
     one, other = jax.random.normal(jax.random.key(0), (2, 40, 3))
-    assert np.all(pinnets.disagreement(one, one) == 0)
-    plain = pinnets.disagreement(10 * one, 10 * other)
-    np.testing.assert_allclose(pinnets.disagreement(1000 * one, 1000 * other), plain, rtol=1e-3)
+    assert np.all(measure_disagreement(one, one) == 0)
+    plain = measure_disagreement(one, other)
+    np.testing.assert_allclose(measure_disagreement(1e3 * one, 1e3 * other), plain, rtol=1e-3)
+    mixed = jnp.array([[2.0, 1.0, 0.0], [0.0, 3.0, 1.0], [1.0, 0.0, 1.0]])
+    np.testing.assert_allclose(measure_disagreement(one @ mixed, other @ mixed), plain, rtol=1e-2)
     assert float(plain.mean()) == pytest.approx(2, rel=0.15)  # unrelated codes
+
+
+def test_a_difference_in_a_narrow_direction_costs_as_much_as_in_a_wide_one():
+    """Half of the code's directions differ: in the wide ones, or in those of a hundredth of their deviation."""
+    pose, slide = jax.random.normal(jax.random.key(1), (2, 500, 2))
+    fresh = jax.random.normal(jax.random.key(2), (500, 2))
+    wide = measure_disagreement(*(jnp.concatenate([s, 0.01 * pose], 1) for s in (slide, fresh)))
+    narrow = measure_disagreement(*(jnp.concatenate([pose, 0.01 * s], 1) for s in (slide, fresh)))
+    assert float(wide.mean()) == pytest.approx(1, rel=0.1)
+    assert float(narrow.mean()) > 0.3
 
 
 def test_released_weights_of_codes_apart_give_the_pose_code():

@@ -207,6 +207,7 @@ def test_of_codes_that_are_apart_each_term_teaches_its_own_module(images):
         "sheared": {"DS"},
         "exchanged": {"DS"},
         "disagreement": {"E", "pose"},
+        "same_pose": {"E", "pose", "DC"},
         "z_s": {"ES", "shear"},
     }
     slope = jax.jit(jax.grad(term), static_argnums=1)
@@ -224,7 +225,8 @@ def test_partners_of_codes_that_are_apart(images):
     np.testing.assert_allclose(itself.disagreement, 0, atol=1e-9)
     np.testing.assert_allclose(itself.exchanged, itself.sheared, atol=1e-5)
     alone, statistics = unshearnet.reconstruct(APART, variables, images)
-    assert alone.exchanged is None and alone.disagreement is None
+    assert alone.exchanged is None and alone.disagreement is None and alone.same_pose is None
+    np.testing.assert_allclose(itself.same_pose, itself.canonical, atol=1e-5)
     for name in ("canonical", "sheared", "z_p", "z_s"):
         np.testing.assert_allclose(getattr(alone, name), getattr(itself, name), atol=1e-5)
     assert jax.tree.structure(statistics) == jax.tree.structure(variables["batch_stats"])

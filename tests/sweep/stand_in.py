@@ -126,12 +126,12 @@ def ablate(experiment, folder, data, command):
     }
 
 
-def leakage(experiment, folder, data, command, leaks_alone):
+def leakage(experiment, folder, data, command, controls):
     return read_json(folder / "disentangled" / "summary.json")["value"] / 2**31
 
 
 def for_sweep(found):
-    return [{"name": "slide from z_p (mlp)", "r2": found}]
+    return [{"name": "slide from z_p", "r2": found}]
 
 
 def main():

@@ -1,0 +1,53 @@
+"""Scores by block on known answers: perfect, useless, duplicated."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
+
+RNG = np.random.default_rng(0)
+POSE, SLIDE = RNG.uniform(-1, 1, (3000, 2)), RNG.uniform(-1, 1, (3000, 2))
+NOISE = RNG.uniform(-1, 1, (3000, 4))
+OWNER = np.array([0, 0, 1, 1])
+FACTORS = np.concatenate([POSE, SLIDE], axis=1)
+
+
+def make_blocks(pose_code, shear_code):
+    block = np.repeat([0, 1], [pose_code.shape[1], shear_code.shape[1]])
+    codes = np.concatenate([pose_code, shear_code], axis=1)
+    return Blocks(codes, block, FACTORS, OWNER)
+
+
+def scores(pose_code, shear_code):
+    blocks = make_blocks(pose_code, shear_code)
+    train, test = (
+        Blocks(blocks.codes[rows], blocks.block, blocks.factors[rows], blocks.owner)
+        for rows in (slice(0, 2000), slice(2000, None))
+    )
+    return score_mig(train), score_sap(train, test), score_dci(train, test)
+
+
+def test_codes_that_hold_their_own_factors_score_one():
+    mig, sap, dci = scores(POSE, SLIDE)
+    assert mig > 0.95 and sap == pytest.approx(1)
+    assert dci["disentanglement"] > 0.95 and dci["completeness"] > 0.95
+    assert dci["informativeness"] > 0.98
+
+
+def test_codes_that_both_hold_everything_score_next_to_nothing():
+    mig, sap, dci = scores(FACTORS, FACTORS.copy())
+    assert mig == pytest.approx(0, abs=1e-9) and sap == pytest.approx(0, abs=1e-9)
+    assert dci["disentanglement"] < 0.05 and dci["completeness"] < 0.1
+    assert dci["informativeness"] > 0.98
+
+
+def test_noise_scores_nothing_and_exchanged_codes_score_below_zero():
+    mig, sap, dci = scores(NOISE[:, :2], NOISE[:, 2:])
+    assert abs(mig) < 0.02 and abs(sap) < 0.02 and dci["informativeness"] < 0.05
+    mig, sap, _ = scores(SLIDE, POSE)
+    assert mig < -0.95 and sap == pytest.approx(-1)
+
+
+def test_scores_do_not_depend_on_the_scale_of_a_code():
+    plain, scaled = scores(POSE, SLIDE), scores(1e3 * POSE + 7, 1e-3 * SLIDE)
+    assert plain[0] == pytest.approx(scaled[0]) and plain[1] == pytest.approx(scaled[1])
