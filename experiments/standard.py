@@ -1,4 +1,4 @@
-"""Claim: half an hour of training makes the paper's tables, with rivals and shapes that no network has seen.
+"""Claim: about half an hour of training makes the paper's tables, with rivals and unseen shapes.
 
     jaxunshear sweep experiments/standard.py --seeds 0,1,2        # one seed: jaxunshear run experiments/standard.py
 
