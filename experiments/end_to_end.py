@@ -1,5 +1,5 @@
-"""Claim: from images end to end, over pins, unsheared edges are read within 1.2 times a tap's own errors where the encoder convolves and
-true poses teach a little; without these poses they are not.
+"""Claim: from images end to end, over pins, errors on unsheared edges are about 1.2 times a tap's own
+if the encoder convolves and true poses supervise it a little; without these poses they are larger.
 
     jaxunshear sweep experiments/end_to_end.py
 
@@ -9,7 +9,8 @@ A PoseNet of taps reads the unsheared pins in training, and what it reads should
 which teaches nothing, reads them in the test. `posenet_sheared` learns poses of the same slides directly: it shows how much of the pose a
 slide still holds for such a network.
 
-Expected: docs/results/end_to_end.json; an hour and a half on two cores, after 67,000 contacts have been simulated in 7 minutes.
+Expected: docs/results/end_to_end.json. Its rows took 163 minutes in all, on one or two cores of an
+AMD EPYC; the simulation of 67,000 contacts comes before them.
 """
 
 from dataclasses import replace

@@ -7,8 +7,9 @@ ways: slides without a label are left out; or a PoseNet that learns from the lab
 reads their poses, and all slides are unsheared to how taps appear there. Rows `sheared_learnt` are of the PoseNet that learns from
 the labelled slides directly.
 
-Expected (docs/results/few_labels.json, an hour on two cores): with a tenth of the labels y .21 mm and Rz 2.9 deg unsheared, .25 and
-3.5 learnt directly; all labels give .18 and 2.4, .17 and 2.2.
+Expected, docs/results/few_labels.json: with a tenth of the labels y .21 mm and Rz 2.9 deg
+unsheared, .25 and 3.5 learnt directly; all labels give .18 and 2.4, .17 and 2.2. Its rows took
+71 minutes in all, on one or two cores of an AMD EPYC.
 """
 
 from dataclasses import replace

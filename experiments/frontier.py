@@ -2,10 +2,12 @@
 
     jaxunshear sweep experiments/frontier.py
 
-Expected (docs/results/frontier.json): edge distance to 0.37 mm after twice the epochs, 0.41 of a network twice as wide, 0.66 by Adam at
-the best of three rates. An hour and a quarter to two hours on two cores, data sets of two of the settings among them.
-Each row is the demo's disentangled network but for what its label says; `runs/sweeps/frontier/sweep.png` draws errors
-against seconds of training and against milliseconds an image, and names the settings that no other one beats.
+Expected, docs/results/frontier.json: edge distance error 0.37 mm after twice the epochs, 0.41 for a
+network twice as wide, 0.66 for Adam at the best of three rates. Its rows took 107 minutes in all,
+on two cores of an Intel Xeon. Each row is the demo's disentangled network but for what its label
+says. `runs/sweeps/frontier/sweep.png` shows mean errors against mean seconds of training and
+against milliseconds per image, and marks the settings that no other one beats. The tables of the
+pages give medians of seconds and milliseconds.
 """
 
 from dataclasses import replace

@@ -2,9 +2,10 @@
 
     jaxunshear run experiments/paper.py
 
-Expected: the paper's MS-SSIM on real data is 0.93 disentangled, 0.90 entangled, 0.32 sheared (Table 1). Data and training
-want a GPU: 120,000 images of contacts in pairs, 30,000 of poses, 100 and 250 epochs; some forty minutes on an H200 by the rates of
-experiments/paper_tenth.py, a tenth of the taps and slides; days on two cores, and not yet run in full. The same way in minutes:
+Expected: the paper's MS-SSIM on real data is 0.93 disentangled, 0.90 entangled, 0.32 sheared
+(Table 1). It has not been run in full. Data and training want a GPU: 120,000 images of contacts in
+pairs, 30,000 of poses, 100 and 250 epochs. Ten times the steps of experiments/paper_tenth.py would
+take an hour on an H200 for the two networks that unshear (reckoned). The same way in minutes:
 `--paired.poses 10 --paired.taps 1 --paired.slides 2 --pose.poses 20 --train.epochs 1 --train_posenet.epochs 1
 --train_posenet.batch 32`.
 

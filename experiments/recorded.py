@@ -6,8 +6,10 @@
 DIR holds taps and slides with their labels, in one of the layouts of docs/your-own-recordings.md. Taps alone train a PoseNet; slides
 alone train one that reads slides; both together are unsheared.
 
-Expected on two cores, of 5,000 taps and 5,000 slides of an edge (three seeds; docs/results/recorded_pins.json, recorded_images.json): over
-pins eight minutes, tap, unsheared and directly learnt y .12, .16 and .16 mm; over images 20 minutes, .19, .28 and .31 mm.
+Expected of 5,000 taps and 5,000 slides of an edge (three seeds; docs/results/recorded_pins.json,
+recorded_images.json): over pins y .12 mm for taps, .16 unsheared and .16 learnt directly; over
+images .19, .28 and .31 mm. Over pins a seed took 10 to 12 minutes on a core of an AMD EPYC, over
+images 17 to 20 minutes on one or two.
 
 A surface instead of an edge is a matter of the targets:
 

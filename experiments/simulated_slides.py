@@ -1,4 +1,5 @@
-"""Claim: where no slide was recorded, simulated ones to recorded taps undo half of what a slide spoils.
+"""Claim: if no slide was recorded, simulated slides to recorded taps undo half of what a slide adds to
+the error in Rz, two fifths in y and nothing in depth.
 
     jaxunshear sweep experiments/simulated_slides.py --recordings DIR
 
@@ -6,7 +7,8 @@ Over pins. Two ways to learn: from simulated slides, for which recorded taps are
 recorded slides, each with what a renderer draws at its pose. Both are tested on recorded slides. Rows `sheared_learnt` are of a
 PoseNet that learns from the same slides directly.
 
-Expected: docs/results/simulated_slides.json, half an hour on two cores.
+Expected: docs/results/simulated_slides.json. Its rows took 49 minutes in all, on two cores of an
+AMD EPYC.
 """
 
 from dataclasses import replace

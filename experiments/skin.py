@@ -6,7 +6,8 @@
 Over pins: of an edge and of three shapes, touched by the fitted sensor, drawn as other sensors, cameras and days would show them
 (`--pins.turned`). The weights `skin`, which `unshear`, `pose` and `stream` take where none are named, come from it.
 
-Expected on two cores: 8 minutes to simulate, 9 to train on one of them; docs/results/skin.json for its score on recordings of a real edge.
+Expected: minutes to simulate and to train on two cores (no file has the times);
+docs/results/skin.json for its scores on recordings of a real edge.
 """
 
 from jaxunshear.settings.configs import PAIRED, POSE, sensor_of

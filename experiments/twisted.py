@@ -6,7 +6,8 @@ The paper's first named limit: its slides shift the sensor and never turn it. He
 an extreme. Three networks over pins learn from slides to the same poses, that do not twist, twist by up to 5 and by up to 20 deg. Each is
 tested on three sets of slides to other poses, one of each kind. One PoseNet, of taps, reads all of them. The losses are the paper's.
 
-Expected: docs/results/twisted.json; a quarter of an hour on one core.
+Expected: docs/results/twisted.json. Its rows took 40 minutes in all, on one or two cores of an Intel
+Xeon.
 """
 
 from dataclasses import replace

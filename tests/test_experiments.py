@@ -1,11 +1,14 @@
 """The experiments and sweeps of the repository are valid, and `paper.py` is appendix B to the letter."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.results.stored import read
+from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.configs import CONFIGS, config_name, set_name
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.fields import override
@@ -59,6 +62,19 @@ def test_sweeps_are_valid_and_self_describing(path):
     text = path.read_text()
     assert text.startswith('"""Claim: ') and "Expected" in text
     assert f"jaxunshear sweep {path.relative_to(FOLDER.parent)}" in text
+
+
+ROWS_TOOK = re.compile(r"Its rows\s+took\s+(\d+)\s+minutes")
+TIMED = [path for path in FILES if ROWS_TOOK.search(path.read_text())]
+
+
+@pytest.mark.parametrize("path", TIMED, ids=lambda path: path.stem)
+def test_run_times_are_those_of_the_results(path):
+    results = FOLDER.parent / "docs" / "results" / f"{path.stem}.json"
+    cells = read(results, SweepResult, "make it again").cells
+    seconds = sum(costs.wall_seconds for cell in cells for costs in cell.costs.values())
+    (minutes,) = ROWS_TOOK.findall(path.read_text())
+    assert abs(seconds / 60 - int(minutes)) <= 1
 
 
 def test_lambda_split_is_five_by_five_by_three():

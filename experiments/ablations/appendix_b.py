@@ -3,10 +3,12 @@ kernels shrink first. "10:1" is a weight of 0.1 on the patch loss, not of 10.
 
     jaxunshear sweep experiments/ablations/appendix_b.py --seeds 0,1,2
 
-Expected on one core with much beside, as measured: 7 to 11 minutes of training for each of fifteen rows, after the pairs of
-experiments/calibrated.py are made (docs/results/appendix_b.json). It is experiments/paper.py at
-128 px with batches of 8 for 1,350 steps. That is early: no row beats the mean tap's MS-SSIM yet, so the rows say how well a
-reading begins to learn. `docs/make_curves.py` draws the rows' kernels and losses.
+Expected, docs/results/appendix_b.json (its `command` gives this file's earlier place,
+experiments/appendix_b.py): 7 to 11 minutes of training for each of fifteen rows on a core of an
+Intel Xeon, after the pairs of experiments/calibrated.py are made. Its rows took 185 minutes in all.
+It is experiments/paper.py at 128 px with batches of 8 for 1,350 steps. That is early: no row beats
+the mean tap's MS-SSIM yet, so the rows say how well a reading begins to learn.
+`docs/make_curves.py` draws the rows' kernels and losses.
 """
 
 from dataclasses import replace

@@ -35,7 +35,12 @@ class FreshContacts(NamedTuple):
 
 
 def fresh_contacts(experiment: Experiment, count: int, seed: int = 0, depth_mm: float | None = None) -> FreshContacts:
-    """About `count` slides, as many of each stimulus, at the experiment's depths or all at one; the same seed gives the same."""
+    """Simulate slides at new poses, as many of each stimulus, and the tap at each pose.
+
+    There are `count` of them, rounded up to the same number for each stimulus, and at least 5 per
+    stimulus (a block of the split); less those that did not converge. `depth_mm` sets one depth for
+    all, else depths are the experiment's. The same seed gives the same contacts.
+    """
     paired, _ = simulated_of(experiment, "this")
     poses = max(BLOCK, -(-count // len(paired.stimuli)))
     new = paired.seed + SEED + seed

@@ -4,7 +4,8 @@
 >>> results.pose_mae["unsheared"]["Rz_deg"]
 
 What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, show how
-it goes with the labels: a sign and an offset each. The other half is scored, and every slide; nothing is fitted to slides.
+it goes with the labels: a sign and an offset each. The other half is scored, and every slide. No label of a slide is used. For networks
+over pins, where pins rest is the mean over some of the contacts themselves: of taps for taps, of slides for slides.
 
 Networks over pins are also read by one of another make: a kernel ridge that learns pose from the pins of those same taps. It has nothing
 in common with the networks, and with the simulator that they learnt in.

@@ -1,4 +1,4 @@
-"""`--help-fields GROUP`: the fields of a group of settings, each with its value, what it takes and what it means."""
+"""`--help-fields GROUP`: the fields of a group of settings, each with its default, what it takes and what it means."""
 
 import dataclasses
 from collections.abc import Iterator

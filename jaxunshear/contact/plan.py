@@ -191,7 +191,10 @@ def make_plan(
     batch: int,
     wide: bool,
 ) -> list[Batch]:
-    """Every path in one batch of at most `batch`; the nodes are those of complete rings.
+    """Put every path in one batch of at most `batch`; the nodes are those of complete rings.
+
+    A batch solves the nodes and increments that any of its scenes needs, so a scene's answer depends
+    on its companions, within the level's error.
 
     The dome is the same after a turn by 60 deg, so each scene is turned to bring its contact to the side of +x: scenes
     that touch with half of the dome then need the same half.
