@@ -24,7 +24,7 @@ from jaxunshear.evaluation.slide import slides_read, slipping
 from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn_means
 from jaxunshear.evenly import evenly
 from jaxunshear.metrics.independence import hsic, r2
-from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.machine import provenance
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
@@ -92,9 +92,7 @@ def leakage(experiment: Experiment, run_dir: Path, data_dir: Path, command: str,
         "slide": [] if leaks_alone else _slide(experiment, examples, seen, encode, (learnt, tested)),
         "slides": {"learnt": len(groups), "tested": len(poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
-        "command": command,
-        "machine": machine(),
-        "versions": versions(),
+        **provenance(command),
     }
     write_json(Path(run_dir) / "leakage.json", results)
     return results
