@@ -1,19 +1,23 @@
-"""Tables in README and docs, from docs/results: `python docs/make_tables.py` prints them; a test compares."""
+"""Tables in README and docs, from docs/results: `make tables` puts them into the pages; a test compares.
 
-import json
-from collections.abc import Callable, Sequence
+A table stands where a page has its first line. Under it stands how its files were made (`provenance.py`). For a new table write
+a function here, add it to TABLES, write its first line into the page, and call `make tables`.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import cache
 from itertools import starmap
-from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
+from docs.provenance import NOTE, ROOT, note, read_result
 from jaxunshear.evaluation.exchange import EXCHANGED, OWN
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import read
+from jaxunshear.results.stored import record_of
 from jaxunshear.results.sweep import CellResult, Figure, SweepResult
+from jaxunshear.storage import Json
 
-RESULTS = Path(__file__).parent / "results"
 COLUMNS = (("y_mm", 2), ("Rz_deg", 1))
 ROWS = {
     "taps": "taps: pose/tap",
@@ -55,7 +59,7 @@ PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nea
 def sizing() -> str:
     """A simulated set's processor time and storage, measured a contact and multiplied."""
     lines = ["| step | measured, a contact | a million | 10^8, on paper |", "|---|---|---|---|"]
-    for row in json.loads((RESULTS / "bench_data.json").read_text())["rows"]:
+    for row in _held("bench_data")["rows"]:
         if row["cpu_ms"] is not None:
             hours = row["cpu_ms"] / 3.6
             lines.append(f"| {row['name']}: core | {row['cpu_ms']:.3g} ms | {hours:.2g} h | {100 * hours:.0f} h |")
@@ -71,7 +75,7 @@ def waiting() -> str:
         "| networks over | batch | ms a step, examples there | read and drawn | ratio, median [its interval] | 95 % of turns |",
         "|---|---|---|---|---|---|",
     ]
-    for row in json.loads((RESULTS / "bench_input.json").read_text())["rows"]:
+    for row in _held("bench_input")["rows"]:
         times = [f"{row[name]:.1f}" for name in ("ms_there", "ms_drawn")]
         times += [f"{row['ratio']:.3f} [{row['ratio_low']:.3f}, {row['ratio_high']:.3f}]", f"{row['ratio_p95']:.2f}"]
         lines.append(_line(row["name"], [str(row["batch"]), *times]))
@@ -81,7 +85,7 @@ def waiting() -> str:
 def pin_networks() -> str:
     """Networks over pins: how long a step and a frame take, and how much longer with plain layers."""
     lines = ["| E | what | batch | ms, median | ms, 95 % | plain layers, times as long |", "|---|---|---|---|---|---|"]
-    for row in json.loads((RESULTS / "bench_pinnets.json").read_text())["rows"]:
+    for row in _held("bench_pinnets")["rows"]:
         times = [f"{row[name]:.2f}" for name in ("ms", "ms_p95", "plain_over_fast")]
         lines.append(_line(row["name"], [row["what"], str(row["batch"]), *times]))
     return "\n".join(lines)
@@ -93,7 +97,7 @@ def found_pins() -> str:
         "| sensor, kind | px | sure | wrong | error, px rms | ms a frame, median (95 %) |",
         "|---|---|---|---|---|---|",
     ]
-    rows = json.loads((RESULTS / "bench_pins.json").read_text())["rows"]
+    rows = _held("bench_pins")["rows"]
     for row in sorted(rows, key=lambda row: (-row["size"], list(FOUND).index(row["sensor"]))):
         cells = (f"{row['sure']:.1%}", str(row["wrong"]), f"{row['rms_px']:.3f}")
         spent = f"{row['ms']:.1f} ({row['ms_p95']:.0f})"
@@ -104,7 +108,7 @@ def found_pins() -> str:
 def touched() -> str:
     """Pictures of `explore`: how long they take."""
     lines = ["| stimulus | pictures | refused | ms, median | ms, 95 % | ms, most |", "|---|---|---|---|---|---|"]
-    for row in json.loads((RESULTS / "bench_explore.json").read_text())["rows"]:
+    for row in _held("bench_explore")["rows"]:
         times = [f"{row[name]:.0f}" for name in ("ms", "ms_p95", "most_ms")]
         lines.append(_line(row["name"], [str(row["pictures"]), str(row["refused"]), *times]))
     return "\n".join(lines)
@@ -271,7 +275,7 @@ def tenth_poses() -> str:
 
 def short() -> str:
     """Likeness and edges at the paper's resolution, as PoseNet and a ridge on pixels read them."""
-    results = read(RESULTS / "paper_short.json", Results, "make it again")
+    results = record_of(_held("paper_short"), Results, "paper_short.json", "make it again")
     spread, edge = results.spread, QUANTITIES[2:]
     lines = [
         "| | MS-SSIM | PoseNet reads: edge distance, mm | edge angle, deg | a ridge reads: edge distance, mm | edge angle, deg |",
@@ -289,7 +293,7 @@ def short() -> str:
 
 def exported_speed() -> str:
     """A frame's time as our own stream takes it and as an exported file does."""
-    rows = json.loads((RESULTS / "bench_stream_onnx.json").read_text())["rows"]
+    rows = _held("bench_stream_onnx")["rows"]
     names = {"jaxunshear": "`stream`", "onnxruntime": "the exported file"}
     lines = ["| a frame, ms: median (95 %) | 128 px | 256 px |", "|---|---|---|"]
     for name, shown in names.items():
@@ -328,7 +332,7 @@ def transfer() -> str:
 
 def refit() -> str:
     """What the simulator gains on contacts kept out, by the object's frame, by each value of the sensor, and by all of them."""
-    rows = {row["name"]: row["value"] for row in json.loads((RESULTS / "validate_refit.json").read_text())["rows"]}
+    rows = {row["name"]: row["value"] for row in _held("validate_refit")["rows"]}
     lines = ["| changed | before | after | R2 gained, taps | R2 gained, slides |", "|---|---|---|---|---|"]
     for name, shown in REFITTED.items():
         values = [f"{rows[f'{when}.{name}']:.3g}" if f"{when}.{name}" in rows else "" for when in ("before", "after")]
@@ -346,7 +350,7 @@ MADE = ("voronoi", "skin", "evidence")
 
 def geometry() -> str:
     """Correlation with the true indentation and error in mm by way; of images of no contact the largest height in mm."""
-    rows = {row["name"]: row for row in json.loads((RESULTS / "geometry.json").read_text())["rows"]}
+    rows = {row["name"]: row for row in _held("geometry")["rows"]}
     lines = [
         f"| correlation / rms error, mm | {' | '.join((*KINDS, 'untouched'))} |",
         "|---|" + "---|" * (len(KINDS) + 1),
@@ -372,7 +376,7 @@ WALKED = {
 
 def _runs(name: str, begins: str = "") -> list[dict[str, dict[str, Any]]]:
     """The rows by name of the trainings that stand in a result file, those whose name begins so."""
-    runs = json.loads((RESULTS / f"{name}.json").read_text())["runs"]
+    runs = _held(name)["runs"]
     return [{row["name"]: row for row in run["rows"]} for shown, run in runs.items() if shown.startswith(begins)]
 
 
@@ -428,7 +432,7 @@ def readings() -> str:
         '| "10e-4" is | inner kernels: step 75 | 450 | 1,350 | validation loss: step 450 | 1,350 | MS-SSIM@4 |',
         "|---|---|---|---|---|---|---|",
     ]
-    rows = json.loads((RESULTS / "appendix_b_curves.json").read_text())["rows"]
+    rows = _held("appendix_b_curves")["rows"]
     for cell in _cells("appendix_b"):
         trained = [row for row in rows if row["label"] == cell.label and row["seed"] in cell.seeds]
         assert len(trained) == len(cell.seeds)
@@ -769,7 +773,7 @@ def faults() -> str:
         "| fault | read or done by | cases | harmless | refused by name | lost | silent |",
         "|---|---|---|---|---|---|---|",
     ]
-    for row in json.loads((RESULTS / "faults.json").read_text())["rows"]:
+    for row in _held("faults")["rows"]:
         lines.append(_line(row["fault"], [row["command"], *(f"{row[name]:,}" for name in counts)]))
     return "\n".join(lines)
 
@@ -780,7 +784,21 @@ def _of_values(values: list[float], digits: int) -> str:
 
 
 def _cells(name: str) -> Sequence[CellResult]:
-    return read(RESULTS / f"{name}.json", SweepResult, "make it again").cells
+    _held(name)
+    return _swept(name).cells
+
+
+@cache
+def _swept(name: str) -> SweepResult:
+    return record_of(read_result(name), SweepResult, f"{name}.json", "make it again")
+
+
+USED: list[str] = []  # results that tables were made from since it was emptied
+
+
+def _held(name: str) -> Json:
+    USED.append(name)
+    return read_result(name)
 
 
 def _line(name: str, cells: list[str]) -> str:
@@ -829,7 +847,42 @@ TABLES = {
     "docs/limits.md": (few_pairs, twisted, tilted),
 }
 
+
+def with_notes(page: str) -> list[tuple[str, str]]:
+    """Return the tables of a page in its order, each with its note."""
+    made = []
+    for table in TABLES[page]:
+        USED.clear()
+        text = table()
+        made.append((text, note(dict.fromkeys(USED), page)))
+    return made
+
+
+def placed(text: str, tables: Iterable[tuple[str, str]]) -> str:
+    """Return the text of a page with each table, and its note, in the place of the table that begins with the same line.
+
+    Of several that begin alike each takes the next one. Raises LookupError if there is none.
+    """
+    lines, after = text.splitlines(), dict[str, int]()
+    for table, under in tables:
+        head = table.splitlines()[0]
+        try:
+            start = lines.index(head, after.get(head, 0))
+        except ValueError:
+            raise LookupError(f"no table is left that begins with {head!r}: write this line where it belongs") from None
+        end = next((at for at in range(start, len(lines)) if not lines[at].startswith("|")), len(lines))
+        if lines[end + 1 : end + 2] and lines[end + 1].startswith(NOTE):
+            end += 2
+        made = [*table.splitlines(), "", under]
+        lines[start:end] = made
+        after[head] = start + len(made)
+    return "\n".join(lines) + "\n"
+
+
 if __name__ == "__main__":
-    for page, tables in TABLES.items():
-        for table in tables:
-            print(f"{page}\n\n{table()}\n")
+    for page in TABLES:
+        path = ROOT / page
+        before = path.read_text()
+        after = placed(before, with_notes(page))
+        path.write_text(after)
+        print(f"{page}: {len(TABLES[page])} tables, {'changed' if after != before else 'as they were'}")
