@@ -1,8 +1,9 @@
-"""Puts a result into docs/results as its program wrote it: `python -m docs.keep NAME FILE`, or of several runs in one file
-`python -m docs.keep NAME 'standard, seed 0=FILE' 'standard, seed 1=FILE'`. Nothing in it is edited, its command least of all.
+"""Puts a result into docs/results as its program wrote it: `python -m docs.keep NAME FILE`, or of
+several runs in one file `python -m docs.keep NAME 'standard, seed 0=FILE' 'standard, seed 1=FILE'`.
+Nothing in it is edited, its command least of all.
 
-A result that cannot be published is refused: one without a checksum or a commit, of code that was not committed, or that
-names a path of one machine.
+A result that cannot be published is refused: one without a checksum or a commit, of code that was
+not committed, or that names a path of one machine.
 """
 
 import json
@@ -19,7 +20,7 @@ PLACE = re.compile(r"(?:^|[\s'=])/\w[\w.-]*/")
 
 
 def keep(name: str, files: Sequence[str], folder: Path = RESULTS) -> Path:
-    """Write folder/<name>.json: FILE itself, or the files by label. Raises UserError for what cannot be published."""
+    """Write folder/<name>.json: FILE itself, or the files by label. Raises UserError."""
     out = folder / f"{name}.json"
     labelled = {label: Path(file) for label, _, file in (each.rpartition("=") for each in files)}
     if len(labelled) < len(files) or ("" in labelled and len(files) > 1):

@@ -1,9 +1,12 @@
-"""How the files of docs/results were made: by which command, with which code, and whether that code has changed since.
+"""How the files of docs/results were made: by which command, with which code, and whether that code
+has changed since.
 
-A result depends on what its command imports of COMPUTING. Of that code a definition (a function, class or constant at the
-top of a module) has changed if no module of the package has it today. Comments, docstrings and layout do not count, nor does
-a definition that moved or was added: what did not exist cannot have made a result. Settings do not count either, since a
-result keeps its own. A change that alters no figure is listed in stale.toml as `same`: the definition before and after it.
+A result depends on what its command imports of COMPUTING. Of that code a definition (a function,
+class or constant at the top of a module) has changed if no module of the package has it today.
+Comments, docstrings and layout do not count, nor does a definition that moved or was added: what
+did not exist cannot have made a result. Settings do not count either, since a result keeps its own.
+A change that alters no figure is listed in stale.toml as `same`: the
+definition before and after it.
 """
 
 import ast
@@ -24,8 +27,8 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 PACKAGE = "jaxunshear"
 COMPUTING = (
-    *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics", "sweep"),
-    *("calibration", "verification", "applications", "benchmarks"),
+    *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
+    *("sweep", "calibration", "verification", "applications", "benchmarks"),
 )
 PROGRAMS = {  # the modules that a command starts from
     "run": ("run",),
@@ -129,7 +132,7 @@ def _version(held: Json) -> str:
 
 
 def _moved(command: str) -> str:
-    """Say where the experiment file of a command is today, if it is not where the command names it."""
+    """Say where the experiment file of a command is today, if it has moved."""
     for word in shlex.split(command):
         if word.endswith(".py") and not (ROOT / word).exists():
             found = sorted(ROOT.glob(f"experiments/**/{Path(word).name}"))
@@ -138,7 +141,7 @@ def _moved(command: str) -> str:
 
 
 def changes(name: str, root: Path = ROOT) -> list[str]:
-    """Return the definitions that a result was computed with and that the package no longer has, as `lost`."""
+    """Return what a result was computed with and the package no longer has, as `lost`."""
     held, today, same = read_result(name), read_modules(root), read_known().same
     pairs = [(source.commit, command) for source in sources(held) for command in commands(held)]
     found = [line for commit, typed in pairs for line in lost(read_modules(root, commit), today, programs(typed), same)]
@@ -146,11 +149,15 @@ def changes(name: str, root: Path = ROOT) -> list[str]:
 
 
 def lost(
-    then: Mapping[str, str], today: Mapping[str, str], starts: Sequence[str], same: Iterable[tuple[str, str]] = ()
+    then: Mapping[str, str],
+    today: Mapping[str, str],
+    starts: Sequence[str],
+    same: Iterable[tuple[str, str]] = (),
 ) -> list[str]:
-    """Return a line for each definition of COMPUTING that `starts` import among the modules `then` and that `today` lacks.
+    """Return a line for each definition that `starts` import among `then` and that `today` lacks.
 
-    A line is the module, the name, the definition's key and that of its successor, as stale.toml takes it for `same`.
+    A line is the module, the name, the definition's key and that of its successor, as stale.toml
+    takes it for `same`. Only definitions of COMPUTING count.
     """
     used = [module for module in imports(then, starts) if module.split(".")[1:2] and module.split(".")[1] in COMPUTING]
     keys = {module: definitions(text) for module, text in today.items()}
@@ -166,7 +173,7 @@ def lost(
 
 
 def programs(command: str) -> list[str]:
-    """Return the modules that a command of ours starts from. Raises LookupError for one that PROGRAMS lacks."""
+    """Return the modules that a command of ours starts from. Raises LookupError."""
     first, *words = command.split()
     if first != PACKAGE:
         return []
@@ -178,7 +185,7 @@ def programs(command: str) -> list[str]:
 
 @cache
 def read_modules(root: Path, commit: str | None = None) -> Mapping[str, str]:
-    """Return the text of every module of the package by its name, today's or that of a commit. Raises LookupError."""
+    """Return the package's modules as text, of today or of a commit. Raises LookupError."""
     if commit is None:
         paths = {path.relative_to(root).as_posix(): path for path in (root / PACKAGE).rglob("*.py")}
         return {_module(name): path.read_text() for name, path in paths.items()}
@@ -209,7 +216,7 @@ def _module(path: str) -> str:
 
 
 def imports(modules: Mapping[str, str], starts: Iterable[str]) -> set[str]:
-    """Return the modules that `starts` import, at their top or later, and those that these import."""
+    """Return the modules that `starts` import, at their top or later, and all theirs."""
     seen: set[str] = set()
     left = [module for module in starts if module in modules]
     while left:
@@ -233,7 +240,10 @@ def _imported(text: str) -> frozenset[str]:
 
 @cache
 def definitions(text: str) -> Mapping[str, str]:
-    """Return a key of each definition at the top of a module, by name. Keys do not depend on the version of Python."""
+    """Return a key of each definition at the top of a module, by name.
+
+    Keys do not depend on the version of Python.
+    """
     found: dict[str, str] = {}
     for node in _body(ast.parse(text)):
         if not isinstance(node, ast.Import | ast.ImportFrom):
@@ -243,7 +253,10 @@ def definitions(text: str) -> Mapping[str, str]:
 
 
 def _syntax(node: object) -> str:
-    """Return syntax as text, without docstrings and without what is empty, which some versions of Python leave out."""
+    """Return syntax as text, without docstrings and without what is empty.
+
+    Some versions of Python leave out what is empty.
+    """
     if isinstance(node, list):
         return f"[{', '.join(map(_syntax, node))}]"
     if not isinstance(node, ast.AST):
@@ -255,7 +268,9 @@ def _syntax(node: object) -> str:
     return f"{type(node).__name__}({held})"
 
 
-def _body(node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module) -> list[ast.stmt]:
+def _body(
+    node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module,
+) -> list[ast.stmt]:
     return node.body if ast.get_docstring(node, clean=False) is None else node.body[1:]
 
 

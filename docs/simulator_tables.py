@@ -41,7 +41,10 @@ PROBLEMS = {  # what a line shows: the group, and the beginnings of the problems
         "normal contact against tamaas",
         (".*: depth", ".*: extent"),
     ),
-    "the same: share of the force at another place": ("normal contact against tamaas", (".*: share",)),
+    "the same: share of the force at another place": (
+        "normal contact against tamaas",
+        (".*: share",),
+    ),
     "oblique press without slip (Mindlin and Deresiewicz)": ("Mindlin-Deresiewicz", ("oblique",)),
     "edge passed in steps of 0.05 mm, by taps, by slides: a step against the one before": (
         "the dome",
@@ -91,11 +94,19 @@ def fitted_images() -> str:
     whens = ("real", "before", "after")
     lines = ["| | recorded | before | after |", "|---|---|---|---|"]
     for shown, (names, digits) in STATISTICS.items():
-        lines.append(as_line(shown, [", ".join(f"{rows[name][when]:.{digits}f}" for name in names) for when in whens]))
+        lines.append(
+            as_line(
+                shown,
+                [", ".join(f"{rows[name][when]:.{digits}f}" for name in names) for when in whens],
+            )
+        )
     for what, shown in LEFT_BEHIND.items():
         together = [[rows[f"{what}, slide {each} mm"] for each in names] for names in SLIDES.values()]
         lines.append(
-            as_line(shown, [", ".join(f"{_over_images(each, when):.1f}" for each in together) for when in whens])
+            as_line(
+                shown,
+                [", ".join(f"{_over_images(each, when):.1f}" for each in together) for when in whens],
+            )
         )
     return "\n".join(lines)
 
@@ -107,7 +118,10 @@ def _over_images(rows: list[dict], when: str) -> float:
 def compared() -> str:
     """Simulated against recorded pins on contacts that the fit never saw."""
     rows = {name: row["value"] for name, row in by_name("validate").items()}
-    lines = ["| | R2 of the pins' motion | left over, mm | R2 of a regression from the labels |", "|---|---|---|---|"]
+    lines = [
+        "| | R2 of the pins' motion | left over, mm | R2 of a regression from the labels |",
+        "|---|---|---|---|",
+    ]
     for kind, shown in (("tap", "taps"), ("slide", "slides")):
         r2, left, ceiling = (rows[f"{name}.{kind}"] for name in ("r2", "residual_mm", "ceiling_r2"))
         lines.append(as_line(shown, [f"{r2:.2f}", f"{left:.3f}", f"{ceiling:.2f}"]))
@@ -126,7 +140,13 @@ def problems() -> str:
         errors = ", ".join(f"{scale * max(abs(row['error']) for row in each):.2g}" for each in found)
         bars = [f"{scale * each[0]['bar']:g}" for each in found]
         lines.append(
-            as_line(shown, [f"{errors} {unit}", f"{', '.join(bars if len(set(bars)) > 1 else bars[:1])} {unit}"])
+            as_line(
+                shown,
+                [
+                    f"{errors} {unit}",
+                    f"{', '.join(bars if len(set(bars)) > 1 else bars[:1])} {unit}",
+                ],
+            )
         )
     return "\n".join(lines)
 
@@ -153,7 +173,10 @@ def large_strain() -> str:
 def levels() -> str:
     """Time and error of a contact by level."""
     rows = {(row["name"], row["kind"]): row for row in take("bench_sim")["rows"]}
-    lines = ["| | slide: ratio, ms | rms / 95 % px | tap: ratio, ms | rms / 95 % px |", "|---|---|---|---|---|"]
+    lines = [
+        "| | slide: ratio, ms | rms / 95 % px | tap: ratio, ms | rms / 95 % px |",
+        "|---|---|---|---|---|",
+    ]
     for name, shown in LEVELS.items():
         cells = []
         for kind in ("slide", "tap"):
@@ -167,7 +190,10 @@ def levels() -> str:
 
 def training() -> str:
     """Images a second in training, and the convolutions' rate over that of a matrix product."""
-    lines = ["| images a second | jaxunshear | by XLA alone | PyTorch | PyTorch, compiled |", "|---|---|---|---|---|"]
+    lines = [
+        "| images a second | jaxunshear | by XLA alone | PyTorch | PyTorch, compiled |",
+        "|---|---|---|---|---|",
+    ]
     for name, processor in TRAINED_ON.items():
         rows = {(row["name"], row["size"]): row for row in take(name)["rows"]}
         apart = any(kind == XLA for kind, _ in rows)  # earlier there was one form, by XLA
@@ -192,7 +218,10 @@ def inference() -> str:
 
 def needs() -> str:
     """Operations and milliseconds of work with and without a part."""
-    lines = ["| work | left out | Mflop, before and after | ms, before and after |", "|---|---|---|---|"]
+    lines = [
+        "| work | left out | Mflop, before and after | ms, before and after |",
+        "|---|---|---|---|",
+    ]
     for row in take("bench_needs")["rows"]:
         both = (row["with"], row["without"])
         operations = ", ".join(f"{each['operations'] / 1e6:.0f}" for each in both)

@@ -10,14 +10,15 @@ from jaxunshear import __version__
 from jaxunshear.results.rows import Source
 
 ROOT = Path(__file__).resolve().parents[1]
-CODE = ("jaxunshear", "data_specs", "experiments", "pyproject.toml", "constraints.txt")  # what decides a result
+# what decides a result
+CODE = ("jaxunshear", "data_specs", "experiments", "pyproject.toml", "constraints.txt")
 ELSEWHERE = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE")  # a hook of another repository sets them
 SECONDS = 20
 
 
 @cache
 def read_source() -> Source:
-    """Return the code that this process runs, as it was when first asked; later changes of the files do not count.
+    """Return the code that this process runs, as it was when first asked.
 
     An installed package has no commit. Neither has a checkout where git is missing or refuses.
     """
@@ -25,8 +26,11 @@ def read_source() -> Source:
 
 
 def committed(root: Path) -> tuple[str | None, bool | None]:
-    """Return the commit of the checkout at `root`, and whether its CODE is as committed; None, None if there is none."""
-    if not (root / ".git").exists():  # also keeps apart a checkout that has this package only in its environment
+    """Return the commit of the checkout at `root`, and whether its CODE is as committed.
+
+    Both are None if there is none.
+    """
+    if not (root / ".git").exists():  # a checkout may hold this package in an environment alone
         return None, None
     words = ["git", "--no-optional-locks", "status", "--porcelain=v2", "--branch", "--", *CODE]
     here = {name: value for name, value in os.environ.items() if name not in ELSEWHERE}

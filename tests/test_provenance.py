@@ -1,4 +1,6 @@
-"""The results in docs/results: with which code each was made, that none was edited, and whether that code has changed since."""
+"""The results in docs/results: with which code each was made, that none was edited, and whether
+that code has changed since.
+"""
 
 import json
 import shutil
@@ -8,7 +10,17 @@ import pytest
 
 from docs import provenance
 from docs.keep import keep
-from docs.provenance import ROOT, changes, git, lost, origin, read_known, read_modules, read_result, sources
+from docs.provenance import (
+    ROOT,
+    changes,
+    git,
+    lost,
+    origin,
+    read_known,
+    read_modules,
+    read_result,
+    sources,
+)
 from jaxunshear.errors import UserError
 from jaxunshear.storage import SEAL, read_json, write_json
 
@@ -24,7 +36,9 @@ def test_results_without_a_commit_are_listed():
 
 @pytest.mark.parametrize("name", KEPT)
 def test_results_are_as_a_program_wrote_them(name):
-    """Their checksum holds, so that neither a figure nor a command was edited; and their code was committed."""
+    """Their checksum holds, so that neither a figure nor a command was edited; and their code was
+    committed.
+    """
     assert SEAL in read_result(name), f"{name}.json bears no checksum: copy it as it was written, or use docs/keep.py"
     read_json(ROOT / "docs" / "results" / f"{name}.json")
     for source in sources(read_result(name)):
@@ -54,7 +68,11 @@ def step(x):
     return SCALE * layer(x)
 '''
 NET = "def layer(x):\n    return x + 1\n\ndef other(x):\n    return x\n"
-TEXTS = {"jaxunshear.training.step": THEN, "jaxunshear.model.net": NET, "jaxunshear.image.draw": "def draw(): ...\n"}
+TEXTS = {
+    "jaxunshear.training.step": THEN,
+    "jaxunshear.model.net": NET,
+    "jaxunshear.image.draw": "def draw(): ...\n",
+}
 START = ("jaxunshear.training.step",)
 
 
@@ -88,7 +106,10 @@ def test_changes_by_more_than_words_are_named(texts, expected):
 
 
 def test_what_only_shows_or_starts_does_not_count():
-    texts = {"jaxunshear.report.page": "def page(): ...\n", "jaxunshear.settings.data": "def data(): ...\n"}
+    texts = {
+        "jaxunshear.report.page": "def page(): ...\n",
+        "jaxunshear.settings.data": "def data(): ...\n",
+    }
     assert not lost(texts, {}, tuple(texts))
 
 
@@ -115,7 +136,10 @@ def test_modules_of_a_commit_are_those_that_were_committed(tmp_path):
         subprocess.run(["git", *words], cwd=tmp_path, check=True)
     commit = git(tmp_path, "rev-parse", "HEAD").decode().strip()
     (tmp_path / "jaxunshear" / "model" / "net.py").write_text("MORE = 2\n")
-    assert read_modules(tmp_path, commit) == {"jaxunshear": "", "jaxunshear.model.net": "MORE = 'ü'\n"}
+    assert read_modules(tmp_path, commit) == {
+        "jaxunshear": "",
+        "jaxunshear.model.net": "MORE = 'ü'\n",
+    }
     assert read_modules(tmp_path)["jaxunshear.model.net"] == "MORE = 2\n"
     with pytest.raises(LookupError):
         read_modules(tmp_path, "0" * 40)
@@ -147,7 +171,12 @@ def test_a_note_says_what_a_file_knows():
 
 def result(**more):
     code = {"version": "0.3.0", "date": "2030-01-02", "commit": "0123456789", "clean": True}
-    return {"command": "jaxunshear sweep a.py", "source": code, "rows": [{"name": "mm/deg", "value": 1.5}], **more}
+    return {
+        "command": "jaxunshear sweep a.py",
+        "source": code,
+        "rows": [{"name": "mm/deg", "value": 1.5}],
+        **more,
+    }
 
 
 def test_a_result_is_kept_as_it_was_written(tmp_path):

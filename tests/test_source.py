@@ -1,4 +1,6 @@
-"""The code that a result was made with: the package's own checkout, asked once, whatever else is there."""
+"""The code that a result was made with: the package's own checkout, asked once, whatever else is
+there.
+"""
 
 import os
 import shutil
@@ -48,7 +50,9 @@ def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(c
     assert (
         source.committed(checkout)[0]
         == subprocess.run(
-            ["git", "--git-dir", str(checkout / ".git"), "rev-parse", "HEAD"], capture_output=True, text=True
+            ["git", "--git-dir", str(checkout / ".git"), "rev-parse", "HEAD"],
+            capture_output=True,
+            text=True,
         ).stdout.strip()
     )
 

@@ -1,4 +1,6 @@
-"""`--help-fields GROUP`: the fields of a group of settings, each with its value, what it takes and what it means."""
+"""`--help-fields GROUP`: the fields of a group of settings, each with its value, what it takes and
+what it means.
+"""
 
 import dataclasses
 from collections.abc import Iterator
@@ -15,7 +17,7 @@ WIDTH = 100
 
 
 def split_question(argv: list[str]) -> tuple[str, list[str]] | None:
-    """Return the group that a command line asks about, and its other words; None if it asks about none."""
+    """Return the group that a command line asks about, and its other words; or None."""
     for place, word in enumerate(argv):
         name, equals, value = word.partition("=")
         if name == FLAG:
@@ -26,9 +28,10 @@ def split_question(argv: list[str]) -> tuple[str, list[str]] | None:
 
 
 def help_on(group: str, experiment: Experiment | None = None) -> str:
-    """Say of each field of a group its value, what it takes and what it means: values of `experiment`, or the usual ones.
+    """Say of each field of a group its value, what it takes and what it means.
 
-    Raises UserError for a group that there is not, or not in this experiment.
+    Values are those of `experiment`, or the usual ones. Raises UserError for a group that there is
+    not, or not in this experiment.
     """
     known = dict(_groups(Experiment, ""))
     if group not in known:
@@ -73,7 +76,7 @@ class _Entry(NamedTuple):
 
 
 def _entries(kind: type, held: object, prefix: str) -> Iterator[_Entry]:
-    """Yield the fields of a kind of settings: with the values of `held` if it is of that kind, else with its defaults."""
+    """Yield the fields of a kind of settings, with the values of `held` if it is of that kind."""
     for field in dataclasses.fields(kind):
         hint = hints(kind)[field.name]
         if field.name in NOT_SET or (groups(hint) and prefix + field.name != "sensor"):
