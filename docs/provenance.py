@@ -20,12 +20,16 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from jaxunshear.cli import read_base
 from jaxunshear.results.rows import Source
-from jaxunshear.storage import Json
+from jaxunshear.settings.earlier import LATER, without_later
+from jaxunshear.settings.stored import to_json
+from jaxunshear.storage import Json, plain
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 PACKAGE = "jaxunshear"
+NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder")  # settings that decide no figure
 COMPUTING = (
     *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
     *("sweep", "calibration", "verification", "applications", "benchmarks"),
@@ -55,15 +59,18 @@ class Known(NamedTuple):
 
     not_kept: frozenset[str]  # made before results kept their commit
     changed: Mapping[str, str]  # why a result stays although its code has changed
+    settings: Mapping[str, str]  # why its command gives other settings today
     same: Sequence[tuple[str, str]]  # keys of definitions that compute the same: earlier, later
 
 
 def read_known(path: Path = ROOT / "docs" / "stale.toml") -> Known:
     """Read which results are known to be older than their code."""
     held = tomllib.loads(path.read_text())
-    changed = {name: each["why"] for each in held.get("changed", []) for name in each["files"]}
+    changed, settings = (
+        {name: each["why"] for each in held.get(kind, []) for name in each["files"]} for kind in ("changed", "settings")
+    )
     same = [line.split()[-2:] for each in held.get("same", []) for line in each["definitions"]]
-    return Known(frozenset(held["not_kept"]), changed, [(earlier, later) for earlier, later in same])
+    return Known(frozenset(held["not_kept"]), changed, settings, [(earlier, later) for earlier, later in same])
 
 
 @cache
@@ -99,7 +106,12 @@ def note(names: Iterable[str], page: str) -> str:
     folder = "docs/results" if page == "README.md" else "results"
     known = read_known()
     said = [
-        f"[{name}.json]({folder}/{name}.json): {origin(read_result(name), name in known.changed)}" for name in names
+        ", ".join(
+            [f"[{name}.json]({folder}/{name}.json): {origin(read_result(name))}"]
+            + ["its code has changed since"] * (name in known.changed)
+            + ["its command gives other settings today"] * (name in known.settings)
+        )
+        for name in names
     ]
     return f"{NOTE}{'; '.join(said)}.</sub>"
 
@@ -107,13 +119,12 @@ def note(names: Iterable[str], page: str) -> str:
 NOTE = "<sub>From "
 
 
-def origin(held: Json, changed: bool) -> str:
-    """Say how a result was made, and whether its code has changed since."""
+def origin(held: Json) -> str:
+    """Say how a result was made."""
     typed, made = commands(held), sources(held)
     words = [f"`{typed[0]}`{_moved(typed[0])}"] if typed else []
     words += [f"and {len(typed) - 1} more commands"] * (len(typed) > 1)
     words += [_code(one) for one in made] if made else [f"{_version(held)}commit not kept"]
-    words += ["its code has changed since"] * changed
     return ", ".join(words)
 
 
@@ -135,9 +146,46 @@ def _moved(command: str) -> str:
     """Say where the experiment file of a command is today, if it has moved."""
     for word in shlex.split(command):
         if word.endswith(".py") and not (ROOT / word).exists():
-            found = sorted(ROOT.glob(f"experiments/**/{Path(word).name}"))
-            return f" (now {found[0].relative_to(ROOT)})" if found else " (a file that is gone)"
+            today = Path(_today(word))
+            return f" (now {today.relative_to(ROOT)})" if today.is_absolute() else " (a file that is gone)"
     return ""
+
+
+def differences(name: str) -> dict[str, tuple[object, object]]:
+    """Return the settings of a run or sweep that its command gives otherwise today: then, now.
+
+    Names and places are left out, and settings that do nothing: those that came later or went, and
+    those that the version that made the result did not have.
+    """
+    held = read_result(name)
+    stored = held.get("base") or held.get("settings")
+    if not stored:
+        return {}
+    words = [_today(word) for word in shlex.split(held["command"])[1:]]
+    then, now = (_flat(without_later(each)) for each in (stored, plain(to_json(read_base(words)))))
+    compared = [field for field in {**then, **now} if field in then or _last(field) in LATER]
+    return {
+        field: (then.get(field), now.get(field))
+        for field in compared
+        if then.get(field) != now.get(field) and _last(field) not in NAMES
+    }
+
+
+def _last(field: str) -> str:
+    return field.rpartition(".")[2]
+
+
+def _today(word: str) -> str:
+    """Return where a file named in a command is today."""
+    found = sorted(ROOT.glob(f"experiments/**/{Path(word).name}")) if word.endswith(".py") else []
+    return str(found[0]) if found else word
+
+
+def _flat(settings: Json, group: str = "") -> Json:
+    found: Json = {}
+    for name, value in settings.items():
+        found |= _flat(value, f"{group}{name}.") if isinstance(value, dict) else {f"{group}{name}": value}
+    return found
 
 
 def changes(name: str, root: Path = ROOT) -> list[str]:

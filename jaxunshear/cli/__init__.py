@@ -32,6 +32,7 @@ from jaxunshear.cli.fields import help_on, split_question
 from jaxunshear.environment import check_environment, check_links, settle
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.source import read_source
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
@@ -173,21 +174,34 @@ def _options(parser: _Parser, names: tuple[str, ...]) -> tuple[set[str], set[str
     return own, {name for action in actions if action.nargs == 0 for name in action.option_strings}
 
 
+def _split(parser: _Parser, argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the words of a command that takes an experiment, and its fields; a typo in these is refused at once."""
+    from jaxunshear.settings.fields import parse_overrides, split_overrides
+
+    alike = stages.COMMANDS if argv[0] in stages.COMMANDS else sweep.COMMANDS
+    words, fields = split_overrides(argv, *_options(parser, alike))
+    parse_overrides(fields)
+    return words, fields
+
+
+def read_base(argv: Sequence[str]) -> Experiment:
+    """Return the experiment that a command is about, before it is checked or finds recordings."""
+    parser = _parser(False)
+    words, fields = _split(parser, argv)
+    module = stages if argv[0] in stages.COMMANDS else sweep
+    return module.read_base(parser.parse_args(words), fields)
+
+
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words = argv
     check = argv[:1] == [CHECK]
     parser = _parser(check)
     if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
-        from jaxunshear.settings.fields import parse_overrides, split_overrides
-
-        module = stages if argv[0] in stages.COMMANDS else sweep
         question = split_question(argv)
-        words, fields = split_overrides(question[1] if question else argv, *_options(parser, module.COMMANDS))
-        parse_overrides(fields)  # before anything is read: a typo is refused at once
+        words, fields = _split(parser, question[1] if question else argv)
         if question:
-            named = len(words) > 1  # else the command alone
-            print(help_on(question[0], module.read_base(parser.parse_args(words), fields) if named else None))
+            print(help_on(question[0], read_base(question[1]) if len(words) > 1 else None))
             return 0
     if words and words[0] in checks.COMMANDS:
         raise UserError(f"write `jaxunshear {CHECK} {words[0]}`")
