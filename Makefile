@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test check check-long faults docs clean
+.PHONY: demo test check check-long faults tables docs clean
 
 demo: $(READY)
 	$(BIN)/jaxunshear run experiments/demo.py
@@ -22,6 +22,10 @@ check-long: $(READY)
 # Hours at its full size; needs a C compiler, and the right to mount for the rows of full and read-only file systems.
 faults: $(READY)
 	$(BIN)/python -m tests.faults --json docs/results/faults.json $(FAULTS)
+
+# From docs/results into README and docs/*.md, each with its files, their commands and commits.
+tables: $(READY)
+	$(BIN)/python -m docs.make_tables
 
 # Pages in site/: open site/index.html. Their search needs a server: python -m http.server -d site
 docs: $(READY)

@@ -1,7 +1,8 @@
-"""How trainings went, from their logs: `python docs/make_curves.py runs/sweeps/appendix_b` writes docs/results/appendix_b_curves.json and
+"""How trainings went, from their logs: `python -m docs.make_curves runs/sweeps/appendix_b` writes docs/results/appendix_b_curves.json and
 .png, for a sweep or a single run: sizes of kernels (root mean square of their weights) and validation loss over steps."""
 
 import json
+import shlex
 import sys
 from pathlib import Path
 from statistics import fmean
@@ -10,6 +11,8 @@ from typing import Any
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
+from jaxunshear.metrics.machine import provenance
+from jaxunshear.storage import plain, sealed, write_text
 from jaxunshear.style import DPI, LABEL, STYLE
 
 RESULTS = Path(__file__).parent / "results"
@@ -67,5 +70,7 @@ def _short(value: float | None) -> float | None:
 if __name__ == "__main__":
     run = Path(sys.argv[1])
     rows = curves(run)
-    (RESULTS / f"{run.name}_curves.json").write_text(json.dumps({"network": NETWORK, "rows": rows}) + "\n")
+    made = provenance(shlex.join(["python", "-m", "docs.make_curves", *sys.argv[1:]]))
+    held = sealed(plain(made | {"network": NETWORK, "rows": rows}))
+    write_text(RESULTS / f"{run.name}_curves.json", json.dumps(held) + "\n")
     picture(rows, RESULTS / f"{run.name}_curves.png")

@@ -1,19 +1,23 @@
-"""Tables in README and docs, from docs/results: `python docs/make_tables.py` prints them; a test compares."""
+"""Tables in README and docs, from docs/results: `make tables` puts them into the pages; a test compares.
 
-import json
-from collections.abc import Callable, Sequence
+A table stands where a page has its first line. Under it stands how its files were made (`provenance.py`). For a new table write
+a function here, add it to TABLES, write its first line into the page, and call `make tables`.
+"""
+
+from collections.abc import Callable, Iterable
 from itertools import starmap
-from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
+from docs import simulator_tables
+from docs.provenance import NOTE, ROOT, note
+from docs.reading import USED, as_line, runs_of, swept, take, with_interval, with_range
 from jaxunshear.evaluation.exchange import EXCHANGED, OWN
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.results.run import Results
-from jaxunshear.results.stored import read
-from jaxunshear.results.sweep import CellResult, Figure, SweepResult
+from jaxunshear.results.stored import record_of
+from jaxunshear.results.sweep import CellResult, Figure
 
-RESULTS = Path(__file__).parent / "results"
 COLUMNS = (("y_mm", 2), ("Rz_deg", 1))
 ROWS = {
     "taps": "taps: pose/tap",
@@ -55,7 +59,7 @@ PAIRINGS = {"rendered": "what a renderer draws at its pose", "nearest": "the nea
 def sizing() -> str:
     """A simulated set's processor time and storage, measured a contact and multiplied."""
     lines = ["| step | measured, a contact | a million | 10^8, on paper |", "|---|---|---|---|"]
-    for row in json.loads((RESULTS / "bench_data.json").read_text())["rows"]:
+    for row in take("bench_data")["rows"]:
         if row["cpu_ms"] is not None:
             hours = row["cpu_ms"] / 3.6
             lines.append(f"| {row['name']}: core | {row['cpu_ms']:.3g} ms | {hours:.2g} h | {100 * hours:.0f} h |")
@@ -71,19 +75,19 @@ def waiting() -> str:
         "| networks over | batch | ms a step, examples there | read and drawn | ratio, median [its interval] | 95 % of turns |",
         "|---|---|---|---|---|---|",
     ]
-    for row in json.loads((RESULTS / "bench_input.json").read_text())["rows"]:
+    for row in take("bench_input")["rows"]:
         times = [f"{row[name]:.1f}" for name in ("ms_there", "ms_drawn")]
         times += [f"{row['ratio']:.3f} [{row['ratio_low']:.3f}, {row['ratio_high']:.3f}]", f"{row['ratio_p95']:.2f}"]
-        lines.append(_line(row["name"], [str(row["batch"]), *times]))
+        lines.append(as_line(row["name"], [str(row["batch"]), *times]))
     return "\n".join(lines)
 
 
 def pin_networks() -> str:
     """Networks over pins: how long a step and a frame take, and how much longer with plain layers."""
     lines = ["| E | what | batch | ms, median | ms, 95 % | plain layers, times as long |", "|---|---|---|---|---|---|"]
-    for row in json.loads((RESULTS / "bench_pinnets.json").read_text())["rows"]:
+    for row in take("bench_pinnets")["rows"]:
         times = [f"{row[name]:.2f}" for name in ("ms", "ms_p95", "plain_over_fast")]
-        lines.append(_line(row["name"], [row["what"], str(row["batch"]), *times]))
+        lines.append(as_line(row["name"], [row["what"], str(row["batch"]), *times]))
     return "\n".join(lines)
 
 
@@ -93,47 +97,48 @@ def found_pins() -> str:
         "| sensor, kind | px | sure | wrong | error, px rms | ms a frame, median (95 %) |",
         "|---|---|---|---|---|---|",
     ]
-    rows = json.loads((RESULTS / "bench_pins.json").read_text())["rows"]
+    rows = take("bench_pins")["rows"]
     for row in sorted(rows, key=lambda row: (-row["size"], list(FOUND).index(row["sensor"]))):
         cells = (f"{row['sure']:.1%}", str(row["wrong"]), f"{row['rms_px']:.3f}")
         spent = f"{row['ms']:.1f} ({row['ms_p95']:.0f})"
-        lines.append(_line(f"{FOUND[row['sensor']]}, {row['kind']}", [str(row["size"]), *cells, spent]))
+        lines.append(as_line(f"{FOUND[row['sensor']]}, {row['kind']}", [str(row["size"]), *cells, spent]))
     return "\n".join(lines)
 
 
 def touched() -> str:
     """Pictures of `explore`: how long they take."""
     lines = ["| stimulus | pictures | refused | ms, median | ms, 95 % | ms, most |", "|---|---|---|---|---|---|"]
-    for row in json.loads((RESULTS / "bench_explore.json").read_text())["rows"]:
+    for row in take("bench_explore")["rows"]:
         times = [f"{row[name]:.0f}" for name in ("ms", "ms_p95", "most_ms")]
-        lines.append(_line(row["name"], [str(row["pictures"]), str(row["refused"]), *times]))
+        lines.append(as_line(row["name"], [str(row["pictures"]), str(row["refused"]), *times]))
     return "\n".join(lines)
 
 
 def real_skin() -> str:
     """Errors over pins and over images, each with its 95 % interval over seeds and contacts."""
-    inputs = [_cells(name)[0].metrics for name in ("recorded_pins", "recorded_images")]
+    inputs = [swept(name)[0].metrics for name in ("recorded_pins", "recorded_images")]
     lines = [
         "| a PoseNet that learnt from taps reads | pins: y, mm | pins: Rz, deg | images: y, mm | images: Rz, deg |",
         "|---|---|---|---|---|",
     ]
     lines += [
-        _line(name, [_cell(one[f"{key}/{q}"], d) for one in inputs for q, d in COLUMNS]) for name, key in ROWS.items()
+        as_line(name, [with_interval(one[f"{key}/{q}"], d) for one in inputs for q, d in COLUMNS])
+        for name, key in ROWS.items()
     ]
-    undone = [_cell(one[f"pose_recovery/disentangled/{q}"], 2) for one in inputs for q, _ in COLUMNS]
-    return "\n".join([*lines, _line("recovery: the share of the slide's damage undone", undone)])
+    undone = [with_interval(one[f"pose_recovery/disentangled/{q}"], 2) for one in inputs for q, _ in COLUMNS]
+    return "\n".join([*lines, as_line("recovery: the share of the slide's damage undone", undone)])
 
 
 def demo() -> str:
     """Likeness and errors of the demo over training seeds."""
-    (cell,) = _cells("demo")
+    (cell,) = swept("demo")
     kinds = ("tap", "sheared", "entangled", "disentangled")
     lines = [f"| `make demo`, simulated | {' | '.join(kinds)} |", "|---|" + "---|" * len(kinds)]
     metrics = cell.metrics
-    likeness = ["1", *(_cell(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
-    lines.append(_line("MS-SSIM to the tap, 128 px (`ms_ssim@4`)", likeness))
+    likeness = ["1", *(with_interval(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
+    lines.append(as_line("MS-SSIM to the tap, 128 px (`ms_ssim@4`)", likeness))
     for name, key, digits in (("edge distance error, mm", "edge_mm", 2), ("edge angle error, deg", "edge_deg", 1)):
-        lines.append(_line(name, [_cell(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]))
+        lines.append(as_line(name, [with_interval(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]))
     return "\n".join(lines)
 
 
@@ -154,56 +159,58 @@ QUANTITIES = (("x_mm", 2), ("yaw_deg", 1), ("edge_mm", 2), ("edge_deg", 1))
 
 def standard() -> str:
     """Likeness, pins and errors of the standard experiment by what is read."""
-    metrics = _cells("standard")[0].metrics
+    metrics = swept("standard")[0].metrics
     lines = [
         "| | MS-SSIM@4 | pins, px rms | x, mm | yaw, deg | edge distance, mm | edge angle, deg |",
         "|---|---|---|---|---|---|---|",
     ]
     for way, shown in SHOWN.items():
-        likeness = _cell(metrics[f"ms_ssim/{way}"], 3) if f"ms_ssim/{way}" in metrics else ""
+        likeness = with_interval(metrics[f"ms_ssim/{way}"], 3) if f"ms_ssim/{way}" in metrics else ""
         pins = metrics.get(f"pin_error/{way}/rms_px") if way != "sheared" else None
-        cells = [_cell(metrics[f"pose/{way}/{name}"], digits) for name, digits in QUANTITIES]
-        lines.append(_line(shown, [likeness, f"{pins.mean:.3f}" if pins else "", *cells]))
+        cells = [with_interval(metrics[f"pose/{way}/{name}"], digits) for name, digits in QUANTITIES]
+        lines.append(as_line(shown, [likeness, f"{pins.mean:.3f}" if pins else "", *cells]))
     return "\n".join(lines)
 
 
 def recoveries() -> str:
     """The share of what a slide adds to an error that is gone again, by reader and network."""
-    metrics = _cells("standard")[0].metrics
+    metrics = swept("standard")[0].metrics
     lines = ["| recovery | x | yaw | edge distance | edge angle |", "|---|---|---|---|---|"]
     for way in ("entangled", "entangled_large", "unet", "disentangled", "sheared_learnt"):
-        lines.append(_line(SHOWN[way], [_cell(metrics[f"pose_recovery/{way}/{name}"], 2) for name, _ in QUANTITIES]))
+        lines.append(
+            as_line(SHOWN[way], [with_interval(metrics[f"pose_recovery/{way}/{name}"], 2) for name, _ in QUANTITIES])
+        )
     return "\n".join(lines)
 
 
 def other_readers() -> str:
     """Errors of the reader that is no neural network, in the standard experiment."""
-    metrics = _cells("standard")[0].metrics
+    metrics = swept("standard")[0].metrics
     lines = ["| `pixels` reads | x, mm | yaw, deg | edge distance, mm | edge angle, deg |", "|---|---|---|---|---|"]
     for way in ("tap", "sheared", "entangled", "entangled_large", "unet", "disentangled"):
-        cells = [_cell(metrics[f"read/pixels/{way}/{name}"], digits) for name, digits in QUANTITIES]
-        lines.append(_line(SHOWN[way], cells))
+        cells = [with_interval(metrics[f"read/pixels/{way}/{name}"], digits) for name, digits in QUANTITIES]
+        lines.append(as_line(SHOWN[way], cells))
     return "\n".join(lines)
 
 
 def standard_first() -> str:
     """The first figures of the standard experiment, the paper's beside them."""
-    metrics = _cells("standard")[0].metrics
+    metrics = swept("standard")[0].metrics
     kinds = ("tap", "sheared", "entangled", "disentangled")
     lines = [f"| `standard.py` | {' | '.join(kinds)} |", "|---|" + "---|" * len(kinds)]
-    likeness = ["1", *(_cell(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
-    lines.append(_line("MS-SSIM to the tap, simulated, 128 px (`ms_ssim@4`)", likeness))
-    lines.append(_line("MS-SSIM, real, 256 px (paper, Table 1)", ["1", "0.32", "0.90", "0.93"]))
+    likeness = ["1", *(with_interval(metrics[f"ms_ssim/{kind}"], 3) for kind in kinds[1:])]
+    lines.append(as_line("MS-SSIM to the tap, simulated, 128 px (`ms_ssim@4`)", likeness))
+    lines.append(as_line("MS-SSIM, real, 256 px (paper, Table 1)", ["1", "0.32", "0.90", "0.93"]))
     for name, key, digits in (("edge distance error, mm", "edge_mm", 2), ("edge angle error, deg", "edge_deg", 1)):
-        cells = [_cell(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]
-        lines.append(_line(f"{name}, simulated", cells))
+        cells = [with_interval(metrics[f"pose/{kind}/{key}"], digits) for kind in kinds]
+        lines.append(as_line(f"{name}, simulated", cells))
     return "\n".join(lines)
 
 
 def few_labels() -> str:
     """Errors over the share of slides with labels, by what is learnt from, unsheared and learnt directly."""
     lines = [f"| slides with a label | {' | '.join(LEARNT)} |", "|---|" + "---|" * len(LEARNT)]
-    cells = {cell.label: cell.metrics for cell in _cells("few_labels")}
+    cells = {cell.label: cell.metrics for cell in swept("few_labels")}
     for share in SHARES:
         found = []
         for way in WAYS:
@@ -211,16 +218,16 @@ def few_labels() -> str:
             for key in ("sheared_learnt", "disentangled"):
                 y, angle = (metrics[f"pose/{key}/{q}"].mean for q, _ in COLUMNS)
                 found.append(f"{y:.2f} / {angle:.1f}")
-        lines.append(_line(f"{float(share):.0%}", found))
+        lines.append(as_line(f"{float(share):.0%}", found))
     return "\n".join(lines)
 
 
 def pairings() -> str:
     """Errors by what a slide is paired with."""
     lines = ["| a slide's partner | unsheared: y, mm | unsheared: Rz, deg |", "|---|---|---|"]
-    for cell in _cells("pairings"):
+    for cell in swept("pairings"):
         (name,) = (shown for way, shown in PAIRINGS.items() if way in cell.label)
-        lines.append(_line(name, [_cell(cell.metrics[f"pose/disentangled/{q}"], d) for q, d in COLUMNS]))
+        lines.append(as_line(name, [with_interval(cell.metrics[f"pose/disentangled/{q}"], d) for q, d in COLUMNS]))
     return "\n".join(lines)
 
 
@@ -228,33 +235,33 @@ def simulated_slides() -> str:
     """Errors on recorded slides by what the slides were that taught."""
     columns = (("y_mm", 2), ("z_mm", 2), ("Rz_deg", 1))
     lines = ["| read | learnt from | y, mm | z, mm | Rz, deg |", "|---|---|---|---|---|"]
-    cells = {way: next(c.metrics for c in _cells("simulated_slides") if way in c.label) for way in SOURCES}
+    cells = {way: next(c.metrics for c in swept("simulated_slides") if way in c.label) for way in SOURCES}
     one = cells["simulated"]
     for name, key in (("taps", "taps: pose/tap"), ("slides as recorded", "pose/sheared")):
-        lines.append(_line(name, ["taps", *(_cell(one[f"{key}/{q}"], d) for q, d in columns)]))
+        lines.append(as_line(name, ["taps", *(with_interval(one[f"{key}/{q}"], d) for q, d in columns)]))
     for name, key in (("slides unsheared", "disentangled"), ("slides, directly", "sheared_learnt")):
         for way, shown in SOURCES.items():
-            found = [_cell(cells[way][f"pose/{key}/{q}"], d) for q, d in columns]
-            lines.append(_line(name, [f"taps and {shown}", *found]))
+            found = [with_interval(cells[way][f"pose/{key}/{q}"], d) for q, d in columns]
+            lines.append(as_line(name, [f"taps and {shown}", *found]))
     for way, shown in SOURCES.items():
-        found = [_cell(cells[way][f"pose_recovery/disentangled/{q}"], 2) for q, _ in columns]
-        lines.append(_line("recovery", [f"taps and {shown}", *found]))
+        found = [with_interval(cells[way][f"pose_recovery/disentangled/{q}"], 2) for q, _ in columns]
+        lines.append(as_line("recovery", [f"taps and {shown}", *found]))
     return "\n".join(lines)
 
 
 def tenth() -> str:
     """Likeness on a tenth of the paper's data, against both kinds of taps."""
-    metrics = _cells("paper_tenth")[0].metrics
+    metrics = swept("paper_tenth")[0].metrics
     ways = ("sheared", "mean_tap", "translated", "entangled", "disentangled")
     lines = [f"| MS-SSIM to the tap | {' | '.join(SHOWN[way] for way in ways)} |", "|---|" + "---|" * len(ways)]
     for shown, test in (("off by up to 1 mm, as in training", ""), ("of the slide's own depth", "depth_0mm: ")):
-        lines.append(_line(f"taps {shown}", [_cell(metrics[f"{test}ms_ssim/{way}"], 3) for way in ways]))
+        lines.append(as_line(f"taps {shown}", [with_interval(metrics[f"{test}ms_ssim/{way}"], 3) for way in ways]))
     return "\n".join(lines)
 
 
 def tenth_poses() -> str:
     """Errors of poses on a tenth of the paper's data, at the slide's own depth, by two readers, and the paper's of real skin."""
-    metrics = _cells("paper_tenth")[0].metrics
+    metrics = swept("paper_tenth")[0].metrics
     ways, three = ("tap", "sheared", "entangled", "disentangled"), QUANTITIES[:3]
     lines = [
         "| | PoseNet reads: x, mm | yaw, deg | edge distance, mm | a ridge reads: x, mm | yaw, deg | edge distance, mm |",
@@ -262,16 +269,16 @@ def tenth_poses() -> str:
     ]
     for way in ways:
         keys = [(f"depth_0mm: {reader}/{way}/{q}", d) for reader in ("pose", "read/pixels") for q, d in three]
-        lines.append(_line(way, [_cell(metrics[key], digits) for key, digits in keys]))
+        lines.append(as_line(way, [with_interval(metrics[key], digits) for key, digits in keys]))
     for way in ways:
         x, yaw = PAPER["pose_mae"][way].values()
-        lines.append(_line(f"{way}, real (paper, Table 2)", [f"{x:.2f}", f"{yaw:.1f}", "", "", "", ""]))
+        lines.append(as_line(f"{way}, real (paper, Table 2)", [f"{x:.2f}", f"{yaw:.1f}", "", "", "", ""]))
     return "\n".join(lines)
 
 
 def short() -> str:
     """Likeness and edges at the paper's resolution, as PoseNet and a ridge on pixels read them."""
-    results = read(RESULTS / "paper_short.json", Results, "make it again")
+    results = record_of(take("paper_short"), Results, "paper_short.json", "make it again")
     spread, edge = results.spread, QUANTITIES[2:]
     lines = [
         "| | MS-SSIM | PoseNet reads: edge distance, mm | edge angle, deg | a ridge reads: edge distance, mm | edge angle, deg |",
@@ -280,21 +287,25 @@ def short() -> str:
     readers = ((results.pose_mae, spread.pose_mae), (results.readers["pixels"], spread.readers["pixels"]))
     for way in ("tap", "sheared", "disentangled"):
         likeness = (
-            "" if way == "tap" else _cell(Figure(results.ms_ssim[way]["overall"], spread.ms_ssim[way]["overall"]), 3)
+            ""
+            if way == "tap"
+            else with_interval(Figure(results.ms_ssim[way]["overall"], spread.ms_ssim[way]["overall"]), 3)
         )
-        errors = [_cell(Figure(mean[way][q], ends[way][q]), digits) for mean, ends in readers for q, digits in edge]
-        lines.append(_line(SHOWN[way], [likeness, *errors]))
+        errors = [
+            with_interval(Figure(mean[way][q], ends[way][q]), digits) for mean, ends in readers for q, digits in edge
+        ]
+        lines.append(as_line(SHOWN[way], [likeness, *errors]))
     return "\n".join(lines)
 
 
 def exported_speed() -> str:
     """A frame's time as our own stream takes it and as an exported file does."""
-    rows = json.loads((RESULTS / "bench_stream_onnx.json").read_text())["rows"]
+    rows = take("bench_stream_onnx")["rows"]
     names = {"jaxunshear": "`stream`", "onnxruntime": "the exported file"}
     lines = ["| a frame, ms: median (95 %) | 128 px | 256 px |", "|---|---|---|"]
     for name, shown in names.items():
         found = {row["size"]: f"{row['ms_per_image']:.1f} ({row['ms_p95']:.1f})" for row in rows if row["name"] == name}
-        lines.append(_line(shown, [found[128], found[256]]))
+        lines.append(as_line(shown, [found[128], found[256]]))
     return "\n".join(lines)
 
 
@@ -302,7 +313,7 @@ def transfer() -> str:
     """Errors on recordings of the weights that learnt in simulation alone, by their own PoseNet and by a ridge that learnt recorded taps:
     means of the trainings, each with its least and most."""
     runs, dense = (
-        [{name: row["value"] for name, row in run.items()} for run in _runs("skin", begins)]
+        [{name: row["value"] for name, row in run.items()} for run in runs_of("skin", begins)]
         for begins in ("skin", "dense")
     )
     readers = ("pose_mae", "readers.pins")
@@ -314,28 +325,28 @@ def transfer() -> str:
 
     def line(shown: str, kind: str, runs: list[dict[str, float]]) -> str:
         values = [([run[f"{reader}.{kind}.{q}"] for run in runs], d) for reader in readers for q, d in COLUMNS]
-        return _line(shown, [_of_values(each, digits) for each, digits in values])
+        return as_line(shown, [with_range(each, digits) for each, digits in values])
 
     lines += [line(shown, kind, runs) for shown, kind in kinds.items()]
     undone = []
     for reader in readers:
         for q, _ in COLUMNS:
             tap, sheared, after = ([run[f"{reader}.{kind}.{q}"] for run in runs] for kind in kinds.values())
-            undone.append(_of_values([(s - u) / (s - t) for t, s, u in zip(tap, sheared, after, strict=True)], 2))
-    lines.append(_line("recovery: the share of the slide's damage undone", undone))
+            undone.append(with_range([(s - u) / (s - t) for t, s, u in zip(tap, sheared, after, strict=True)], 2))
+    lines.append(as_line("recovery: the share of the slide's damage undone", undone))
     return "\n".join([*lines, line("for comparison: unsheared by dense layers", "unsheared", dense)])
 
 
 def refit() -> str:
     """What the simulator gains on contacts kept out, by the object's frame, by each value of the sensor, and by all of them."""
-    rows = {row["name"]: row["value"] for row in json.loads((RESULTS / "validate_refit.json").read_text())["rows"]}
+    rows = {row["name"]: row["value"] for row in take("validate_refit")["rows"]}
     lines = ["| changed | before | after | R2 gained, taps | R2 gained, slides |", "|---|---|---|---|---|"]
     for name, shown in REFITTED.items():
         values = [f"{rows[f'{when}.{name}']:.3g}" if f"{when}.{name}" in rows else "" for when in ("before", "after")]
-        lines.append(_line(shown, values + [f"{rows[f'gain.r2.{kind}.{name}']:+.3f}" for kind in ("tap", "slide")]))
+        lines.append(as_line(shown, values + [f"{rows[f'gain.r2.{kind}.{name}']:+.3f}" for kind in ("tap", "slide")]))
     for when, shown in (("before", "R2 before the refit, frame found"), ("after", "R2 after it")):
         found = [rows[f"before.r2.{kind}" if when == "before" else f"r2.{kind}"] for kind in ("tap", "slide")]
-        lines.append(_line(shown, ["", "", *(f"{value:.3f}" for value in found)]))
+        lines.append(as_line(shown, ["", "", *(f"{value:.3f}" for value in found)]))
     return "\n".join(lines)
 
 
@@ -346,7 +357,7 @@ MADE = ("voronoi", "skin", "evidence")
 
 def geometry() -> str:
     """Correlation with the true indentation and error in mm by way; of images of no contact the largest height in mm."""
-    rows = {row["name"]: row for row in json.loads((RESULTS / "geometry.json").read_text())["rows"]}
+    rows = {row["name"]: row for row in take("geometry")["rows"]}
     lines = [
         f"| correlation / rms error, mm | {' | '.join((*KINDS, 'untouched'))} |",
         "|---|" + "---|" * (len(KINDS) + 1),
@@ -357,7 +368,7 @@ def geometry() -> str:
         still = rows[f"all/untouched/{way}"]
         nothing = still["largest_mm"] == 0
         cells.append("0 / 0" if nothing else f"{still['correlation']:.3f} / {still['largest_mm']:.2f}")
-        lines.append(_line(f"`{way}`", cells))
+        lines.append(as_line(f"`{way}`", cells))
     return "\n".join(lines)
 
 
@@ -370,15 +381,9 @@ WALKED = {
 }
 
 
-def _runs(name: str, begins: str = "") -> list[dict[str, dict[str, Any]]]:
-    """The rows by name of the trainings that stand in a result file, those whose name begins so."""
-    runs = json.loads((RESULTS / f"{name}.json").read_text())["runs"]
-    return [{row["name"]: row for row in run["rows"]} for shown, run in runs.items() if shown.startswith(begins)]
-
-
 def _of_walks(rows: list[dict[str, Any]], field: str, digits: int) -> str:
     """Over all walks of all trainings."""
-    return _of_values([value for row in rows for value in row[field]], digits)
+    return with_range([value for row in rows for value in row[field]], digits)
 
 
 def _shapes(rows: dict[str, dict[str, Any]]) -> dict[str, str]:
@@ -388,28 +393,28 @@ def _shapes(rows: dict[str, dict[str, Any]]) -> dict[str, str]:
 
 def servo() -> str:
     """How far walks are from the edge, mm: the mean of each walk, over starts and trainings."""
-    runs = _runs("servo")
+    runs = runs_of("servo")
     lines = [f"| | {' | '.join(WALKED.values())} |", "|---|" + "---|" * len(WALKED)]
     for shape, shown in _shapes(runs[0]).items():
         found = [[run[f"{shape}/{way}"] for run in runs if f"{shape}/{way}" in run] for way in WALKED]
-        lines.append(_line(shown, [_of_walks(rows, "walk_mm", 2) for rows in found]))
+        lines.append(as_line(shown, [_of_walks(rows, "walk_mm", 2) for rows in found]))
     return "\n".join(lines)
 
 
 def servo_pins() -> str:
     """The same of networks over pins, beside those over images."""
-    pins, images = _runs("servo_pins"), _runs("servo")
+    pins, images = runs_of("servo_pins"), runs_of("servo")
     columns = ((pins, "disentangled"), (images, "disentangled"), (images, "sheared"), (images, "true"))
     lines = ["| | pins, unsheared | images, unsheared | images, sheared | true pose |", "|---|---|---|---|---|"]
     for shape, shown in _shapes(pins[0]).items():
         found = [[run[name] for run in runs if (name := f"{shape}/{way}") in run] for runs, way in columns]
-        lines.append(_line(shown, [_of_walks(rows, "walk_mm", 2) for rows in found]))
+        lines.append(as_line(shown, [_of_walks(rows, "walk_mm", 2) for rows in found]))
     return "\n".join(lines)
 
 
 def objects() -> str:
     """IoU with the true shape over the full grid, by maker: over starts and trainings."""
-    runs, looks = _runs("reconstruct"), {"disentangled": "unsheared", "sheared": "sheared"}
+    runs, looks = runs_of("reconstruct"), {"disentangled": "unsheared", "sheared": "sheared"}
     lines = [
         "| | " + " | ".join(f"{made}, {shown}" for made in MADE for shown in looks.values()) + " |",
         "|---|" + "---|" * 6,
@@ -418,7 +423,7 @@ def objects() -> str:
         rows = [
             [run[name] for run in runs if (name := f"{shape}/{made}/{way}") in run] for made in MADE for way in looks
         ]
-        lines.append(_line(shown, [_of_walks(each, "walk_iou", 2) for each in rows]))
+        lines.append(as_line(shown, [_of_walks(each, "walk_iou", 2) for each in rows]))
     return "\n".join(lines)
 
 
@@ -428,15 +433,15 @@ def readings() -> str:
         '| "10e-4" is | inner kernels: step 75 | 450 | 1,350 | validation loss: step 450 | 1,350 | MS-SSIM@4 |',
         "|---|---|---|---|---|---|---|",
     ]
-    rows = json.loads((RESULTS / "appendix_b_curves.json").read_text())["rows"]
-    for cell in _cells("appendix_b"):
+    rows = take("appendix_b_curves")["rows"]
+    for cell in swept("appendix_b"):
         trained = [row for row in rows if row["label"] == cell.label and row["seed"] in cell.seeds]
         assert len(trained) == len(cell.seeds)
         steps = [trained[0]["step"].index(step) for step in (75, 450, 1350)]
         sizes = [fmean(row["inner"][at] for row in trained) for at in steps]
         losses = [fmean(row["validation"]["supervised"][at] for row in trained) for at in steps[1:]]
         shown = [f"{value:.4f}" for value in sizes] + [f"{value:.3f}" for value in losses]
-        lines.append(_line(READINGS[cell.label], [*shown, _cell(cell.metrics["ms_ssim/disentangled"], 3)]))
+        lines.append(as_line(READINGS[cell.label], [*shown, with_interval(cell.metrics["ms_ssim/disentangled"], 3)]))
     return "\n".join(lines)
 
 
@@ -454,41 +459,41 @@ def lambda_split_leaks() -> str:
 def _grid(numbers: Callable[[CellResult], list[str]]) -> str:
     """A cell's numbers at its place of the sweep lambda_split."""
     table: dict[str, list[str]] = {}
-    for cell in _cells("lambda_split"):
+    for cell in swept("lambda_split"):
         table.setdefault(cell.point[0], []).append(", ".join(numbers(cell)))
-    splits = list(dict.fromkeys(cell.point[1] for cell in _cells("lambda_split")))
-    return "\n".join([_line("lambda", splits), "|---|" + "---|" * len(splits), *starmap(_line, table.items())])
+    splits = list(dict.fromkeys(cell.point[1] for cell in swept("lambda_split")))
+    return "\n".join([as_line("lambda", splits), "|---|" + "---|" * len(splits), *starmap(as_line, table.items())])
 
 
 def frontier() -> str:
     """Errors and what they cost: seconds of training and milliseconds an image are medians over seeds."""
     names = ("MS-SSIM", "pins, mm", "edge distance, mm", "of sheared", "edge angle, deg", "training, s", "ms")
-    lines = [_line("", names), "|---" * (len(names) + 1) + "|"]
-    for cell in _cells("frontier"):
+    lines = [as_line("", names), "|---" * (len(names) + 1) + "|"]
+    for cell in swept("frontier"):
         metrics = cell.metrics
         edge, sheared = (metrics[f"pose/{kind}/edge_mm"] for kind in ("disentangled", "sheared"))
         numbers = [
-            _cell(metrics["ms_ssim/disentangled"], 3),
+            with_interval(metrics["ms_ssim/disentangled"], 3),
             f"{metrics['pin_error/disentangled/rms_mm'].mean:.3f}",
-            _cell(edge, 2),
+            with_interval(edge, 2),
             f"{edge.mean / sheared.mean:.2f}",
-            _cell(metrics["pose/disentangled/edge_deg"], 1),
+            with_interval(metrics["pose/disentangled/edge_deg"], 1),
             f"{_train_seconds(cell):.0f}",
             f"{_ms(cell, 'disentangled'):.1f}",
         ]
-        lines.append(_line(cell.label, numbers))
+        lines.append(as_line(cell.label, numbers))
     return "\n".join(lines)
 
 
 def perception() -> str:
     """Milliseconds an image to unshear it and read its pose, and the errors left."""
-    lines = [_line("", ("ms", "edge distance, mm", "edge angle, deg")), "|---|---|---|---|"]
-    for cell in _cells("frontier"):
+    lines = [as_line("", ("ms", "edge distance, mm", "edge angle, deg")), "|---|---|---|---|"]
+    for cell in swept("frontier"):
         if not cell.label.startswith("Adam"):
             spent = sum(_ms(cell, name) for name in ("disentangled", "posenet"))
             errors = (cell.metrics[f"pose/disentangled/{name}"] for name in ("edge_mm", "edge_deg"))
             shown = [f"{error.mean:.{digits}f}" for error, digits in zip(errors, (2, 1), strict=True)]
-            lines.append(_line(cell.label, [f"{spent:.1f}", *shown]))
+            lines.append(as_line(cell.label, [f"{spent:.1f}", *shown]))
     return "\n".join(lines)
 
 
@@ -503,7 +508,7 @@ def _ms(cell: CellResult, network: str) -> float:
     def built(one: CellResult) -> dict[str, str]:
         return {name: value for name, value in one.settings.items() if not name.startswith("train.")}
 
-    alike = [one for one in _cells("frontier") if built(one) == built(cell)]
+    alike = [one for one in swept("frontier") if built(one) == built(cell)]
     return median(costs.ms_per_image[network]["median"] for one in alike for costs in one.costs.values())
 
 
@@ -520,13 +525,13 @@ def parted_images() -> str:
 def parted_images_pose() -> str:
     """Likeness and edge errors of these networks."""
     lines = ["| | MS-SSIM@4 | edge distance, mm | edge angle, deg |", "|---|---|---|---|"]
-    cells = _cells("parted_images")
+    cells = swept("parted_images")
     kinds = [("tap", cells[0]), ("sheared", cells[0]), *(("disentangled", cell) for cell in cells)]
     for kind, cell in kinds:
         found = cell.metrics
-        likeness = "1" if kind == "tap" else _cell(found[f"ms_ssim/{kind}"], 3)
-        errors = [_cell(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
-        lines.append(_line(cell.label if kind == "disentangled" else kind, [likeness, *errors]))
+        likeness = "1" if kind == "tap" else with_interval(found[f"ms_ssim/{kind}"], 3)
+        errors = [with_interval(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
+        lines.append(as_line(cell.label if kind == "disentangled" else kind, [likeness, *errors]))
     return "\n".join(lines)
 
 
@@ -537,16 +542,16 @@ def parted_images_drawn() -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     kinds, digits = ("exchanged", "both of its own"), {"rms_grey": 3, "rms_px": 2, "missed_per_image": 0}
-    for cell in _cells("parted_images"):
+    for cell in swept("parted_images"):
         found = {
             (kind, name): list(cell.ablation[f"DS, codes {kind}/{name}"].per_seed.values())
             for kind in kinds
             for name in digits
         }
-        shown = {n: [_of_values(found[kind, n], d) for kind in kinds] for n, d in digits.items()}
+        shown = {n: [with_range(found[kind, n], d) for kind in kinds] for n, d in digits.items()}
         ratios = [a / b for a, b in zip(*(found[kind, "rms_grey"] for kind in kinds), strict=True)]
-        cells = [*shown["rms_grey"], _of_values(ratios, 2), *shown["rms_px"], *shown["missed_per_image"]]
-        lines.append(_line(cell.label, cells))
+        cells = [*shown["rms_grey"], with_range(ratios, 2), *shown["rms_px"], *shown["missed_per_image"]]
+        lines.append(as_line(cell.label, cells))
     return "\n".join(lines)
 
 
@@ -557,10 +562,10 @@ def _leaks(sweep: str, both: bool) -> str:
         f"| R2 of an MLP probe | {' | '.join([*(f'{name} (a leak)' for name in leaks), *kept])} |",
         "|---|" + "---|" * (len(leaks) + len(kept)),
     ]
-    for cell in _cells(sweep):
+    for cell in swept(sweep):
         spoilt = cell.ablation
-        cells = [_of_values(list(spoilt[key].per_seed.values()), 2) for key in leaks.values()]
-        lines.append(_line(cell.label, [*cells, *(f"{spoilt[key].mean:.2f}" for key in kept.values())]))
+        cells = [with_range(list(spoilt[key].per_seed.values()), 2) for key in leaks.values()]
+        lines.append(as_line(cell.label, [*cells, *(f"{spoilt[key].mean:.2f}" for key in kept.values())]))
     return "\n".join(lines)
 
 
@@ -571,19 +576,19 @@ def parted_pins() -> str:
         "| | MS-SSIM@4 | pins, px rms | edge distance, mm | edge angle, deg | DS, codes exchanged, px | of its own, px |",
         "|---|---|---|---|---|---|---|",
     ]
-    cells = _cells("parted")
+    cells = swept("parted")
     found = cells[0].metrics
     for kind in ("tap", "sheared"):
-        likeness = _cell(found["ms_ssim/sheared"], 3) if kind == "sheared" else "1"
-        pins = _cell(found["pins/sheared"], 2) if kind == "sheared" else "0"
-        errors = [_cell(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
-        lines.append(_line(kind, [likeness, pins, *errors, "", ""]))
+        likeness = with_interval(found["ms_ssim/sheared"], 3) if kind == "sheared" else "1"
+        pins = with_interval(found["pins/sheared"], 2) if kind == "sheared" else "0"
+        errors = [with_interval(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
+        lines.append(as_line(kind, [likeness, pins, *errors, "", ""]))
     for cell in cells:
         found, spoilt = cell.metrics, cell.ablation
-        likeness, pins = _cell(found["ms_ssim/disentangled"], 3), _cell(found["pins/disentangled"], 2)
-        errors = [_cell(found[f"pose/disentangled/{name}"], digits) for name, digits in QUANTITIES[2:]]
-        shown = [_of_values(list(spoilt[name].per_seed.values()), 2) for name in drawn]
-        lines.append(_line(cell.label, [likeness, pins, *errors, *shown]))
+        likeness, pins = with_interval(found["ms_ssim/disentangled"], 3), with_interval(found["pins/disentangled"], 2)
+        errors = [with_interval(found[f"pose/disentangled/{name}"], digits) for name, digits in QUANTITIES[2:]]
+        shown = [with_range(list(spoilt[name].per_seed.values()), 2) for name in drawn]
+        lines.append(as_line(cell.label, [likeness, pins, *errors, *shown]))
     return "\n".join(lines)
 
 
@@ -597,12 +602,12 @@ def parted_skin() -> str:
         "| | pose from z_s (a leak) | slide from z_p (a leak) | pose from z_p | slide from z_s | unsheared: y, mm | unsheared: Rz, deg |",
         "|---|---|---|---|---|---|---|",
     ]
-    roads = {"pins": _cells("parted_skin"), "images": _cells("parted_skin_images")}
+    roads = {"pins": swept("parted_skin"), "images": swept("parted_skin_images")}
     for label, cell in [(f"{road}, {cell.label}", cell) for road, cells in roads.items() for cell in cells]:
         found = [cell.ablation.get(name) for name in asked]
-        leaks = ["" if each is None else _of_values(list(each.per_seed.values()), 2) for each in found]
-        errors = [_cell(cell.metrics[f"pose/disentangled/{name}"], digits) for name, digits in COLUMNS]
-        lines.append(_line(label, [*leaks, *errors]))
+        leaks = ["" if each is None else with_range(list(each.per_seed.values()), 2) for each in found]
+        errors = [with_interval(cell.metrics[f"pose/disentangled/{name}"], digits) for name, digits in COLUMNS]
+        lines.append(as_line(label, [*leaks, *errors]))
     return "\n".join(lines)
 
 
@@ -613,13 +618,13 @@ def parted_skin_slide() -> str:
         "| codes of | error in x, mm | y, mm | Rz, deg | 95 % intervals hold, x | y | Rz |",
         "|---|---|---|---|---|---|---|",
     ]
-    for cell in _cells("parted_skin"):
+    for cell in swept("parted_skin"):
         shown = [
-            _of_values(list(cell.ablation[f"{name}, all/{field}"].per_seed.values()), 2)
+            with_range(list(cell.ablation[f"{name}, all/{field}"].per_seed.values()), 2)
             for field in ("mae", "coverage")
             for name in names
         ]
-        lines.append(_line(cell.label, shown))
+        lines.append(as_line(cell.label, shown))
     return "\n".join(lines)
 
 
@@ -627,18 +632,18 @@ def joint() -> str:
     """Pose and slide of recorded slides, read together; and what the half-widths of the answers hold, least and most of the seeds."""
     lines = ["| | error | 95 % of errors within | which holds of the test |", "|---|---|---|---|"]
     for name, shown in (("recorded_joint", "flat surface"), ("recorded_edge_joint", "edge")):
-        (cell,) = _cells(name)
+        (cell,) = swept(name)
         found = cell.metrics
         for key in [key for key in found if key.startswith("pose/sheared_learnt/")]:
             target = key.rpartition("/")[2]
             quantity, unit = target.rsplit("_", 1)
             width, held = (found[f"{table}/sheared_learnt/{target}"] for table in ("half_width", "coverage"))
             cells = [
-                f"{_cell(found[key], 2)} {unit}",
+                f"{with_interval(found[key], 2)} {unit}",
                 f"{width.mean:.2f} {unit}",
-                _of_values(list(held.per_seed.values()), 2),
+                with_range(list(held.per_seed.values()), 2),
             ]
-            lines.append(_line(f"{shown}: {quantity.replace('_', ' ')}", cells))
+            lines.append(as_line(f"{shown}: {quantity.replace('_', ' ')}", cells))
     return "\n".join(lines)
 
 
@@ -649,14 +654,14 @@ def slide_read() -> str:
         "| codes of | slides | error in x, mm | y, mm | twist, deg | 95 % intervals hold, x | y | twist |",
         "|---|---|---|---|---|---|---|---|",
     ]
-    for cell in _cells("slide_read"):
+    for cell in swept("slide_read"):
         for part, shown in PARTS.items():
             cells = [
-                _of_values(list(cell.ablation[f"{name}, {part}/{field}"].per_seed.values()), 2)
+                with_range(list(cell.ablation[f"{name}, {part}/{field}"].per_seed.values()), 2)
                 for field in ("mae", "coverage")
                 for name in names
             ]
-            lines.append(_line(cell.label, [shown, *cells]))
+            lines.append(as_line(cell.label, [shown, *cells]))
     return "\n".join(lines)
 
 
@@ -667,7 +672,7 @@ def end_to_end() -> str:
         "| poses, pins that are read | MS-SSIM, unsheared | read off | edge distance, mm | edge angle, deg | over the tap's: mm | deg |",
         "|---|---|---|---|---|---|---|",
     ]
-    for cell in _cells("end_to_end"):
+    for cell in swept("end_to_end"):
         for prefix, source in (("", "true"), ("found: ", "found")):
             found = {
                 kind: [cell.metrics[f"{prefix}pose/{kind}/{name}"] for name, _ in QUANTITIES[2:]] for kind in kinds
@@ -675,24 +680,28 @@ def end_to_end() -> str:
             for kind, shown in kinds.items():
                 first = kind == "tap"
                 title = f"{cell.label}, {source}" if first else ""
-                likeness = _cell(cell.metrics[f"{prefix}ms_ssim/disentangled"], 3) if kind == "disentangled" else ""
-                errors = [_cell(one, digits) for one, (_, digits) in zip(found[kind], QUANTITIES[2:], strict=True)]
+                likeness = (
+                    with_interval(cell.metrics[f"{prefix}ms_ssim/disentangled"], 3) if kind == "disentangled" else ""
+                )
+                errors = [
+                    with_interval(one, digits) for one, (_, digits) in zip(found[kind], QUANTITIES[2:], strict=True)
+                ]
                 pairs = [
                     zip(a.per_seed.values(), b.per_seed.values(), strict=True)
                     for a, b in zip(found[kind], found["tap"], strict=True)
                 ]
-                over = ["", ""] if first else [_of_values([one / tap for one, tap in pair], 2) for pair in pairs]
-                lines.append(_line(title, [likeness, shown, *errors, *over]))
+                over = ["", ""] if first else [with_range([one / tap for one, tap in pair], 2) for pair in pairs]
+                lines.append(as_line(title, [likeness, shown, *errors, *over]))
     return "\n".join(lines)
 
 
 def end_to_end_codes() -> str:
     """What each code leaks, by seed and probe. Of the first row: the others' shear codes are of the version before."""
     lines = ["| probe | pose from z_s (a leak) | slide from z_p (a leak) |", "|---|---|---|"]
-    found = _cells("end_to_end")[0].ablation
+    found = swept("end_to_end")[0].ablation
     for probe, shown in (("linear", "a ridge"), ("mlp", "a small network")):
         leaks = [found[f"{name} ({probe})/r2"] for name in ("pose from z_s", "slide from z_p")]
-        lines.append(_line(shown, [_of_values(list(leak.per_seed.values()), 2) for leak in leaks]))
+        lines.append(as_line(shown, [with_range(list(leak.per_seed.values()), 2) for leak in leaks]))
     return "\n".join(lines)
 
 
@@ -702,12 +711,12 @@ def end_to_end_exchanged() -> str:
         "| | shear code of | DS, codes exchanged, px | of its own, px | exchanged over own |",
         "|---|---|---|---|---|",
     ]
-    for cell in _cells("end_to_end")[:1]:
+    for cell in swept("end_to_end")[:1]:
         for part, shown in PARTS.items():
             names = [f"DS, codes {name}{'' if part == 'all' else f', {part}'}" for name in (EXCHANGED, OWN)]
             drawn = [list(cell.ablation[f"{name}/rms_px"].per_seed.values()) for name in names]
             over = [exchanged / own for exchanged, own in zip(*drawn, strict=True)]
-            lines.append(_line(cell.label, [shown, *(_of_values(values, 2) for values in (*drawn, over))]))
+            lines.append(as_line(cell.label, [shown, *(with_range(values, 2) for values in (*drawn, over))]))
     return "\n".join(lines)
 
 
@@ -725,7 +734,7 @@ def tilted() -> str:
 
 def _other_slides(name: str, tests: dict[str, str]) -> str:
     """Of each test tap, slide and each network; last the errors over those of the first network on the first test, by seed."""
-    cells = _cells(name)
+    cells = swept(name)
     lines = [
         "| tested | read, or unsheared by a network of | pins, px rms | edge distance, mm | angle, deg | over the first: mm | deg |",
         "|---|---|---|---|---|---|---|",
@@ -736,17 +745,19 @@ def _other_slides(name: str, tests: dict[str, str]) -> str:
     for test, slides in tests.items():
         for shown, kind, cell in looks:
             found = {key: cell.metrics[f"{test}: pose/{kind}/{key}"] for key, _ in QUANTITIES[2:]}
-            pins = "0" if kind == "tap" else _cell(cell.metrics[f"{test}: pins/{kind}"], 2)
+            pins = "0" if kind == "tap" else with_interval(cell.metrics[f"{test}: pins/{kind}"], 2)
             ratios = [[found[key].per_seed[seed] / one for seed, one in first[key].per_seed.items()] for key in found]
-            over = [_of_values(each, 2) if kind == "disentangled" else "" for each in ratios]
-            lines.append(_line(f"{slides} | {shown}", [pins, *(_cell(found[k], d) for k, d in QUANTITIES[2:]), *over]))
+            over = [with_range(each, 2) if kind == "disentangled" else "" for each in ratios]
+            lines.append(
+                as_line(f"{slides} | {shown}", [pins, *(with_interval(found[k], d) for k, d in QUANTITIES[2:]), *over])
+            )
     return "\n".join(lines)
 
 
 def few_pairs() -> str:
     """Likeness, pins and edge errors by the share of poses whose slides have their tap, and by what teaches beside them; the last three
     as a multiple of the least that any way has with all pairs."""
-    cells = sorted(_cells("few_pairs"), key=lambda cell: -int(cell.label.partition("%")[0]))
+    cells = sorted(swept("few_pairs"), key=lambda cell: -int(cell.label.partition("%")[0]))
     errors = {"pins/disentangled": 2} | {f"pose/disentangled/{name}": digits for name, digits in QUANTITIES[2:]}
     complete = [cell.metrics for cell in cells if cell.label.startswith("100%")]
     least = {name: min(metrics[name].mean for metrics in complete) for name in errors}
@@ -757,8 +768,8 @@ def few_pairs() -> str:
     for cell in cells:
         found = cell.metrics
         times = " / ".join(f"{found[name].mean / least[name]:.2f}" for name in errors)
-        shown = [_cell(found[name], digits) for name, digits in errors.items()]
-        lines.append(_line(cell.label, [_cell(found["ms_ssim/disentangled"], 3), *shown, times]))
+        shown = [with_interval(found[name], digits) for name, digits in errors.items()]
+        lines.append(as_line(cell.label, [with_interval(found["ms_ssim/disentangled"], 3), *shown, times]))
     return "\n".join(lines)
 
 
@@ -769,33 +780,16 @@ def faults() -> str:
         "| fault | read or done by | cases | harmless | refused by name | lost | silent |",
         "|---|---|---|---|---|---|---|",
     ]
-    for row in json.loads((RESULTS / "faults.json").read_text())["rows"]:
-        lines.append(_line(row["fault"], [row["command"], *(f"{row[name]:,}" for name in counts)]))
+    for row in take("faults")["rows"]:
+        lines.append(as_line(row["fault"], [row["command"], *(f"{row[name]:,}" for name in counts)]))
     return "\n".join(lines)
-
-
-def _of_values(values: list[float], digits: int) -> str:
-    """Mean [least, most]."""
-    return f"{fmean(values):.{digits}f} [{min(values):.{digits}f}, {max(values):.{digits}f}]"
-
-
-def _cells(name: str) -> Sequence[CellResult]:
-    return read(RESULTS / f"{name}.json", SweepResult, "make it again").cells
-
-
-def _line(name: str, cells: list[str]) -> str:
-    return f"| {name} | {' | '.join(cells)} |"
-
-
-def _cell(metric: Figure, digits: int) -> str:
-    low, high = metric.interval
-    return f"{metric.mean:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
 TABLES = {
     "README.md": (real_skin, demo, standard_first),
     "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides, transfer),
-    "docs/calibration.md": (refit,),
+    "docs/calibration.md": (*simulator_tables.CALIBRATION, refit),
+    "docs/simulator.md": simulator_tables.SIMULATOR,
     "docs/applications.md": (found_pins, geometry, servo, servo_pins, objects, perception),
     "docs/codes.md": (
         parted,
@@ -824,12 +818,47 @@ TABLES = {
     "docs/cluster.md": (sizing,),
     "docs/robot.md": (exported_speed,),
     "docs/explore.md": (touched,),
-    "docs/speed.md": (waiting, pin_networks, short),
+    "docs/speed.md": (*simulator_tables.SPEED, waiting, pin_networks, short),
     "docs/faults.md": (faults,),
     "docs/limits.md": (few_pairs, twisted, tilted),
 }
 
+
+def with_notes(page: str) -> list[tuple[str, str]]:
+    """Return the tables of a page in its order, each with its note."""
+    made = []
+    for table in TABLES[page]:
+        USED.clear()
+        text = table()
+        made.append((text, note(dict.fromkeys(USED), page)))
+    return made
+
+
+def placed(text: str, tables: Iterable[tuple[str, str]]) -> str:
+    """Return the text of a page with each table, and its note, in the place of the table that begins with the same line.
+
+    Of several that begin alike each takes the next one. Raises LookupError if there is none.
+    """
+    lines, after = text.splitlines(), dict[str, int]()
+    for table, under in tables:
+        head = table.splitlines()[0]
+        try:
+            start = lines.index(head, after.get(head, 0))
+        except ValueError:
+            raise LookupError(f"no table is left that begins with {head!r}: write this line where it belongs") from None
+        end = next((at for at in range(start, len(lines)) if not lines[at].startswith("|")), len(lines))
+        if lines[end + 1 : end + 2] and lines[end + 1].startswith(NOTE):
+            end += 2
+        made = [*table.splitlines(), "", under]
+        lines[start:end] = made
+        after[head] = start + len(made)
+    return "\n".join(lines) + "\n"
+
+
 if __name__ == "__main__":
-    for page, tables in TABLES.items():
-        for table in tables:
-            print(f"{page}\n\n{table()}\n")
+    for page in TABLES:
+        path = ROOT / page
+        before = path.read_text()
+        after = placed(before, with_notes(page))
+        path.write_text(after)
+        print(f"{page}: {len(TABLES[page])} tables, {'changed' if after != before else 'as they were'}")

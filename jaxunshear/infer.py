@@ -254,5 +254,6 @@ def _row(name: str, value: float, unit: str) -> Measurement:
 
 def _measured(rows: list[Measurement]) -> Measured:
     from jaxunshear.metrics.machine import machine, versions
+    from jaxunshear.source import read_source
 
-    return Measured(rows, machine(), versions())
+    return Measured(rows, machine(), versions(), read_source())

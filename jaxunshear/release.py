@@ -94,6 +94,8 @@ def _made_on(results: Results) -> list[str]:
     others = {_line(other) for other in results.trained_on.values() if replace(other, kernels=None) not in alike}
     reported = [*(("Trained on", other) for other in sorted(others)), ("Machine", _line(machine))]
     lines = [line for name, text in reported for line in ("", f"{name}: {text}")]
+    code = {json.dumps(plain(each)) for each in (results.source, *results.trained_by.values()) if each}
+    lines += [line for each in sorted(code) for line in ("", f"Code: {each}")]
     return [*lines, "", f"Versions: {json.dumps(results.versions)}", ""]
 
 

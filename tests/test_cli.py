@@ -15,6 +15,7 @@ from PIL import Image
 from jaxunshear import cli
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.sweep import load_sweep
 
 ROOT = Path(__file__).resolve().parents[1]
 DEMO = ROOT / "experiments" / "demo.py"
@@ -347,6 +348,31 @@ def test_every_field_has_its_meaning_in_help(command):
     answer = command("run", "--help-fields", "trains")
     is_one_line(answer)
     assert "name one of sensor, paired," in answer.err
+
+
+def test_help_on_fields_has_the_values_of_the_file(command):
+    def shown(*words):
+        answer = command(*words)
+        assert answer.code == 0 and not answer.err
+        return re.findall(r"^--(\S+) (.*)$", answer.out, re.MULTILINE)
+
+    usual = shown("run", "--help-fields", "paired")
+    assert len(dict(usual)) == len(usual)  # each field once, whichever kinds of settings have it
+    demo = load_experiment(DEMO)
+    words = ("run", DEMO, "--help-fields", "paired", "--paired.seed", "7")
+    assert dict(shown(*words))["paired.poses"] == str(demo.paired.poses) and dict(shown(*words))["paired.seed"] == "7"
+    recorded = dict(shown("run", ROOT / "experiments" / "recorded.py", "--help-fields=paired"))
+    assert "paired.pairing" in recorded and "paired.poses" not in recorded
+    few = load_sweep(ROOT / "experiments" / "few_pairs.py").base
+    words = ("sweep", ROOT / "experiments" / "few_pairs.py", "--help-fields", "train_pins")
+    assert dict(shown(*words))["train_pins.epochs"] == str(few.train_pins.epochs)
+    assert dict(shown("run", "--help-fields", "train_pins"))["train_pins.epochs"] == str(demo.train_pins.epochs)
+
+
+def test_help_on_fields_of_a_group_that_a_file_lacks_is_refused(command):
+    answer = command("run", ROOT / "experiments" / "recorded.py", "--help-fields", "paired.ranges")
+    is_one_line(answer)
+    assert "its Recorded has other fields" in answer.err
 
 
 def test_help_names_each_command_once(command):

@@ -28,7 +28,7 @@ from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.evaluation.readers import PIN_PLACES, PoseReader, places, read, reader_of
 from jaxunshear.image.preprocess import prepare_frame
 from jaxunshear.image.understood import ENOUGH, plausibility
-from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.machine import provenance
 from jaxunshear.metrics.pose import pose_errors
 from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
@@ -106,9 +106,7 @@ def score_transfer(
             test_unsure=unread[1],
         ),
         time_s={"evaluate": time.perf_counter() - started},
-        machine=machine(),
-        versions=versions(),
-        command=command,
+        **provenance(command),
     )
     return rounded(results)
 

@@ -28,10 +28,12 @@ from jaxunshear.cli import (
     sweep,
     unshear,
 )
-from jaxunshear.cli.fields import asked_for, help_on
+from jaxunshear.cli.fields import help_on, split_question
 from jaxunshear.environment import check_environment, check_links, settle
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.source import read_source
 from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
 
 _usual = warnings.formatwarning
@@ -64,7 +66,7 @@ CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work
 AGAIN = "the same command begins anew"
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1;
---help-fields train (or another group) says what each takes and means:
+--help-fields train (or another group) says what each takes and means, with its value in FILE:
 """
 
 
@@ -172,20 +174,35 @@ def _options(parser: _Parser, names: tuple[str, ...]) -> tuple[set[str], set[str
     return own, {name for action in actions if action.nargs == 0 for name in action.option_strings}
 
 
+def _split(parser: _Parser, argv: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the words of a command that takes an experiment, and its fields; a typo in these is refused at once."""
+    from jaxunshear.settings.fields import parse_overrides, split_overrides
+
+    alike = stages.COMMANDS if argv[0] in stages.COMMANDS else sweep.COMMANDS
+    words, fields = split_overrides(argv, *_options(parser, alike))
+    parse_overrides(fields)
+    return words, fields
+
+
+def read_base(argv: Sequence[str]) -> Experiment:
+    """Return the experiment that a command is about, before it is checked or finds recordings."""
+    parser = _parser(False)
+    words, fields = _split(parser, argv)
+    module = stages if argv[0] in stages.COMMANDS else sweep
+    return module.read_base(parser.parse_args(words), fields)
+
+
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words = argv
     check = argv[:1] == [CHECK]
     parser = _parser(check)
     if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
-        if (group := asked_for(argv)) is not None:
-            print(help_on(group))
+        question = split_question(argv)
+        words, fields = _split(parser, question[1] if question else argv)
+        if question:
+            print(help_on(question[0], read_base(question[1]) if len(words) > 1 else None))
             return 0
-        from jaxunshear.settings.fields import parse_overrides, split_overrides
-
-        alike = stages.COMMANDS if argv[0] in stages.COMMANDS else sweep.COMMANDS
-        words, fields = split_overrides(argv, *_options(parser, alike))
-        parse_overrides(fields)  # before anything is read: a typo is refused at once
     if words and words[0] in checks.COMMANDS:
         raise UserError(f"write `jaxunshear {CHECK} {words[0]}`")
     try:
@@ -196,6 +213,7 @@ def _run(argv: list[str]) -> int:
     _check_places(arguments)
     if arguments.command not in (*catalogue.COMMANDS, *report.COMMANDS):
         check_environment()
+        read_source()  # as the code is now; it may be changed while this works
     arguments.fields = fields
     (module,) = (module for module in (*MODULES, checks) if arguments.command in module.COMMANDS)
     return module.run(arguments, shlex.join(["jaxunshear", *argv]))

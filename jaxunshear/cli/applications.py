@@ -42,10 +42,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if out.resolve() != home.resolve():
         check_apart(out, "--out")
     found = WORK[arguments.command].run(arguments, out, model)
-    from jaxunshear.metrics.machine import machine, versions
+    from jaxunshear.metrics.machine import provenance
     from jaxunshear.results.stored import write
 
-    results = {"command": command} | vars(found) | {"machine": machine(), "versions": versions()}
+    results = provenance(command) | vars(found)
     if arguments.json:
         write(arguments.json, results)
     if arguments.command != "stream" or finished:

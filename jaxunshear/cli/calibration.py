@@ -39,14 +39,14 @@ def add_parsers(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns 0."""
-    from jaxunshear.metrics.machine import machine, versions
+    from jaxunshear.metrics.machine import provenance
     from jaxunshear.storage import check_beside, write_json
 
     if arguments.out is not None:
         check_beside(arguments.recordings, arguments.out, "--out")
     found = _validate(arguments) if arguments.command == "validate" else _calibrate(arguments)
     if arguments.json is not None:
-        write_json(arguments.json, {"command": command, "machine": machine(), "versions": versions(), **found})
+        write_json(arguments.json, provenance(command) | found)
     return 0
 
 
@@ -54,7 +54,7 @@ def _calibrate(arguments: argparse.Namespace) -> Json:
     from jaxunshear.calibration.calibrate import calibrate
 
     found = calibrate(arguments.recordings, arguments.out)
-    return {"rows": found["rows"] + found["parameters"]}
+    return found | {"rows": found["rows"] + found["parameters"]}
 
 
 def _validate(arguments: argparse.Namespace) -> Json:

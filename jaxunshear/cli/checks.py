@@ -87,10 +87,10 @@ def _writer(file: Path | None, command: str, rivals: Sequence[str]) -> Keep:
     def keep(rows: list[Json]) -> None:
         if file is None:
             return
-        from jaxunshear.metrics.machine import machine, versions
+        from jaxunshear.metrics.machine import provenance
         from jaxunshear.storage import write_json
 
-        write_json(file, {"command": command, "machine": machine(), "versions": versions(*rivals), "rows": rows})
+        write_json(file, provenance(command, *rivals) | {"rows": rows})
 
     return keep
 

@@ -28,10 +28,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     diagnosis = examine(arguments.path)
     print("\n".join(text_of(diagnosis)))
     if arguments.out or arguments.json:
-        from jaxunshear.metrics.machine import machine, versions
+        from jaxunshear.metrics.machine import provenance
         from jaxunshear.storage import write_bytes, write_json
 
-        results = {"command": command, **rows_of(diagnosis), "machine": machine(), "versions": versions()}
+        results = provenance(command) | rows_of(diagnosis)
         if arguments.json:
             write_json(arguments.json, results)
         if arguments.out:

@@ -1,8 +1,11 @@
-"""`--help-fields GROUP`: the fields of a group of settings, each with its default, what it takes and what it means."""
+"""`--help-fields GROUP`: the fields of a group of settings, each with its value, what it takes and
+what it means.
+"""
 
 import dataclasses
 from collections.abc import Iterator
 from textwrap import wrap
+from typing import NamedTuple
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
@@ -13,22 +16,43 @@ FLAG = "--help-fields"
 WIDTH = 100
 
 
-def asked_for(argv: list[str]) -> str | None:
-    """The group that a command line asks about; None where it does not."""
+def split_question(argv: list[str]) -> tuple[str, list[str]] | None:
+    """Return the group that a command line asks about, and its other words; or None."""
     for place, word in enumerate(argv):
-        name, _, value = word.partition("=")
+        name, equals, value = word.partition("=")
         if name == FLAG:
-            return value or next(iter(argv[place + 1 : place + 2]), "")
+            rest = argv[place + 1 :]
+            group = value if equals else next(iter(rest), "")
+            return group, argv[:place] + (rest if equals else rest[1:])
     return None
 
 
-def help_on(group: str) -> str:
-    """Raises UserError for a group that there is not."""
+def help_on(group: str, experiment: Experiment | None = None) -> str:
+    """Say of each field of a group its value, what it takes and what it means.
+
+    Values are those of `experiment`, or the usual ones. Raises UserError for a group that there is
+    not, or not in this experiment.
+    """
     known = dict(_groups(Experiment, ""))
     if group not in known:
         raise UserError(f"{FLAG} {group}: name one of {', '.join(filter(None, known))}, or '' for those of no group")
-    lines = [text for kind in known[group] for text in _of_kind(kind, f"{group}." if group else "")]
-    return "\n".join(dict.fromkeys(lines))
+    held = _group(experiment or Experiment(name="", claim=""), group)
+    entries: dict[str, list[_Entry]] = {}
+    for kind in [type(held)] if experiment else known[group]:
+        for entry in _entries(kind, held, f"{group}." if group else ""):
+            entries.setdefault(entry.name, []).append(entry)
+    return "\n".join(map(_text, entries.values()))
+
+
+def _group(experiment: Experiment, name: str) -> object:
+    held: object = experiment
+    for part in filter(None, name.split(".")):
+        if not hasattr(held, part):
+            raise UserError(
+                f"{FLAG} {name}: this experiment has no {part} there: its {type(held).__name__} has other fields"
+            )
+        held = getattr(held, part)
+    return held
 
 
 def _groups(kind: type, name: str) -> Iterator[tuple[str, list[type]]]:
@@ -43,21 +67,37 @@ def _groups(kind: type, name: str) -> Iterator[tuple[str, list[type]]]:
         yield from found.items()
 
 
-def _of_kind(kind: type, prefix: str) -> Iterator[str]:
+class _Entry(NamedTuple):
+    name: str
+    value: str
+    takes: str
+    meaning: str
+    kind: str  # of settings that have this field
+
+
+def _entries(kind: type, held: object, prefix: str) -> Iterator[_Entry]:
+    """Yield the fields of a kind of settings, with the values of `held` if it is of that kind."""
     for field in dataclasses.fields(kind):
         hint = hints(kind)[field.name]
         if field.name in NOT_SET or (groups(hint) and prefix + field.name != "sensor"):
             continue
         several = origin(hint) is tuple and choices(hint)
         takes = f"some of {', '.join(several)}" if several else describe(hint)
-        yield f"--{prefix}{field.name} {_default(field)}\n" + "\n".join(
-            wrap(
-                f"{takes}. {_meaning(kind, field.name)}".rstrip(),
-                WIDTH,
-                initial_indent="    ",
-                subsequent_indent="    ",
-            )
-        )
+        value = show(getattr(held, field.name)) if isinstance(held, kind) else _default(field)
+        yield _Entry(prefix + field.name, value, takes, _meaning(kind, field.name), kind.__name__)
+
+
+def _text(entries: list[_Entry]) -> str:
+    """Say it of one field, which several kinds of settings may have."""
+    values = " or ".join(dict.fromkeys(entry.value for entry in entries))
+    meanings = {entry.kind: entry.meaning for entry in entries}
+    if len(set(meanings.values())) > 1:
+        meaning = " ".join(f"Of {kind}: {text[:1].lower()}{text[1:]}." for kind, text in meanings.items())
+    else:
+        meaning = entries[0].meaning
+    text = f"{entries[0].takes}. {meaning}".rstrip()
+    lines = wrap(text, WIDTH, initial_indent=" " * 4, subsequent_indent=" " * 4)
+    return "\n".join([f"--{entries[0].name} {values}", *lines])
 
 
 def _default(field: dataclasses.Field) -> str:

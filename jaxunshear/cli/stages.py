@@ -1,6 +1,7 @@
 """The commands that take an experiment: run, data, train, evaluate, fit."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands, add_base, add_data, add_engine, add_json, engine_asked, new_parser
@@ -93,18 +94,30 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return 0
 
 
-def _experiment(arguments: argparse.Namespace) -> Experiment:
-    """That of a file, about what the command line says."""
+def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> Experiment:
+    """Return the experiment of FILE with what the command line changes in it, before it is checked or finds recordings."""
+    from jaxunshear.fit import BASE
+    from jaxunshear.folders import load_settings, model_folder
     from jaxunshear.settings.fields import override
     from jaxunshear.settings.load import load_experiment
-    from jaxunshear.settings.rules import validate
 
+    if arguments.command == "fit":
+        return override(BASE, fields)
+    if arguments.command == "evaluate" and (folder := model_folder(arguments.file)).is_dir():
+        return load_settings(folder)
     experiment = load_experiment(arguments.file)
     if arguments.sensor_from:
         from jaxunshear.settings.preset import with_preset
 
         experiment = with_preset(experiment, arguments.sensor_from)
-    experiment = override(experiment, arguments.fields)
+    return override(experiment, fields)
+
+
+def _experiment(arguments: argparse.Namespace) -> Experiment:
+    """That of a file, about what the command line says."""
+    from jaxunshear.settings.rules import validate
+
+    experiment = read_base(arguments, arguments.fields)
     if arguments.recordings:
         from jaxunshear.fit import with_recordings
 

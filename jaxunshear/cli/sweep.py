@@ -1,9 +1,16 @@
 """`jaxunshear sweep`: parser and call. Everything heavy is imported when it is needed."""
 
 import argparse
+import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxunshear.cli.options import Commands, add_base, add_data, add_engine, add_json, engine_asked, new_parser
+
+if TYPE_CHECKING:
+    from jaxunshear.settings.experiment import Experiment
+    from jaxunshear.settings.sweep import Sweep
 
 COMMANDS = ("sweep",)
 
@@ -24,19 +31,30 @@ def add_parsers(commands: Commands) -> None:
     add_json(parser, "sweep.json here, too")
 
 
-def run(arguments: argparse.Namespace, command: str) -> int:
-    """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
-    asked = engine_asked(arguments)
-    import dataclasses
-
-    from jaxunshear.settings.sweep import check, load_sweep, parse_seeds, with_overrides
+def _read(arguments: argparse.Namespace, fields: Sequence[str]) -> "Sweep":
+    from jaxunshear.settings.sweep import load_sweep, with_overrides
 
     sweep = load_sweep(arguments.file)
     if arguments.sensor_from is not None:
         from jaxunshear.settings.preset import with_preset
 
         sweep = dataclasses.replace(sweep, base=with_preset(sweep.base, arguments.sensor_from))
-    sweep = with_overrides(sweep, arguments.fields)
+    return with_overrides(sweep, fields)
+
+
+def read_base(arguments: argparse.Namespace, fields: Sequence[str]) -> "Experiment":
+    """Return the base of the sweep in FILE with what the command line changes in it, before it is checked."""
+    from jaxunshear.settings.sweep import base_of
+
+    return base_of(_read(arguments, fields))
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Runs a sweep and prints its table. Returns 0, or 1 where a row failed."""
+    asked = engine_asked(arguments)
+    from jaxunshear.settings.sweep import check, parse_seeds
+
+    sweep = _read(arguments, arguments.fields)
     if arguments.seeds is not None:
         sweep = dataclasses.replace(sweep, seeds=parse_seeds(arguments.seeds))
     if arguments.recordings is not None:

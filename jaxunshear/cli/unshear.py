@@ -35,7 +35,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     else:
         measured = infer.pose_of_recordings(arguments.path, arguments.model, force=arguments.force, like=arguments.like)
     if arguments.json:
+        from dataclasses import replace
+
         from jaxunshear.storage import write_json
 
-        write_json(arguments.json, measured)
+        write_json(arguments.json, replace(measured, command=command))
     return 0

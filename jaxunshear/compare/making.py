@@ -9,7 +9,7 @@ from jaxunshear.compare.figures import figures, rows_of
 from jaxunshear.compare.page import document, lines
 from jaxunshear.compare.runs import notes, read_runs, settings_apart
 from jaxunshear.evaluation import spread
-from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.machine import provenance
 from jaxunshear.owners import check_apart
 from jaxunshear.storage import Json, check_new_folder, write_text
 
@@ -29,13 +29,11 @@ def compare(folders: Sequence[Path], out: Path, command: str) -> tuple[str, Path
     path = out / f"{name}.html"
     write_text(path, document(runs, apart, every, contacts(runs), said))
     measured = {
-        "command": command,
         "reference": str(runs[0].folder),
         "notes": said,
         "settings": {field: dict(zip(map(str, folders), values, strict=True)) for field, values in apart.items()},
         "rows": rows_of(runs, every),
         "spread": {"over": spread.OVER, "level": spread.LEVEL, "resamples": spread.RESAMPLES},
-        "machine": machine(),
-        "versions": versions(),
+        **provenance(command),
     }
     return lines(runs, apart, every, said), path, measured

@@ -186,6 +186,7 @@ def _provenance(runs: Sequence[Run]) -> Markup:
         machine, versions = run.results.machine, run.results.versions
         said = f"{machine.processor}, {machine.cores} cores, {machine.device}"
         made = [versions.get(package, "\u2013") for package in ("jaxunshear", "jax")]
+        made[0] += f", commit {source.commit[:7]}" if (source := run.results.source) and source.commit else ""
         rows.append([run.name, str(run.folder), said, *made])
     commands = "\n".join(f"{run.name}: {run.results.command}" for run in runs)
     table = page.table(["run", "folder", "evaluated on", "jaxunshear", "jax"], rows)

@@ -22,7 +22,7 @@ from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics, target_of
 from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
 from jaxunshear.evenly import evenly
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
-from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.machine import provenance
 from jaxunshear.model.layers import in_precision
 from jaxunshear.progress import Progress
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
@@ -107,9 +107,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
         "rows": rows_of(scores, poses[np.concatenate(order)]),
         "contacts": total,
         "seed": SEED,
-        "command": command,
-        "machine": machine(),
-        "versions": versions(),
+        **provenance(command),
     }
     write_bytes(Path(run_dir) / "ablation.png", picture(shown))
     write_json(Path(run_dir) / "ablation.json", results)

@@ -34,7 +34,7 @@ from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_
 from jaxunshear.evaluation.within import coverage, half_widths
 from jaxunshear.image.framing import undeformed
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
-from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.machine import provenance
 from jaxunshear.results.rows import Machine, Summary
 from jaxunshear.results.run import Bar, Counts, Further, Results, Tables
 from jaxunshear.results.stored import read, write
@@ -44,7 +44,7 @@ from jaxunshear.settings.experiment import Experiment, further_tests, over_pins,
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
-from jaxunshear.storage import write_bytes
+from jaxunshear.storage import Json, write_bytes
 from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
@@ -76,10 +76,8 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         results,
         ms_per_image=ms_per_image(run_dir, experiment.networks, experiment.train.precision),
         time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
-        machine=machine(),
-        trained_on=_trained_on(experiment, run_dir),
-        versions=versions(),
-        command=command,
+        **_trained(experiment, run_dir),
+        **provenance(command),
     )
     results = rounded(results)
     if gathered is not None:
@@ -92,13 +90,16 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
     return results
 
 
-def _trained_on(experiment: Experiment, run_dir: Path) -> dict[str, Machine]:
-    """The machine that trained each network, of those that say so."""
+def _trained(experiment: Experiment, run_dir: Path) -> Json:
+    """Return on what and with which code each network was trained, of those that say so."""
     found = {}
     for name in experiment.networks:
         with suppress(UserError):
-            found[name] = read(run_dir / name / "summary.json", Summary, "train again").trained_on
-    return {name: machine for name, machine in found.items() if machine != Machine()}
+            found[name] = read(run_dir / name / "summary.json", Summary, "train again")
+    return {
+        "trained_on": {name: each.trained_on for name, each in found.items() if each.trained_on != Machine()},
+        "trained_by": {name: each.trained_by for name, each in found.items() if each.trained_by},
+    }
 
 
 def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:

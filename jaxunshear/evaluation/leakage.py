@@ -26,7 +26,7 @@ from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn
 from jaxunshear.evenly import evenly
 from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
 from jaxunshear.metrics.independence import hsic, r2
-from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.machine import provenance
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
@@ -118,9 +118,7 @@ def leakage(
         "slide": _slide(experiment, examples, encode, (train, test)) if controls else [],
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
-        "command": command,
-        "machine": machine(),
-        "versions": versions(),
+        **provenance(command),
     }
     for row in rows:
         del row["estimate"]

@@ -33,7 +33,9 @@ def measurements(results: Results) -> Measured:
     for network, times in results.ms_per_image.items():
         rows.append(_row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"))
     rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results.time_s.items()]
-    return Measured(rows, results.machine, results.versions)
+    return Measured(
+        rows, results.machine, results.versions, results.source, results.trained_by, command=results.command
+    )
 
 
 def _rows(kinds: Table | Mapping[str, Swapped] | None, table: str, metric: str | int, prefix: str) -> list[Measurement]:
@@ -47,7 +49,7 @@ def _rows(kinds: Table | Mapping[str, Swapped] | None, table: str, metric: str |
 
 def reproducible(results: Results) -> Json:
     """What must come out equal, bit for bit, from the same experiment on the same machine: all but times and places."""
-    places = ("time_s", "ms_per_image", "machine", "trained_on", "command")
+    places = ("time_s", "ms_per_image", "machine", "trained_on", "source", "trained_by", "command")
     return {name: value for name, value in plain(results).items() if name not in places}
 
 

@@ -19,7 +19,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.evaluation.within import coverage
-from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.metrics.machine import provenance
 from jaxunshear.results.run import EVALUATED, Full, Results, Table
 from jaxunshear.results.stored import read
 from jaxunshear.settings.data import Recorded
@@ -71,9 +71,7 @@ def score_recordings(experiment: Experiment, run_dir: Path, recordings: Path, da
             coverage=coverage(widths, recorded.errors_of(slides, taps)),
             trained_in=run_dir.name,
             time_s={"evaluate": time.perf_counter() - started},
-            machine=machine(),
-            versions=versions(),
-            command=command,
+            **provenance(command),
         )
     )
 

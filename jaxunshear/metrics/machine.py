@@ -1,4 +1,4 @@
-"""On what, and with which versions, a figure was measured."""
+"""On what, and with which code and versions, a figure was measured."""
 
 import os
 import platform
@@ -7,11 +7,18 @@ from pathlib import Path
 
 from jaxunshear.environment import cores
 from jaxunshear.results.rows import Machine
+from jaxunshear.source import read_source
+from jaxunshear.storage import Json
 
 PACKAGES = (
     *("jaxunshear", "jax", "jaxlib", "flax", "optax", "orbax-checkpoint"),
     *("numpy", "scipy", "scikit-image", "grain", "tensorflow-datasets"),
 )
+
+
+def provenance(command: str, *more: str) -> Json:
+    """Return the fields that every result has: its command, code, machine, and versions, those of `more` with them."""
+    return {"command": command, "source": read_source(), "machine": machine(), "versions": versions(*more)}
 
 
 def machine() -> Machine:

@@ -100,9 +100,8 @@ def contacts(results: Results) -> Markup:
 
 
 def provenance(results: Results) -> Markup:
-    parts = (
-        page.table(("", ""), list(part.items())) for part in (results.seeds, plain(results.machine), results.versions)
-    )
+    held = (results.seeds, plain(results.machine), results.versions, plain(results.source) if results.source else {})
+    parts = (page.table(("", ""), list(part.items())) for part in held if part)
     settings = page.code(json.dumps(results.settings, indent=2))
     return page.section(
         "How to get this again",

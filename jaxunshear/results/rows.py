@@ -20,6 +20,16 @@ class Machine:
 
 
 @dataclass(frozen=True)
+class Source:
+    """With which code a figure was measured, or a network trained."""
+
+    version: str
+    date: str  # UTC, when the process began
+    commit: str | None = None  # None if the package is not run from a git checkout
+    clean: bool | None = None  # whether the code was as committed
+
+
+@dataclass(frozen=True)
 class Measurement:
     """One figure and the bar that it should clear."""
 
@@ -39,6 +49,9 @@ class Measured:
     rows: Sequence[Measurement]
     machine: Machine
     versions: Versions
+    source: Source | None = None
+    trained_by: Mapping[str, Source] = field(default_factory=dict)  # by network
+    command: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,3 +68,4 @@ class Summary:
     compile_seconds: float = 0.0
     images_per_second: float
     trained_on: Machine = field(default_factory=Machine)  # that ended it; of earlier versions unknown
+    trained_by: Source | None = None  # likewise

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from jaxunshear.results.rows import Machine, Versions
+from jaxunshear.results.rows import Machine, Source, Versions
 from jaxunshear.settings.targets import Target
 
 EVALUATED = "run `jaxunshear evaluate` again"  # what makes a file of it anew
@@ -175,6 +175,8 @@ class Results(Tables):
     machine: Machine = field(default_factory=Machine)
     trained_on: Mapping[str, Machine] = field(default_factory=dict)
     versions: Versions = field(default_factory=dict)
+    source: Source | None = None  # that evaluated; of earlier versions unknown
+    trained_by: Mapping[str, Source] = field(default_factory=dict)  # by network
     command: str = ""
 
     @property

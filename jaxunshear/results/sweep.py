@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from jaxunshear.results.rows import Machine, Versions
+from jaxunshear.results.rows import Machine, Source, Versions
 from jaxunshear.results.run import Full, Notes, Results, Scores, Settings, Span
 
 
@@ -102,3 +102,4 @@ class SweepResult:
     machines: Sequence[Machine] = ()
     trained_on: Sequence[Machine] = ()
     versions: Sequence[Versions] = ()
+    sources: Sequence[Source] = ()  # that trained or evaluated

@@ -153,7 +153,7 @@ class Recorded:
     unlabelled: Literal["left_out", "read"] = "left_out"
     test: float = 0.1  # share of the poses kept out, where no folder is
     validation: float = 0.1  # likewise, for the choice of the best state
-    seed: int = 0  # of that draw
+    seed: int = 0  # of the draw of splits
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     def rules(self) -> Iterator[Rule]:

@@ -22,7 +22,13 @@ LATER: Json = {
     "alike_weight": 0.0,
 }
 
-GONE: Json = {"shear_noise": 0.0}  # settings that files may still have, and what they do nothing at
+GONE: Json = {  # files may still have these settings, which do nothing at these values
+    "shear_noise": 0.0,
+    "residual": 0,
+    "both_sides": False,
+    "mirror": False,
+    "hidden_pins": 0.0,
+}
 
 MOVED = {  # modules that experiment files imported
     "jaxunshear.experiment": "jaxunshear.settings.experiment",

@@ -37,23 +37,26 @@ def build(data: object, kind: Hint, source: str, name: str) -> Any:
 
 def _group(data: object, kinds: list[type], source: str, name: str) -> Any:
     """Settings of whichever of `kinds` has the fields in `data`."""
-    misfit = f"{source} does not fit this version: see {name or 'its top level'}"
     if not isinstance(data, dict):
-        raise UserError(f"{misfit}, all of it; run it again")
+        raise UserError(f"{source} does not fit this version: {name or 'its top level'} is no group; run it again")
     given = {field: value for field, value in data.items() if field not in GONE or not is_later(field, value)}
-    own = next((each for each in kinds if _fills(given, hints(each))), kinds[0])
+    own = min(kinds, key=lambda each: len(_misfits(given, hints(each), name)))
     fields = hints(own)
-    if not _fills(given, fields):
-        odd = sorted((given.keys() ^ fields.keys()) - (fields.keys() & LATER.keys()))
-        raise UserError(f"{misfit}, {', '.join(odd)}; run it again")
+    if misfits := _misfits(given, fields, name):
+        raise UserError(f"{source} does not fit this version: {', '.join(misfits)}; run it again")
     values = LATER | given
     parts = {field: build(values[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in fields.items()}
     return own(**parts)
 
 
-def _fills(given: Json, fields: dict[str, Hint]) -> bool:
-    """Whether a file that gives these has all that is not LATER, and nothing else."""
-    return given.keys() <= fields.keys() and fields.keys() - given.keys() <= LATER.keys()
+def _misfits(given: Json, fields: dict[str, Hint], group: str) -> list[str]:
+    """Say which settings of a group this version no longer has, and which a file lacks that are not LATER."""
+    gone = {field: value for field, value in given.items() if field not in fields}
+    lacking = fields.keys() - given.keys() - LATER.keys()
+    return [
+        *(f"{group}.{field} = {value!r} is no setting".lstrip(".") for field, value in sorted(gone.items())),
+        *(f"{group}.{field} is missing".lstrip(".") for field in sorted(lacking)),
+    ]
 
 
 def _tupled(data: object) -> object:

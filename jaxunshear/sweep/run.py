@@ -110,7 +110,7 @@ def _check_contacts(rows: Mapping[Path, Measured]) -> None:
 
 
 def _made_with(summary: SweepResult, measured: Mapping[tuple[str, int], Measured], command: str) -> SweepResult:
-    """With command, machines and versions: each different one of those that the rows were run on and with."""
+    """With command, machines, versions and sources: each different one of those that the rows were run on and with."""
     results = [row.outcome.evaluated for row in measured.values() if row.outcome.status == "done"]
     return replace(
         summary,
@@ -118,6 +118,9 @@ def _made_with(summary: SweepResult, measured: Mapping[tuple[str, int], Measured
         machines=_distinct(result.machine for result in results),
         trained_on=_distinct(machine for result in results for machine in result.trained_on.values()),
         versions=_distinct(result.versions for result in results),
+        sources=_distinct(
+            found for result in results for found in (result.source, *result.trained_by.values()) if found
+        ),
     )
 
 

@@ -24,7 +24,7 @@ TAPS = "taps"  # the test of recorded taps, which are no pairs of the slides
 def summarise(
     sweep: Sweep, cells: Sequence[Cell], measured: Mapping[tuple[str, int], Measured], reference: str | None
 ) -> SweepResult:
-    """sweep.json, but for command and versions. `measured` by (label of the cell, seed), for all of them."""
+    """sweep.json, but for command, machines, versions and sources. `measured` by (label of the cell, seed), for all of them."""
     done = {
         cell.label: {seed: row for seed in sweep.seeds if (row := measured[cell.label, seed]).outcome.status == "done"}
         for cell in cells
@@ -47,7 +47,7 @@ def summarise(
 def reproducible(summary: SweepResult) -> SweepResult:
     """What must come out equal, bit for bit, from the same sweep on the same machine: all but times, memory and places."""
     cells = [replace(cell, costs={}) for cell in summary.cells]
-    return replace(summary, cells=cells, command="", machines=(), trained_on=(), efficient={})
+    return replace(summary, cells=cells, command="", machines=(), trained_on=(), sources=(), efficient={})
 
 
 def _cell(

@@ -24,6 +24,7 @@ from jaxunshear.results.sweep import Outcome
 from jaxunshear.run import run_stages
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.stored import from_json
+from jaxunshear.source import read_source
 from jaxunshear.storage import disk_is_full
 from jaxunshear.sweep.tasks import (
     DISK_FULL,
@@ -43,6 +44,7 @@ PR_SET_PDEATHSIG = 1  # linux/prctl.h
 def main(folder: Path, parent: int) -> int:
     """Does the task in `folder`, unless it has an outcome already."""
     die_with(parent)
+    read_source()  # as the code is now; it may be changed while this works
     keep_freed_memory()
     with locked(folder / LOCK, wait=True):  # one left over from a killed sweep may still be at its end
         order = read_order(folder)

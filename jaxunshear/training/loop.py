@@ -33,6 +33,7 @@ from jaxunshear.results import stored
 from jaxunshear.results.rows import Summary
 from jaxunshear.settings.targets import to_json
 from jaxunshear.settings.training import Training
+from jaxunshear.source import read_source
 from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.ahead import ahead
@@ -211,6 +212,7 @@ def _ended(task: Task, parameters: int, reached: _Reached, length: _Length, fold
         compile_seconds=reached.compile_seconds,
         images_per_second=images / reached.seconds,
         trained_on=replace(machine(), kernels=kernels.described(), devices=devices.number if devices.mesh else None),
+        trained_by=read_source(),
     )
     stored.write(folder / checkpoint.SUMMARY, summary)
     return summary

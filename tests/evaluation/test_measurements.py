@@ -83,11 +83,15 @@ def test_readers_of_another_make_have_rows():
 
 
 def test_reproducible_leaves_out_times_and_places_only():
-    full = results() | {"trained_on": {"posenet": {"cores": 2}}}
+    code = {"version": "1", "date": "2026-01-01", "commit": "c", "clean": True}
+    full = results() | {"trained_on": {"posenet": {"cores": 2}}, "source": code, "trained_by": {"posenet": code}}
     assert set(plain(record(full))) - set(reproducible(record(full))) == {
         "time_s",
         "ms_per_image",
         "machine",
         "trained_on",
+        "source",
+        "trained_by",
         "command",
     }
+    assert set(plain(measurements(record(full)))) >= {"source", "trained_by", "command"}

@@ -53,16 +53,17 @@ def _parsed() -> argparse.Namespace:
 
 
 def _write(path: Path | None, rows: list[Row]) -> None:
-    """Rows of another call that were not run again stay."""
-    from jaxunshear.metrics.machine import machine, versions
+    """Rows of another call that were not run again stay, each with its call and code."""
+    from jaxunshear.metrics.machine import provenance
+    from jaxunshear.source import read_source
     from jaxunshear.storage import read_json, write_json
 
     if path is not None:
         before = read_json(path)["rows"] if path.exists() else []
-        found = {(row["fault"], row["command"]): row for row in [*before, *map(asdict, rows)]}
         command = " ".join(("python -m tests.faults", *sys.argv[1:]))
-        made_on = {"machine": machine(), "versions": versions()}
-        write_json(path, {"command": command, "rows": list(found.values()), **made_on})
+        made = [asdict(row) | {"call": command, "source": read_source()} for row in rows]
+        found = {(row["fault"], row["command"]): row for row in [*before, *made]}
+        write_json(path, provenance(command) | {"rows": list(found.values())})
 
 
 def _again_with_the_shim() -> int:

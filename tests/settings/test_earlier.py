@@ -1,6 +1,7 @@
 """What earlier versions stored is read, compared and named as if the settings that came later stood in it."""
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 
@@ -16,7 +17,16 @@ from jaxunshear.settings.stored import from_json, to_json
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.training.checkpoint import read_net, write_settings
 
+ROOT = Path(__file__).resolve().parents[2]
 NOW = Experiment(name="now", claim="none")
+NO_FOLDERS = "paired.slide_folder is missing, paired.tap_folder is missing"
+REFUSED = {  # results of earlier versions
+    "demo": "train.kernels is missing",
+    "few_pairs": "pins.shear_noise = 0.1 is no setting",
+    "recorded_edge_joint": NO_FOLDERS,
+    "recorded_images": f"{NO_FOLDERS}, paired.unlabelled is missing",
+    "recorded_joint": NO_FOLDERS,
+}
 
 
 def groups(kind):
@@ -50,7 +60,7 @@ def test_a_setting_that_went_may_stand_in_a_file_where_it_does_nothing(tmp_path)
     write_json(tmp_path / "model.json", {"net": earlier["pins"]})
     write_settings(tmp_path, {"net": to_json(NOW)["pins"]})
     earlier["pins"]["shear_noise"] = 0.1
-    with pytest.raises(UserError, match="see pins, shear_noise; run"):
+    with pytest.raises(UserError, match=r"pins\.shear_noise = 0\.1 is no setting; run"):
         from_json(earlier)
     write_json(tmp_path / "model.json", {"net": earlier["pins"]})
     with pytest.raises(UserError, match=r"net\.shear_noise = 0\.1, now None"):
@@ -61,8 +71,31 @@ def test_a_setting_that_went_may_stand_in_a_file_where_it_does_nothing(tmp_path)
 def test_what_was_always_there_may_not_lack(name):
     earlier = without_later(to_json(NOW))
     (earlier if name in earlier else earlier["train"]).pop(name)
-    with pytest.raises(UserError, match=rf"does not fit this version: see .*, {name}; run"):
+    with pytest.raises(UserError, match=rf"does not fit this version: (train\.)?{name} is missing; run"):
         from_json(earlier)
+
+
+def test_settings_of_another_kind_are_compared_with_the_nearest_one():
+    recorded = to_json(dataclasses.replace(NOW, paired=Recorded(), pose=RecordedTaps()))
+    del recorded["paired"]["tap_folder"]
+    with pytest.raises(UserError, match=r"version: paired\.tap_folder is missing; run"):
+        from_json(recorded)
+    with pytest.raises(UserError, match=r"version: paired is no group; run"):
+        from_json(to_json(NOW) | {"paired": 3})
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs" / "results").glob("*.json")), ids=lambda path: path.stem)
+def test_published_settings_are_read_or_refused_for_what_differs(path):
+    held = read_json(path)
+    settings = held.get("base") or held.get("settings")
+    if not settings:
+        return
+    if path.stem in REFUSED:
+        with pytest.raises(UserError) as refusal:
+            from_json(settings, path.name)
+        assert str(refusal.value) == f"{path.name} does not fit this version: {REFUSED[path.stem]}; run it again"
+    else:
+        assert from_json(settings, path.name).claim
 
 
 def test_an_earlier_run_goes_on(tmp_path):

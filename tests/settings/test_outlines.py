@@ -161,7 +161,7 @@ def test_settings_with_outlines_are_stored_and_read_again():
     with pytest.raises(UserError, match="a point or a line"):
         from_json(stored)
     stored["paired"]["stimuli"][1] = 7
-    with pytest.raises(UserError, match=r"see paired\.stimuli"):
+    with pytest.raises(UserError, match=r"paired\.stimuli is no group"):
         from_json(stored)
 
 

@@ -26,6 +26,7 @@ from jaxunshear.settings.experiment import Experiment, learnt_from
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import to_json
 from jaxunshear.settings.sweep import Sweep
+from jaxunshear.source import read_source
 from jaxunshear.storage import os_error, plain, read_json, write_json
 from jaxunshear.sweep import work
 from jaxunshear.sweep.rows import training_part
@@ -113,8 +114,10 @@ def evaluate(experiment, folder):
         "ms_per_image": {network: {"median": 1.0, "p95": 2.0} for network in experiment.networks},
         "machine": {"device": "none"},
         "versions": {"jaxunshear": "0"},
+        "source": read_source(),
+        "trained_by": {network: {"version": "0", "date": "2000-01-01"} for network in experiment.networks},
     }
-    return record_of(found, Results, "made up", "again")
+    return record_of(plain(found), Results, "made up", "again")
 
 
 def ablate(experiment, folder, data, command):

@@ -20,6 +20,7 @@ from jaxunshear.locks import locked
 from jaxunshear.results.stored import SCHEMA, record_of
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.stored import from_json
+from jaxunshear.source import read_source
 from jaxunshear.storage import plain, read_json, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.rows import cells_of, rows_of
@@ -39,6 +40,10 @@ def test_every_row_is_done_once_and_what_rows_share_is_trained_once(stand_in, sw
     assert [len(cell.seeds) for cell in summary.cells] == [2, 2, 2, 2]
     assert read_json(tmp_path / "small" / "sweep.json") == {"schema": SCHEMA} | json.loads(json.dumps(plain(summary)))
     assert (tmp_path / "small" / "sweep.png").exists()
+    assert {(found.version, found.date) for found in summary.sources} == {
+        ("0", "2000-01-01"),  # that trained
+        (read_source().version, read_source().date),
+    }
     assert set(steps().values()) == {1}
     trained = {name for name, _ in steps()}
     assert sum(name.startswith("posenet") for name in trained) == 2  # a seed each

@@ -1,0 +1,329 @@
+"""How the files of docs/results were made: by which command, with which code, and whether that code
+has changed since.
+
+A result depends on what its command imports of COMPUTING. Of that code a definition (a function,
+class or constant at the top of a module) has changed if no module of the package has it today.
+Comments, docstrings and layout do not count, nor does a definition that moved or was added: what
+did not exist cannot have made a result. Settings do not count either, since a result keeps its own.
+A change that alters no figure is listed in stale.toml as `same`: the
+definition before and after it.
+"""
+
+import ast
+import hashlib
+import json
+import shlex
+import subprocess
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxunshear.cli import read_base
+from jaxunshear.results.rows import Source
+from jaxunshear.settings.earlier import LATER, without_later
+from jaxunshear.settings.stored import to_json
+from jaxunshear.storage import Json, plain
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULTS = ROOT / "docs" / "results"
+PACKAGE = "jaxunshear"
+NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder")  # settings that decide no figure
+COMPUTING = (
+    *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
+    *("sweep", "calibration", "verification", "applications", "benchmarks"),
+)
+PROGRAMS = {  # the modules that a command starts from
+    "run": ("run",),
+    "fit": ("run",),
+    "sweep": ("sweep.run", "sweep.work"),
+    "evaluate": ("run", "evaluation.unseen", "applications.transfer"),
+    "ablate": ("evaluation.ablation", "evaluation.leakage"),
+    "validate": ("calibration.validate",),
+    "calibrate": ("calibration.calibrate",),
+    **{name: (f"cli.{name}",) for name in ("geometry", "servo", "reconstruct", "pins", "stream")},
+    "check verify": ("verification.verify",),
+    "check stability": ("verification.stability",),
+    "check identify": ("calibration.identify",),
+    **{f"check bench {name}": ("benchmarks.bench_networks",) for name in ("train", "infer", "stream")},
+    **{f"check bench {name}": (f"benchmarks.bench_{name}",) for name in ("sim", "needs", "pins", "data", "input")},
+    "check bench pinnets": ("benchmarks.bench_pin_networks",),
+    "check bench explore": ("benchmarks.bench_explore",),
+    "check bench strangers": ("benchmarks.confidence",),
+}
+
+
+class Known(NamedTuple):
+    """What docs/stale.toml says of results, by name without `.json`."""
+
+    not_kept: frozenset[str]  # made before results kept their commit
+    changed: Mapping[str, str]  # why a result stays although its code has changed
+    settings: Mapping[str, str]  # why its command gives other settings today
+    same: Sequence[tuple[str, str]]  # keys of definitions that compute the same: earlier, later
+
+
+def read_known(path: Path = ROOT / "docs" / "stale.toml") -> Known:
+    """Read which results are known to be older than their code."""
+    held = tomllib.loads(path.read_text())
+    changed, settings = (
+        {name: each["why"] for each in held.get(kind, []) for name in each["files"]} for kind in ("changed", "settings")
+    )
+    same = [line.split()[-2:] for each in held.get("same", []) for line in each["definitions"]]
+    return Known(frozenset(held["not_kept"]), changed, settings, [(earlier, later) for earlier, later in same])
+
+
+@cache
+def read_result(name: str) -> Json:
+    """Read docs/results/<name>.json."""
+    return json.loads((RESULTS / f"{name}.json").read_text())
+
+
+def parts(held: Json) -> list[Json]:
+    """Return the results that a file consists of: itself, or those of several runs."""
+    return list(held["runs"].values()) if "runs" in held else [held]
+
+
+def sources(held: Json) -> list[Source]:
+    """Return the code that trained or evaluated; empty if one part of the file does not say."""
+    found = []
+    for part in parts(held):
+        own = [*part.get("sources", []), *part.get("trained_by", {}).values()]
+        own += [part["source"]] if part.get("source") else []
+        if not own:
+            return []
+        found += own
+    return list(dict.fromkeys(Source(**each) for each in found))
+
+
+def commands(held: Json) -> list[str]:
+    """Return what was typed, each command once."""
+    return list(dict.fromkeys(part["command"] for part in parts(held) if part.get("command")))
+
+
+def note(names: Iterable[str], page: str) -> str:
+    """Return the line under a table: the files that it is made from, their commands and code."""
+    folder = "docs/results" if page == "README.md" else "results"
+    known = read_known()
+    said = [
+        ", ".join(
+            [f"[{name}.json]({folder}/{name}.json): {origin(read_result(name))}"]
+            + ["its code has changed since"] * (name in known.changed)
+            + ["its command gives other settings today"] * (name in known.settings)
+        )
+        for name in names
+    ]
+    return f"{NOTE}{'; '.join(said)}.</sub>"
+
+
+NOTE = "<sub>From "
+
+
+def origin(held: Json) -> str:
+    """Say how a result was made."""
+    typed, made = commands(held), sources(held)
+    words = [f"`{typed[0]}`{_moved(typed[0])}"] if typed else []
+    words += [f"and {len(typed) - 1} more commands"] * (len(typed) > 1)
+    words += [_code(one) for one in made] if made else [f"{_version(held)}commit not kept"]
+    return ", ".join(words)
+
+
+def _code(source: Source) -> str:
+    if source.commit is None:
+        return f"version {source.version} of {source.date}"
+    unclean = "" if source.clean else " with uncommitted changes"
+    return f"commit {source.commit[:7]} of {source.date}{unclean}"
+
+
+def _version(held: Json) -> str:
+    listed = [part.get("versions") or [] for part in parts(held)]
+    each = [one for many in listed for one in (many if isinstance(many, list) else [many])]
+    found = sorted({one["jaxunshear"] for one in each if "jaxunshear" in one})
+    return f"version {' and '.join(found)}, " if found else ""
+
+
+def _moved(command: str) -> str:
+    """Say where the experiment file of a command is today, if it has moved."""
+    for word in shlex.split(command):
+        if word.endswith(".py") and not (ROOT / word).exists():
+            today = Path(_today(word))
+            return f" (now {today.relative_to(ROOT)})" if today.is_absolute() else " (a file that is gone)"
+    return ""
+
+
+def differences(name: str) -> dict[str, tuple[object, object]]:
+    """Return the settings of a run or sweep that its command gives otherwise today: then, now.
+
+    Names and places are left out, and settings that do nothing: those that came later or went, and
+    those that the version that made the result did not have.
+    """
+    held = read_result(name)
+    stored = held.get("base") or held.get("settings")
+    if not stored:
+        return {}
+    words = [_today(word) for word in shlex.split(held["command"])[1:]]
+    then, now = (_flat(without_later(each)) for each in (stored, plain(to_json(read_base(words)))))
+    compared = [field for field in {**then, **now} if field in then or _last(field) in LATER]
+    return {
+        field: (then.get(field), now.get(field))
+        for field in compared
+        if then.get(field) != now.get(field) and _last(field) not in NAMES
+    }
+
+
+def _last(field: str) -> str:
+    return field.rpartition(".")[2]
+
+
+def _today(word: str) -> str:
+    """Return where a file named in a command is today."""
+    found = sorted(ROOT.glob(f"experiments/**/{Path(word).name}")) if word.endswith(".py") else []
+    return str(found[0]) if found else word
+
+
+def _flat(settings: Json, group: str = "") -> Json:
+    found: Json = {}
+    for name, value in settings.items():
+        found |= _flat(value, f"{group}{name}.") if isinstance(value, dict) else {f"{group}{name}": value}
+    return found
+
+
+def changes(name: str, root: Path = ROOT) -> list[str]:
+    """Return what a result was computed with and the package no longer has, as `lost`."""
+    held, today, same = read_result(name), read_modules(root), read_known().same
+    pairs = [(source.commit, command) for source in sources(held) for command in commands(held)]
+    found = [line for commit, typed in pairs for line in lost(read_modules(root, commit), today, programs(typed), same)]
+    return sorted(set(found))
+
+
+def lost(
+    then: Mapping[str, str],
+    today: Mapping[str, str],
+    starts: Sequence[str],
+    same: Iterable[tuple[str, str]] = (),
+) -> list[str]:
+    """Return a line for each definition that `starts` import among `then` and that `today` lacks.
+
+    A line is the module, the name, the definition's key and that of its successor, as stale.toml
+    takes it for `same`. Only definitions of COMPUTING count.
+    """
+    used = [module for module in imports(then, starts) if module.split(".")[1:2] and module.split(".")[1] in COMPUTING]
+    keys = {module: definitions(text) for module, text in today.items()}
+    alive = {key for found in keys.values() for key in found.values()}
+    for earlier, later in reversed([*same]):  # the latest change stands last
+        alive |= {earlier} if later in alive else set()
+    return [
+        f"{module}: {name} {key} {keys.get(module, {}).get(name, 'gone')}"
+        for module in sorted(used)
+        for name, key in definitions(then[module]).items()
+        if key not in alive
+    ]
+
+
+def programs(command: str) -> list[str]:
+    """Return the modules that a command of ours starts from. Raises LookupError."""
+    first, *words = command.split()
+    if first != PACKAGE:
+        return []
+    named = [name for name in PROGRAMS if words[: len(name.split())] == name.split()]
+    if not named:
+        raise LookupError(f"PROGRAMS lacks the modules of `{command}`")
+    return [f"{PACKAGE}.{module}" for module in PROGRAMS[named[0]]]
+
+
+@cache
+def read_modules(root: Path, commit: str | None = None) -> Mapping[str, str]:
+    """Return the package's modules as text, of today or of a commit. Raises LookupError."""
+    if commit is None:
+        paths = {path.relative_to(root).as_posix(): path for path in (root / PACKAGE).rglob("*.py")}
+        return {_module(name): path.read_text() for name, path in paths.items()}
+    listed = git(root, "ls-tree", "-r", commit, "--", PACKAGE).decode().splitlines()
+    blobs = {line.partition("\t")[2]: line.split()[2] for line in listed if line.endswith(".py")}
+    held = git(root, "cat-file", "--batch", given="\n".join(blobs.values()).encode())
+    found = {}
+    for name in blobs:  # a head line with the size, the text, a line break
+        head, _, held = held.partition(b"\n")
+        size = int(head.split()[-1])
+        found[_module(name)], held = held[:size].decode(), held[size + 1 :]
+    return found
+
+
+def git(root: Path, *words: str, given: bytes = b"") -> bytes:
+    """Return what git answers. Raises LookupError if there is no git, or nothing of that name."""
+    try:
+        done = subprocess.run(["git", *words], cwd=root, input=given, capture_output=True)
+    except OSError as error:
+        raise LookupError(str(error)) from error
+    if done.returncode:
+        raise LookupError(done.stderr.decode().strip())
+    return done.stdout
+
+
+def _module(path: str) -> str:
+    return path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+
+
+def imports(modules: Mapping[str, str], starts: Iterable[str]) -> set[str]:
+    """Return the modules that `starts` import, at their top or later, and all theirs."""
+    seen: set[str] = set()
+    left = [module for module in starts if module in modules]
+    while left:
+        module = left.pop()
+        if module not in seen:
+            seen.add(module)
+            left += _imported(modules[module]) & modules.keys()
+    return seen
+
+
+@cache
+def _imported(text: str) -> frozenset[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            found |= {each.name for each in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{each.name}" for each in node.names)}
+    return frozenset(found)
+
+
+@cache
+def definitions(text: str) -> Mapping[str, str]:
+    """Return a key of each definition at the top of a module, by name.
+
+    Keys do not depend on the version of Python.
+    """
+    found: dict[str, str] = {}
+    for node in _body(ast.parse(text)):
+        if not isinstance(node, ast.Import | ast.ImportFrom):
+            name = _name(node)
+            found[name] = found.get(name, "") + _syntax(node)
+    return {name: hashlib.sha256(syntax.encode()).hexdigest()[:12] for name, syntax in found.items()}
+
+
+def _syntax(node: object) -> str:
+    """Return syntax as text, without docstrings and without what is empty.
+
+    Some versions of Python leave out what is empty.
+    """
+    if isinstance(node, list):
+        return f"[{', '.join(map(_syntax, node))}]"
+    if not isinstance(node, ast.AST):
+        return repr(node)
+    fields = dict(ast.iter_fields(node))
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        fields["body"] = _body(node)
+    held = ", ".join(f"{name}={_syntax(value)}" for name, value in fields.items() if value not in (None, []))
+    return f"{type(node).__name__}({held})"
+
+
+def _body(
+    node: ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module,
+) -> list[ast.stmt]:
+    return node.body if ast.get_docstring(node, clean=False) is None else node.body[1:]
+
+
+def _name(node: ast.stmt) -> str:
+    if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return node.name
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return ", ".join(map(ast.unparse, targets)) or "its own lines"

@@ -1,0 +1,223 @@
+"""The results in docs/results: with which code each was made, that none was edited, and whether
+that code has changed since.
+"""
+
+import json
+import shutil
+import subprocess
+
+import pytest
+
+from docs import provenance
+from docs.keep import keep
+from docs.provenance import (
+    ROOT,
+    changes,
+    differences,
+    git,
+    lost,
+    origin,
+    read_known,
+    read_modules,
+    read_result,
+    sources,
+)
+from jaxunshear.errors import UserError
+from jaxunshear.storage import SEAL, read_json, write_json
+
+NAMES = sorted(path.stem for path in (ROOT / "docs" / "results").glob("*.json"))
+KEPT = [name for name in NAMES if sources(read_result(name))]
+
+
+def test_results_without_a_commit_are_listed():
+    """A new result needs no entry; one that was made anew leaves the list."""
+    assert read_known().not_kept == set(NAMES) - set(KEPT)
+    assert set(read_known().changed) <= set(KEPT)
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_results_are_as_a_program_wrote_them(name):
+    """Their checksum holds, so that neither a figure nor a command was edited; and their code was
+    committed.
+    """
+    assert SEAL in read_result(name), f"{name}.json bears no checksum: copy it as it was written, or use docs/keep.py"
+    read_json(ROOT / "docs" / "results" / f"{name}.json")
+    for source in sources(read_result(name)):
+        assert source.commit and source.clean, f"{name}.json was made with code that no commit has: make it again"
+
+
+def test_results_whose_code_has_changed_are_listed():
+    try:
+        if not KEPT or git(ROOT, "rev-parse", "--is-shallow-repository").strip() == b"true":
+            pytest.skip("no result has a commit, or this clone has no history")
+    except LookupError as error:
+        pytest.skip(f"no history: {error}")
+    found = {name: changed for name in KEPT if (changed := changes(name))}
+    assert found.keys() == read_known().changed.keys(), (
+        "docs/stale.toml differs; make the result again, or list it with a reason: "
+        + "; ".join(f"{name}: {', '.join(changed)}" for name, changed in found.items())
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_commands_give_the_settings_of_their_results(name):
+    """So a command that was edited, or an experiment that was changed later, is listed."""
+    found = differences(name)
+    assert bool(found) == (name in read_known().settings), f"docs/stale.toml: {name}: {found}"
+
+
+THEN = '''"""A module."""
+from jaxunshear.model.net import layer
+
+SCALE = 2.0  # of what is returned
+
+def step(x):
+    """Return twice the layer."""
+    return SCALE * layer(x)
+'''
+NET = "def layer(x):\n    return x + 1\n\ndef other(x):\n    return x\n"
+TEXTS = {
+    "jaxunshear.training.step": THEN,
+    "jaxunshear.model.net": NET,
+    "jaxunshear.image.draw": "def draw(): ...\n",
+}
+START = ("jaxunshear.training.step",)
+
+
+def lost_with(same=(), **texts):
+    today = TEXTS | {f"jaxunshear.{name.replace('_', '.')}": text for name, text in texts.items()}
+    return [line.rpartition(" ")[0].rpartition(" ")[0] for line in lost(TEXTS, today, START, same)]
+
+
+@pytest.mark.parametrize(
+    ("texts", "expected"),
+    [
+        ({}, []),
+        (
+            {
+                "training_step": THEN.replace("twice", "some multiple of").replace(
+                    "  # of what", "  # the factor on what"
+                )
+            },
+            [],
+        ),
+        ({"training_step": THEN.replace("SCALE * layer(x)", "(SCALE\n        * layer(x))")}, []),
+        ({"training_step": THEN + "\ndef more(): ...\n"}, []),
+        ({"model_net": "", "model_layers": NET}, []),  # moved
+        ({"image_draw": ""}, []),  # not used
+        ({"training_step": THEN.replace("2.0", "3.0")}, ["jaxunshear.training.step: SCALE"]),
+        ({"model_net": NET.replace("x + 1", "x + 2")}, ["jaxunshear.model.net: layer"]),
+    ],
+)
+def test_changes_by_more_than_words_are_named(texts, expected):
+    assert lost_with(**texts) == expected
+
+
+def test_what_only_shows_or_starts_does_not_count():
+    texts = {
+        "jaxunshear.report.page": "def page(): ...\n",
+        "jaxunshear.settings.data": "def data(): ...\n",
+    }
+    assert not lost(texts, {}, tuple(texts))
+
+
+def test_a_change_that_alters_no_figure_is_known_until_the_next_one():
+    first, second = (NET.replace("x + 1", change) for change in ("1 + x", "2 + x"))
+    name = "jaxunshear.model.net"
+    (line,) = lost(TEXTS, TEXTS | {name: first}, START)
+    same = [tuple(line.split()[-2:])]
+    assert line.startswith(f"{name}: layer ") and not lost_with(same, model_net=first)
+    assert lost_with(same, model_net=second) == [f"{name}: layer"]
+    (again,) = lost({**TEXTS, name: first}, TEXTS | {name: second}, START)
+    assert not lost_with([*same, tuple(again.split()[-2:])], model_net=second)
+    assert all(line.endswith(" gone") for line in lost(TEXTS, TEXTS | {name: ""}, START))
+
+
+def test_modules_of_a_commit_are_those_that_were_committed(tmp_path):
+    if shutil.which("git") is None:
+        pytest.skip("git is not installed")
+    (tmp_path / "jaxunshear" / "model").mkdir(parents=True)
+    (tmp_path / "jaxunshear" / "__init__.py").write_text("")
+    (tmp_path / "jaxunshear" / "model" / "net.py").write_text("MORE = 'ü'\n")
+    who = ("-c", "user.name=a", "-c", "user.email=a@b.c")
+    for words in (("init", "-q"), ("add", "-A"), (*who, "commit", "-q", "-m", "first")):
+        subprocess.run(["git", *words], cwd=tmp_path, check=True)
+    commit = git(tmp_path, "rev-parse", "HEAD").decode().strip()
+    (tmp_path / "jaxunshear" / "model" / "net.py").write_text("MORE = 2\n")
+    assert read_modules(tmp_path, commit) == {
+        "jaxunshear": "",
+        "jaxunshear.model.net": "MORE = 'ü'\n",
+    }
+    assert read_modules(tmp_path)["jaxunshear.model.net"] == "MORE = 2\n"
+    with pytest.raises(LookupError):
+        read_modules(tmp_path, "0" * 40)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if provenance.commands(read_result(name))])
+def test_every_command_has_its_programs(name):
+    """All of them are modules that there are."""
+    for command in provenance.commands(read_result(name)):
+        if command.startswith("jaxunshear "):
+            assert set(provenance.programs(command)) <= read_modules(ROOT).keys(), command
+
+
+def test_a_command_names_where_its_file_is_today():
+    assert "(now experiments/ablations/lambda_split.py)" in provenance.note(["lambda_split"], "README.md")
+    assert "(now" not in provenance.note(["standard"], "README.md")
+    assert provenance.note(["few_pairs"], "README.md").endswith("other settings today.</sub>")
+
+
+def test_a_note_says_what_a_file_knows():
+    code = {"version": "0.3.0", "date": "2030-01-02", "commit": "0123456789", "clean": True}
+    one = {"command": "jaxunshear sweep experiments/demo.py", "sources": [code]}
+    assert origin(one) == "`jaxunshear sweep experiments/demo.py`, commit 0123456 of 2030-01-02"
+    unclean = {"source": code | {"clean": False}}
+    assert origin(unclean) == "commit 0123456 of 2030-01-02 with uncommitted changes"
+    several = {"runs": {"a": {"command": "x", "source": code}, "b": {"command": "y"}}}
+    assert origin(several) == "`x`, and 1 more commands, commit not kept"
+
+
+def result(**more):
+    code = {"version": "0.3.0", "date": "2030-01-02", "commit": "0123456789", "clean": True}
+    return {
+        "command": "jaxunshear sweep a.py",
+        "source": code,
+        "rows": [{"name": "mm/deg", "value": 1.5}],
+        **more,
+    }
+
+
+def test_a_result_is_kept_as_it_was_written(tmp_path):
+    for seed in (0, 1):
+        write_json(tmp_path / f"{seed}.json", result(seed=seed))
+    out = keep("one", [str(tmp_path / "0.json")], tmp_path)
+    assert out.read_text() == (tmp_path / "0.json").read_text()
+    several = keep("two", [f"a, seed {seed}={tmp_path / f'{seed}.json'}" for seed in (0, 1)], tmp_path)
+    assert read_json(several) == {"runs": {f"a, seed {seed}": result(seed=seed) for seed in (0, 1)}}
+
+
+@pytest.mark.parametrize(
+    ("held", "reason"),
+    [
+        ({"source": None}, "no commit has"),
+        ({"source": result()["source"] | {"clean": False}}, "no commit has"),
+        ({"command": "jaxunshear sweep a.py --recordings /home/me/taps"}, "a place of one machine"),
+        ({"settings": {"paired": {"tap_folder": "/home/me/taps"}}}, "a place of one machine"),
+    ],
+)
+def test_what_cannot_be_published_is_refused(tmp_path, held, reason):
+    write_json(tmp_path / "a.json", result(**held))
+    with pytest.raises(UserError, match=reason):
+        keep("one", [str(tmp_path / "a.json")], tmp_path)
+    assert not (tmp_path / "one.json").exists()
+
+
+def test_what_was_edited_is_refused(tmp_path):
+    write_json(tmp_path / "a.json", result())
+    text = (tmp_path / "a.json").read_text()
+    for edited in (text.replace("a.py", "b.py"), json.dumps(result())):
+        (tmp_path / "a.json").write_text(edited)
+        with pytest.raises(UserError, match="checksum"):
+            keep("one", [str(tmp_path / "a.json")], tmp_path)
+    with pytest.raises(UserError, match="labels"):
+        keep("one", [str(tmp_path / "a.json")] * 2, tmp_path)

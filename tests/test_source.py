@@ -1,0 +1,92 @@
+"""The code that a result was made with: the package's own checkout, asked once, whatever else is
+there.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jaxunshear import __version__, source
+
+
+def git(folder, *words):
+    who = ("-c", "user.name=a", "-c", "user.email=a@b.c", "-c", "init.defaultBranch=main")
+    done = subprocess.run(["git", *who, *words], cwd=folder, capture_output=True, text=True, check=True)
+    return done.stdout.strip()
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    if shutil.which("git") is None:
+        pytest.skip("git is not installed")
+    folder = tmp_path / "checkout"
+    (folder / "jaxunshear").mkdir(parents=True)
+    (folder / "jaxunshear" / "a.py").write_text("a = 1\n")
+    (folder / "README.md").write_text("words\n")
+    git(folder, "init", "-q")
+    git(folder, "add", "-A")
+    git(folder, "commit", "-q", "-m", "first")
+    return folder
+
+
+def test_a_commit_and_whether_the_code_is_as_committed(checkout):
+    commit = git(checkout, "rev-parse", "HEAD")
+    (checkout / "README.md").write_text("other words\n")  # decides no result
+    assert source.committed(checkout) == (commit, True)
+    (checkout / "jaxunshear" / "b.py").write_text("b = 1\n")
+    assert source.committed(checkout) == (commit, False)
+
+
+def test_neither_the_working_directory_nor_a_hook_of_another_repository_counts(checkout, tmp_path, monkeypatch):
+    other = tmp_path / "other"
+    shutil.copytree(checkout, other)
+    git(other, "commit", "-q", "--allow-empty", "-m", "second")
+    monkeypatch.chdir(other)
+    monkeypatch.setenv("GIT_DIR", str(other / ".git"))
+    assert (
+        source.committed(checkout)[0]
+        == subprocess.run(
+            ["git", "--git-dir", str(checkout / ".git"), "rev-parse", "HEAD"],
+            capture_output=True,
+            text=True,
+        ).stdout.strip()
+    )
+
+
+def test_an_environment_inside_a_checkout_is_not_the_checkout(checkout):
+    packages = checkout / ".venv" / "site-packages"
+    packages.mkdir(parents=True)
+    assert source.committed(packages) == (None, None)
+
+
+@pytest.mark.parametrize("fault", ["no git", "no commit", "broken"])
+def test_without_git_there_is_no_commit_and_nothing_is_printed(checkout, monkeypatch, capfd, fault):
+    if fault == "no git":
+        monkeypatch.setenv("PATH", str(checkout))
+    elif fault == "no commit":
+        shutil.rmtree(checkout / ".git")
+        git(checkout, "init", "-q")
+    else:
+        (checkout / ".git" / "HEAD").write_text("nothing")
+    assert source.committed(checkout) == (None, None)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_git_is_asked_once():
+    assert source.read_source() is source.read_source()
+    assert source.read_source().version == __version__ and Path(__file__).resolve().parents[1] == source.ROOT
+
+
+def test_an_installed_package_has_its_version_alone(tmp_path):
+    """Also if it is started in a checkout."""
+    shutil.copytree(source.ROOT / "jaxunshear" / "results", tmp_path / "jaxunshear" / "results")
+    for name in ("__init__.py", "source.py"):
+        shutil.copy(source.ROOT / "jaxunshear" / name, tmp_path / "jaxunshear")
+    asked = "from jaxunshear.source import read_source as read; print(read().version, read().commit, read().clean)"
+    words, here = [sys.executable, "-c", asked], os.environ | {"PYTHONPATH": str(tmp_path)}
+    done = subprocess.run(words, env=here, cwd=source.ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [__version__, "None", "None"]
