@@ -512,60 +512,32 @@ def _ms(cell: CellResult, network: str) -> float:
     return median(costs.ms_per_image[network]["median"] for one in alike for costs in one.costs.values())
 
 
+EDGE = (("y_mm", 3), ("z_mm", 3), ("Rz_deg", 2))
+SLIDE = ("slide_x_mm, all", "slide_y_mm, all")
+LEAKS = ("slide from z_p", "pose from z_s")
+
+
+def _leaks(cell: CellResult, own: tuple[str, ...] = ()) -> list[str]:
+    """Return R2 and shares of the ceiling of both leaks, and of `own` contents the shares."""
+    cells = []
+    for name in LEAKS:
+        for field in ("r2", "share", "largest share"):
+            cells.append(with_range(list(cell.ablation[f"{name}/{field}"].per_seed.values()), 2))
+    for name in own:
+        cells.append(f"{cell.ablation[f'{name}/share'].mean:.2f}")
+    return cells
+
+
 def parted() -> str:
-    """What each code holds of the other's, by what is left out: means over seeds, the leaks with least and most."""
-    return _leaks("parted", True)
-
-
-def parted_images() -> str:
-    """The same of networks over images, but what each code holds of its own."""
-    return _leaks("parted_images", False)
-
-
-def parted_images_pose() -> str:
-    """Likeness and edge errors of these networks."""
-    lines = ["| | MS-SSIM@4 | edge distance, mm | edge angle, deg |", "|---|---|---|---|"]
-    cells = swept("parted_images")
-    kinds = [("tap", cells[0]), ("sheared", cells[0]), *(("disentangled", cell) for cell in cells)]
-    for kind, cell in kinds:
-        found = cell.metrics
-        likeness = "1" if kind == "tap" else with_interval(found[f"ms_ssim/{kind}"], 3)
-        errors = [with_interval(found[f"pose/{kind}/{name}"], digits) for name, digits in QUANTITIES[2:]]
-        lines.append(as_line(cell.label if kind == "disentangled" else kind, [likeness, *errors]))
-    return "\n".join(lines)
-
-
-def parted_images_drawn() -> str:
-    """What DS of these networks draws of exchanged codes and of a contact's own: by pixels, and by the pins found."""
-    lines = [
-        "| | grey, codes exchanged | of its own | exchanged over own | pins, px: exchanged | own | not found of 331: exchanged | own |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    kinds, digits = ("exchanged", "both of its own"), {"rms_grey": 3, "rms_px": 2, "missed_per_image": 0}
-    for cell in swept("parted_images"):
-        found = {
-            (kind, name): list(cell.ablation[f"DS, codes {kind}/{name}"].per_seed.values())
-            for kind in kinds
-            for name in digits
-        }
-        shown = {n: [with_range(found[kind, n], d) for kind in kinds] for n, d in digits.items()}
-        ratios = [a / b for a, b in zip(*(found[kind, "rms_grey"] for kind in kinds), strict=True)]
-        cells = [*shown["rms_grey"], with_range(ratios, 2), *shown["rms_px"], *shown["missed_per_image"]]
-        lines.append(as_line(cell.label, cells))
-    return "\n".join(lines)
-
-
-def _leaks(sweep: str, both: bool) -> str:
-    leaks = {"pose from z_s": "pose from z_s (mlp)/r2", "slide from z_p": "slide from z_p (mlp)/r2"}
-    kept = {n: f"{n} (mlp)/r2" for n in ("pose from z_p", "slide from z_s") if both}
-    lines = [
-        f"| R2 of an MLP probe | {' | '.join([*(f'{name} (a leak)' for name in leaks), *kept])} |",
-        "|---|" + "---|" * (len(leaks) + len(kept)),
-    ]
-    for cell in swept(sweep):
-        spoilt = cell.ablation
-        cells = [with_range(list(spoilt[key].per_seed.values()), 2) for key in leaks.values()]
-        lines.append(as_line(cell.label, [*cells, *(f"{spoilt[key].mean:.2f}" for key in kept.values())]))
+    """What each code of simulated slides holds, by what is left out of the losses; and the standard scores."""
+    head = [f"{leak}: {field}" for leak in LEAKS for field in ("R2", "share of ceiling", "largest share")]
+    own = ("pose from z_p", "slide from z_s")
+    scores = ("MIG", "SAP", "DCI disentanglement")
+    lines = [f"| simulated, pins | {' | '.join([*head, *(f'{name}: share' for name in own), *scores])} |"]
+    lines.append("|---|" + "---|" * (len(head) + len(own) + len(scores)))
+    for cell in swept("parted"):
+        figures = [f"{cell.ablation[f'standard scores/{name}'].mean:.2f}" for name in scores]
+        lines.append(as_line(cell.label, [*_leaks(cell, own), *figures]))
     return "\n".join(lines)
 
 
@@ -593,38 +565,25 @@ def parted_pins() -> str:
 
 
 def parted_skin() -> str:
-    """The same of recorded slides, over pins and images: leaks, errors of the unsheared; means over seeds. Blank: not measured."""
-    asked = [
-        f"{what} from {code} (mlp)/r2"
-        for what, code in (("pose", "z_s"), ("slide", "z_p"), ("pose", "z_p"), ("slide", "z_s"))
-    ]
-    lines = [
-        "| | pose from z_s (a leak) | slide from z_p (a leak) | pose from z_p | slide from z_s | unsheared: y, mm | unsheared: Rz, deg |",
-        "|---|---|---|---|---|---|---|",
-    ]
-    roads = {"pins": swept("parted_skin"), "images": swept("parted_skin_images")}
-    for label, cell in [(f"{road}, {cell.label}", cell) for road, cells in roads.items() for cell in cells]:
-        found = [cell.ablation.get(name) for name in asked]
-        leaks = ["" if each is None else with_range(list(each.per_seed.values()), 2) for each in found]
-        errors = [with_interval(cell.metrics[f"pose/disentangled/{name}"], digits) for name, digits in COLUMNS]
-        lines.append(as_line(label, [*leaks, *errors]))
+    """What each code of recorded slides holds: R2 of the strongest probe, and its share of the ceiling."""
+    head = [f"{leak}: {field}" for leak in LEAKS for field in ("R2", "share of ceiling", "largest share")]
+    lines = [f"| recorded, pins | {' | '.join(head)} |", "|---|" + "---|" * len(head)]
+    lines += [as_line(cell.label, _leaks(cell)) for cell in swept("parted_skin")]
     return "\n".join(lines)
 
 
-def parted_skin_slide() -> str:
-    """The slide of recorded contacts, read from both codes: error and coverage, means of the seeds with least and most."""
-    names = ("slide_x_mm", "slide_y_mm", "slide_Rz_deg")
+def parted_skin_errors() -> str:
+    """What disentangling costs on recorded slides, and the standard scores of the codes."""
+    scores = ("MIG", "SAP", "DCI disentanglement")
     lines = [
-        "| codes of | error in x, mm | y, mm | Rz, deg | 95 % intervals hold, x | y | Rz |",
-        "|---|---|---|---|---|---|---|",
+        f"| recorded, pins | unsheared: y, mm | z, mm | Rz, deg | slide x, mm | slide y, mm | {' | '.join(scores)} |",
+        "|---|" + "---|" * (5 + len(scores)),
     ]
     for cell in swept("parted_skin"):
-        shown = [
-            with_range(list(cell.ablation[f"{name}, all/{field}"].per_seed.values()), 2)
-            for field in ("mae", "coverage")
-            for name in names
-        ]
-        lines.append(as_line(cell.label, shown))
+        errors = [with_interval(cell.metrics[f"pose/disentangled/{name}"], digits) for name, digits in EDGE]
+        slide = [with_range(list(cell.ablation[f"{name}/mae"].per_seed.values()), 2) for name in SLIDE]
+        figures = [f"{cell.ablation[f'standard scores/{name}'].mean:.2f}" for name in scores]
+        lines.append(as_line(cell.label, [*errors, *slide, *figures]))
     return "\n".join(lines)
 
 
@@ -692,16 +651,6 @@ def end_to_end() -> str:
                 ]
                 over = ["", ""] if first else [with_range([one / tap for one, tap in pair], 2) for pair in pairs]
                 lines.append(as_line(title, [likeness, shown, *errors, *over]))
-    return "\n".join(lines)
-
-
-def end_to_end_codes() -> str:
-    """What each code leaks, by seed and probe. Of the first row: the others' shear codes are of the version before."""
-    lines = ["| probe | pose from z_s (a leak) | slide from z_p (a leak) |", "|---|---|---|"]
-    found = swept("end_to_end")[0].ablation
-    for probe, shown in (("linear", "a ridge"), ("mlp", "a small network")):
-        leaks = [found[f"{name} ({probe})/r2"] for name in ("pose from z_s", "slide from z_p")]
-        lines.append(as_line(shown, [with_range(list(leak.per_seed.values()), 2) for leak in leaks]))
     return "\n".join(lines)
 
 
@@ -791,18 +740,7 @@ TABLES = {
     "docs/calibration.md": (*simulator_tables.CALIBRATION, refit),
     "docs/simulator.md": simulator_tables.SIMULATOR,
     "docs/applications.md": (found_pins, geometry, servo, servo_pins, objects, perception),
-    "docs/codes.md": (
-        parted,
-        parted_pins,
-        end_to_end,
-        end_to_end_codes,
-        end_to_end_exchanged,
-        parted_images,
-        parted_images_pose,
-        parted_images_drawn,
-        parted_skin,
-        parted_skin_slide,
-    ),
+    "docs/codes.md": (parted_skin, parted_skin_errors, parted, parted_pins, end_to_end, end_to_end_exchanged),
     "docs/slides.md": (slide_read, joint),
     "docs/experiments.md": (
         standard,

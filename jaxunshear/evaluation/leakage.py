@@ -80,7 +80,7 @@ def leakage(
 ) -> Json:
     """Probe the disentangled network in `run_dir`, over images or pins; write leakage.json there.
 
-    `controls` adds an untrained network and shuffled labels, and the slide with its intervals.
+    `controls` adds an untrained network and shuffled labels.
 
     Raises `UserError` if the network or the data set is missing or damaged, there is no shear code, or
     the network learnt from other data or is not trained to the end.
@@ -115,7 +115,7 @@ def leakage(
         "independence": _independence(codes[1], test, rows),
         "scores": _standard_scores(codes, train, test, rows),
         "exchanged": errors_of(net, variables, examples.reader),
-        "slide": _slide(experiment, examples, encode, (train, test)) if controls else [],
+        "slide": _slide(experiment, examples, encode, (train, test)),
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
         **provenance(command),
