@@ -36,9 +36,10 @@ class Training:
     # the pose code of one slide with the shear code of another draws the contact of just that pose and slide, where poses share slides
     # (`paired.poses_a_slide`); this and the next two over images of codes that are apart
     swap_weight: float = 0.0
-    # equal poses have equal pose codes, those of two slides, or of a slide and its tap
+    # equal poses have equal pose codes, those of two slides, or of a slide and its tap: the squared difference in every direction of
+    # the code over its variance, and DC reconstructs the tap from both
     agreement_weight: float = 0.0
-    # the first numbers of z_s are the slide as its sensor felt it, all that the data vary of it, each over half of its range
+    # the numbers of z_s are the slide in the sensor's frame, shifts before turns, as many as it has room for, each over half of its range
     slide_weight: float = 0.0
     # share of the simulated training poses, drawn by seed, whose slides have their tap; the other slides are left out
     paired_share: float = 1.0
