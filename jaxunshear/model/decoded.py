@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-RIDGE = 1e-4  # of the mean variance of a code: directions narrower than this by far cannot be told from rounding
+RIDGE = 1e-4  # of the mean variance of a code: a direction much narrower than this is rounding
 LEAST_VARIANCE = 1e-3  # of a code: one that says nothing yet need not agree at any cost
 
 
