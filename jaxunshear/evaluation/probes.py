@@ -27,6 +27,7 @@ from sklearn.neighbors import KNeighborsRegressor
 from threadpoolctl import threadpool_limits
 
 from jaxunshear.evaluation import ridge
+from jaxunshear.evenly import evenly
 
 HIDDEN, LAYERS = 128, 2
 STEPS, BATCH, RATE, DECAY = 1000, 128, 2e-3, 1e-3
@@ -91,12 +92,12 @@ def fit_kernel_ridge(
     """Predict by kernel ridge regression on codes as they are or whitened, whichever held-out groups prefer."""
     data = _prepare(codes, wanted, others, groups)
     choices = ((data.x, data.others), (np.asarray(codes, np.float64), others))
-    learnt, judged = ~data.held_out, data.held_out
-    some = np.flatnonzero(learnt)
+    learnt = np.flatnonzero(~data.held_out)
+    some, judged = learnt[evenly(len(learnt), ridge.TRIED_ON)], data.held_out
 
     def error(features: tuple[np.ndarray, np.ndarray]) -> float:
-        fitted = ridge.fitted(features[0][some], data.y[some])
-        return float(np.mean((ridge.answers(fitted, features[0][judged]) - data.y[judged]) ** 2))
+        model = ridge.fitted(features[0][some], data.y[some])
+        return float(np.mean((ridge.answers(model, features[0][judged]) - data.y[judged]) ** 2))
 
     features, asked = min(choices, key=error)
     return data.unscale(ridge.answers(ridge.fitted(features, data.y), asked))
