@@ -111,6 +111,7 @@ def test_every_quantity_is_asked_of_every_code_by_every_family(found, folder):
         assert low - 1e-9 <= row["r2"] <= high + 1e-9
         assert row["families"].keys() == {"linear", "neighbours"}
         assert row["r2"] == max(row["families"].values()) == row["families"][row["family"]]
+        assert row["ceiling"] is None or row["r2"] <= row["ceiling"]
 
 
 def test_ceiling_and_floor_are_where_they_must_be(found):
