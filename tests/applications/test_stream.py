@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import time
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -73,6 +74,55 @@ def test_other_kinds_of_frames_are_used(kind):
         "rectangle": np.pad(grey, ((0, 0), (40, 40))),
     }[kind]
     assert run([Frame(0, kind, pixels, "")])[0].used == 1
+
+
+class Capture:
+    """A camera of OpenCV's that gives the same picture three times."""
+
+    def __init__(self, pixels):
+        self.left = [pixels] * 3
+
+    def get(self, prop):
+        return 3
+
+    def read(self):
+        return (True, self.left.pop()) if self.left else (False, None)
+
+    def release(self):
+        pass
+
+
+@pytest.mark.parametrize("channels", [(), (1,), (3,), (4,)])
+def test_greys_of_a_camera_are_not_mirrored_and_colours_are_red_green_blue(channels):
+    pixels = np.random.default_rng(0).integers(0, 255, (40, 60, *channels), dtype=np.uint8)
+    shown = [frame.pixels for frame in sources._captured(Capture(pixels), "camera 0", float("inf"))]
+    colour = channels in ((3,), (4,))
+    expected = np.stack([pixels[..., 2], pixels[..., 1], pixels[..., 0]], -1) if colour else pixels
+    assert len(shown) == 3 and all(np.array_equal(each, expected) for each in shown)
+
+
+@pytest.mark.skipif(find_spec("cv2") is None, reason="needs the extra `camera`")
+def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capfd):
+    cv2 = sources._opencv()  # first, since it decides what OpenCV prints
+    video = tmp_path / "touch.avi"
+    grey = np.zeros((120, 160), np.uint8)
+    grey[:, :80] = 255
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 10, (160, 120))
+    for _ in range(4):
+        writer.write(np.stack([grey, grey // 2, 0 * grey], -1))  # blue, green, red
+    writer.release()
+    frames, live = frames_of(str(video), Preprocess(), None)
+    shown = list(frames)
+    assert not live and [frame.name for frame in shown] == [f"touch.avi {number}" for number in range(4)]
+    left, right = (shown[0].pixels[:, half].mean(axis=(0, 1)) for half in (slice(70), slice(90, None)))
+    np.testing.assert_allclose(left, [0, 127, 255], atol=6)  # red, green, blue
+    np.testing.assert_allclose(right, 0, atol=6)
+    summary, lines = run(frames_of(str(video), Preprocess(), None)[0])
+    assert summary.used == len(lines) == 4
+    (tmp_path / "torn.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"x" * 500)
+    with pytest.raises(UserError, match="cannot be read as a video"):
+        frames_of(str(tmp_path / "torn.mp4"), Preprocess(), None)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_images_go_to_a_folder(tmp_path):
