@@ -11,10 +11,14 @@ import pytest
 from PIL import Image
 
 from jaxunshear.applications import sources
+from jaxunshear.applications.perceiver import expected_by
 from jaxunshear.applications.sources import Frame, frames_of
-from jaxunshear.applications.stream import Robot, confidence, steady_view, stream
+from jaxunshear.applications.stream import Perceived, Robot, confidence, steady_view, stream
 from jaxunshear.dataset.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.image.dots import dots as draw_dots
+from jaxunshear.image.framing import undeformed
+from jaxunshear.image.understood import ANY, ENOUGH, STRANGE, UNSURE
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.load import load_experiment
 
@@ -26,7 +30,7 @@ def dots(seed=0, size=128):
 
 
 def step(image):
-    return image / 255.0, {"edge_mm": 0.25, "edge_deg": -3.0}, 0.9
+    return Perceived(image / 255.0, {"edge_mm": 0.25, "edge_deg": -3.0}, 0.9)
 
 
 def run(frames, live=False, seconds=0.0, images=None, inline=True):
@@ -63,6 +67,30 @@ def test_bad_frames_are_reported_and_skipped():
     assert (summary.used, summary.skipped) == (2, 5)
     assert [("error" in line) for line in lines] == [False, True, True, True, True, True, False]
     assert sum(summary.problems.values()) == 5
+
+
+def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
+    """One is noise, of another no pins were identified; what is forced is answered, but for the latter."""
+    preprocess = EXPERIMENT.paired.preprocess
+    expected = expected_by(None, EXPERIMENT)
+    known = undeformed(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
+    pins = np.uint8(255 * np.asarray(draw_dots(np.float32(known.place)[None], 1.5, preprocess.size))[0, ..., 0] + 0.5)
+    frames = [Frame(0, "pins", pins, ""), Frame(1, "noise", dots(), ""), Frame(2, "hidden", pins, "")]
+
+    def answer(least):
+        sure, out = iter((True, True, False)), io.StringIO()
+        robot = Robot(lambda image: step(image)._replace(sure=next(sure)), preprocess, None, expected, least)
+        summary = stream(iter(frames), False, robot, out, None, True, lambda number: {"edge_mm": 0.25 - number})
+        return summary, [json.loads(line) for line in out.getvalue().splitlines()]
+
+    summary, lines = answer(ENOUGH)
+    assert (summary.used, summary.skipped, summary.problems) == (1, 2, {STRANGE: 1, UNSURE: 1})
+    assert lines[0]["confidence"] > 0.5 and summary.pose_mae == {"edge_mm": 0}
+    for line, reason in zip(lines[1:], (STRANGE, UNSURE), strict=True):
+        assert line.keys() == {"frame", "name", "confidence", "error"}
+        assert (line["confidence"], line["error"]) == (0, reason)
+    summary, lines = answer(ANY)
+    assert (summary.used, summary.problems) == (2, {UNSURE: 1}) and lines[1]["confidence"] < 0.01
 
 
 @pytest.mark.parametrize("kind", ["sixteen bits", "colour", "rectangle"])
