@@ -108,7 +108,7 @@ class Model:
 
         def encode_known(part: np.ndarray) -> tuple[Array | None, ...]:
             seen = self.perceiver.read(part)
-            known = jnp.asarray(self.perceiver.doubts(part, seen) == "")[:, None]
+            known = jnp.asarray(self.perceiver.state_doubts(part, seen) == "")[:, None]
             codes = encoder(seen.given)
             return tuple(z if z is None else jnp.where(known, z.reshape(len(z), -1), jnp.nan) for z in codes)
 

@@ -88,10 +88,14 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
             why = left_out.add(name, answers.doubt[i])
-            if not why:
+            if why:  # a picture that is there would pass for its answer
+                (out / targets[row]).unlink(missing_ok=True)
+            else:
                 write_bytes(out / targets[row], png(eight_bit(answers.unsheared[i])))
             image = {"name": name, "image": "" if why else targets[row]}
-            poses = {quantity: _cell(values[i]) for quantity, values in answers.poses.get("unsheared", {}).items()}
+            poses = {
+                quantity: _format_cell(values[i]) for quantity, values in answers.poses.get("unsheared", {}).items()
+            }
             table.append(image | poses | _recorded(recordings, row) | {"left_out": why})
     write_text(out / "poses.csv", csv_text(table))
     notes = list(recordings.notes)
@@ -106,7 +110,7 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
     _print_summary([*notes, note], print)
     return _measured(
         [
-            *_counts("unshear", used, recordings),
+            *_count_rows("unshear", used, recordings),
             _row("unshear.time_per_image", float(np.median(seconds)), "s"),
             *errors.rows(),
         ]
@@ -138,7 +142,7 @@ def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path 
             why = left_out.add(name, answers.doubt[i])
             for way, poses in answers.poses.items():
                 for quantity, values in poses.items():
-                    line[f"{way}_{quantity}"] = _cell(values[i])
+                    line[f"{way}_{quantity}"] = _format_cell(values[i])
                     if not why:
                         unit = quantity.split("_")[-1]
                         measured.append(_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
@@ -150,7 +154,7 @@ def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path 
     left_out.report(note)
     errors.report(note)
     _print_summary([*recordings.notes, learnt_note(experiment)], note)
-    return _measured([*measured, *_counts("pose", used, recordings), *errors.rows()])
+    return _measured([*measured, *_count_rows("pose", used, recordings), *errors.rows()])
 
 
 class _LeftOut:
@@ -277,11 +281,11 @@ def _recorded(recordings: "Recordings", row: int) -> dict[str, str]:
     return cells
 
 
-def _cell(value: float) -> str:
+def _format_cell(value: float) -> str:
     return f"{value:.4f}" if np.isfinite(value) else ""
 
 
-def _counts(command: str, used: int, recordings: "Recordings") -> list[Measurement]:
+def _count_rows(command: str, used: int, recordings: "Recordings") -> list[Measurement]:
     return [_row(f"{command}.images", used, "1"), _row(f"{command}.left_out", len(recordings) - used, "1")]
 
 

@@ -121,7 +121,7 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
         if not os.access(path, os.W_OK):
             raise UserError(f"{option} {path} cannot be written: name another file")
         return
-    _check_writable(_followed(path).parent, f"{option} {path}")
+    _check_writable(_follow_link(path).parent, f"{option} {path}")
 
 
 def _measured(path: Path) -> bool:
@@ -179,7 +179,7 @@ def write_bytes(path: Path, data: bytes) -> None:
             with path.open("wb") as file:
                 file.write(data)
         else:
-            _replace(_followed(path), data)
+            _replace(_follow_link(path), data)
     except OSError as error:
         raise os_error(path, error) from error
 
@@ -200,8 +200,8 @@ def _replace(path: Path, data: bytes) -> None:
         raise
 
 
-def _followed(path: Path) -> Path:
-    """Return the absolute place of `path`, with the link that it may be followed to its end."""
+def _follow_link(path: Path) -> Path:
+    """Return the absolute place of `path`; where it is a link, the place that this leads to."""
     return Path(os.path.realpath(path)) if path.is_symlink() else path.absolute()
 
 

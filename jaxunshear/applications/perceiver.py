@@ -26,7 +26,7 @@ from jaxunshear.image.dots import dots
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.image.preprocess import View
 from jaxunshear.image.tracking import followed
-from jaxunshear.image.understood import ANY, ENOUGH, Expected, doubt, expected_of, plausibility
+from jaxunshear.image.understood import ANY, ENOUGH, Expected, expected_of, plausibility, state_doubt
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
 from jaxunshear.model.parts import Tree, Variables
@@ -73,11 +73,6 @@ class Answers(NamedTuple):
     pins: dict[str, np.ndarray]
     doubt: np.ndarray  # (B,) of text: why an image was not understood; empty where it was
 
-    @property
-    def understood(self) -> np.ndarray:
-        """(B,) bool."""
-        return self.doubt == ""
-
 
 class Perceiver(NamedTuple):
     preprocess: Preprocess  # how frames are prepared for it
@@ -88,20 +83,20 @@ class Perceiver(NamedTuple):
     expected: Expected  # how its sensor appears in prepared images
     least: float = ENOUGH  # plausibility of an image that is understood
 
-    def doubts(self, images: np.ndarray, seen: Seen) -> np.ndarray:
+    def state_doubts(self, images: np.ndarray, seen: Seen) -> np.ndarray:
         """Say of each image (B, S, S) why it is not understood: (B,) of text, empty where it is."""
         likely = [1.0 if self.least == ANY else plausibility(image, self.expected) for image in images]
-        return np.array([doubt(*each, self.least) for each in zip(seen.sure.tolist(), likely, strict=True)])
+        return np.array([state_doubt(*each, self.least) for each in zip(seen.sure.tolist(), likely, strict=True)])
 
     def answer(self, images: np.ndarray) -> Answers:
         """Answer images (B, S, S) uint8 of {0, 255}."""
         seen = self.read(images)
-        doubts, values = self.doubts(images, seen), self.run(seen)
+        doubts, values = self.state_doubts(images, seen), self.run(seen)
 
-        def known(value: np.ndarray) -> np.ndarray:
+        def keep_known(value: np.ndarray) -> np.ndarray:
             return np.where((doubts == "").reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)
 
-        shown: Values = jax.tree.map(known, values)
+        shown: Values = jax.tree.map(keep_known, values)
         return Answers(shown.unsheared, shown.poses, shown.pins, doubts)
 
 
@@ -130,11 +125,11 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
     def read(images: np.ndarray) -> Seen:
         return Seen(unit(images), np.ones(len(images), bool))
 
-    def values(seen: Seen) -> Values:
+    def run_networks(seen: Seen) -> Values:
         after, poses = jax.device_get(run(seen.given))
         return Values(None if after is None else after[..., 0], _in_order(poses, names), {})
 
-    return Perceiver(experiment.paired.preprocess, learnt.view if learnt else None, names, read, values, expected)
+    return Perceiver(experiment.paired.preprocess, learnt.view if learnt else None, names, read, run_networks, expected)
 
 
 def frame_learnt(model: Path, experiment: Experiment) -> Frame | None:
@@ -200,7 +195,7 @@ def _of_pins(
         pins = to_image(frame, lattice.place + motion)
         return Seen(there(pins).astype(np.float32), sure, pins)
 
-    def values(seen: Seen) -> Values:
+    def run_networks(seen: Seen) -> Values:
         assert seen.pins is not None
         after, poses = jax.device_get(run(seen.given))
         places, drawn = {AS_RECORDED: seen.pins}, None
@@ -213,7 +208,7 @@ def _of_pins(
         return Values(drawn, _in_order(poses, names), places)
 
     preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
-    return Perceiver(preprocess, frame.view, names, read, values, expected)
+    return Perceiver(preprocess, frame.view, names, read, run_networks, expected)
 
 
 def between(here: np.ndarray, known: np.ndarray) -> tuple[Move, Move, float]:

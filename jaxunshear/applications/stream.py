@@ -26,7 +26,7 @@ from jaxunshear.dataset.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
-from jaxunshear.image.understood import ANY, ENOUGH, Expected, doubt, plausibility
+from jaxunshear.image.understood import ANY, ENOUGH, Expected, plausibility, state_doubt
 from jaxunshear.metrics import pose_errors
 from jaxunshear.model.parts import Variables
 from jaxunshear.model.ready import ready
@@ -207,7 +207,7 @@ def _answer(
     found = robot.step(image)
     answered = time.perf_counter()
     likely = 1.0 if robot.expected is None else plausibility(image, robot.expected)
-    if why := doubt(found.sure, likely, robot.least):
+    if why := state_doubt(found.sure, likely, robot.least):
         raise UserError(why)
     return found.after, found.pose, found.crisp * likely, answered - asked
 

@@ -79,7 +79,7 @@ def add_force(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--force", action="store_true", help="answer images that are not of the model's sensor, too")
 
 
-def exit_code(used: float, left_out: float) -> int:
+def choose_exit_code(used: float, left_out: float) -> int:
     """Return 1 where half of the images or more are left out: what is said of the others is no success."""
     return int(left_out >= used)
 

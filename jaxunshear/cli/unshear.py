@@ -3,7 +3,16 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import SKIN, Commands, add_force, add_json, add_like, add_model, exit_code, new_parser
+from jaxunshear.cli.options import (
+    SKIN,
+    Commands,
+    add_force,
+    add_json,
+    add_like,
+    add_model,
+    choose_exit_code,
+    new_parser,
+)
 
 COMMANDS = ("unshear", "pose")
 
@@ -37,4 +46,4 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
         write_json(arguments.json, measured)
     counts = {row.name: row.value or 0 for row in measured.rows}
-    return exit_code(counts[f"{arguments.command}.images"], counts[f"{arguments.command}.left_out"])
+    return choose_exit_code(counts[f"{arguments.command}.images"], counts[f"{arguments.command}.left_out"])

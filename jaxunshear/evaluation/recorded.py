@@ -80,16 +80,16 @@ def gathered_of(
     inputs = PINS if pins else IMAGES
     slides = taps = None
     seen = PINS if test.paired else PINS[1:]
-    if test.slides is not None and len(rows := identified(test.slides, split, seen if pins else ())):
+    if test.slides is not None and len(rows := select_identified(test.slides, split, seen if pins else ())):
         if test.paired:
-            batches = _batches(test.slides, split, rows, (*inputs, *PINS, *LABELS))
+            batches = _take_batches(test.slides, split, rows, (*inputs, *PINS, *LABELS))
         else:
-            batches = _alone(_batches(test.slides, split, rows, (IMAGES[1], PINS[1], *LABELS)))
+            batches = _alone(_take_batches(test.slides, split, rows, (IMAGES[1], PINS[1], *LABELS)))
         slides = gather(run, batches, len(rows), KEPT, targets, inputs=inputs, named=LABELS, readers=readers)
         slides = slides._replace(scores=_of_slides(slides.scores, test.paired))
-    if test.taps is not None and len(rows := identified(test.taps, split, ("pins",) if pins else ())):
+    if test.taps is not None and len(rows := select_identified(test.taps, split, ("pins",) if pins else ())):
         named = tuple(name for name in LABELS if name != "move")
-        batches = _as_pairs(_batches(test.taps, split, rows, ("image", "pins", *named)))
+        batches = _as_pairs(_take_batches(test.taps, split, rows, ("image", "pins", *named)))
         title = f"evaluate taps ({'pins' if pins else 'image'})"
         taps = gather(run, batches, len(rows), 0, targets, title, inputs, named, readers)
         of_taps = ("pose/tap/", *(f"read/{name}/tap/" for name in readers))
@@ -100,14 +100,14 @@ def gathered_of(
     return slides, taps
 
 
-def identified(reader: Reader, split: str, fields: Sequence[str]) -> np.ndarray:
+def select_identified(reader: Reader, split: str, fields: Sequence[str]) -> np.ndarray:
     """Rows of a split whose pins were identified for sure, in all of the `fields` that hold pins; all rows without any."""
     rows = np.arange(reader.length(split))
     pins = reader.take(split, rows, fields)
     return rows[np.all([np.isfinite(pins[name]).any(axis=(1, 2)) for name in fields], axis=0)] if fields else rows
 
 
-def _batches(reader: Reader, split: str, rows: np.ndarray, fields: Sequence[str]) -> Iterator[Batch]:
+def _take_batches(reader: Reader, split: str, rows: np.ndarray, fields: Sequence[str]) -> Iterator[Batch]:
     """The given rows of a split, in order."""
     for start in range(0, len(rows), BATCH):
         yield reader.take(split, rows[start : start + BATCH], fields)

@@ -126,7 +126,7 @@ def plausibility(image: np.ndarray, expected: Expected) -> float:
     return score(seen_of(image), expected)
 
 
-def doubt(sure: bool, likely: float, least: float = ENOUGH) -> str:
+def state_doubt(sure: bool, likely: float, least: float = ENOUGH) -> str:
     """Say why an image is not understood, so that it has no pose; empty where it is. All that answer images ask here.
 
     `sure`: its pins were identified, or the networks need none. `likely`: its plausibility; below `least` it is a stranger.
