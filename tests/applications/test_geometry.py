@@ -26,13 +26,14 @@ def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
     untouched = make_lattice(flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, shells(TACTIP_127))
     pins = np.asarray(dots(np.float32(untouched.place)[None], 2.0, 128))[0, ..., 0]
     noise = np.random.default_rng(0).random((128, 128)) < 0.2
-    for name, image in (("a", pins > 0.5), ("b", noise)):
-        Image.fromarray(np.uint8(255 * image)).save(tmp_path / f"{name}.png")
+    for name, image in (("a", pins > 0.5), ("b", noise)):  # a folder each: crops are common to one
+        (tmp_path / name).mkdir()
+        Image.fromarray(np.uint8(255 * image)).save(tmp_path / name / "0.png")
     drawn = {"disentangled": lambda images: np.zeros((len(images), *untouched.place.shape))}
     names, heights = heights_of_recordings(
         tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], drawn
     )
-    assert names == ["a.png", "b.png"] and heights.keys() == {"as recorded", "disentangled"}
+    assert names == ["a/0.png", "b/0.png"] and heights.keys() == {"as recorded", "disentangled"}
     for felt in heights.values():
         assert np.abs(felt[0]).max() < 0.5 and np.isnan(felt[1]).all()
 

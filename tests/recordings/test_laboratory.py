@@ -1,6 +1,7 @@
 """A laboratory's day, from the command line: from folder to report, scored on what was never seen, put to use."""
 
 import csv
+import errno
 import json
 import shutil
 import sys
@@ -225,8 +226,15 @@ def test_images_are_unsheared_and_frames_streamed(command, pins_run, slides, tmp
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
     assert len(lines) == 40 and {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
     assert "mean error against the labels: y_mm" in answer.err
-    full = command("stream", slides, "--model", pins_run, "--lines", "/dev/full", "--no-images")
-    assert full.code == 2 and "cannot write /dev/full: the disk is full" in full.err.splitlines()[-1]
+
+
+def test_lines_that_find_no_room_end_a_stream_in_one_line(command, pins_run, slides, tmp_path, monkeypatch):
+    def write(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("jaxunshear.applications.stream._write", write)
+    full = command("stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images")
+    assert full.code == 2 and "lines: the disk is full" in full.err.splitlines()[-1]
 
 
 def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):
