@@ -17,8 +17,8 @@ if typing.TYPE_CHECKING:
 __version__ = "0.2.0"
 
 
-def load_model(name: str | Path, like: str | Path | None = None) -> Model:
+def load_model(name: str | Path, like: str | Path | None = None, force: bool = False) -> Model:
     """See `jaxunshear.api.load_model`."""
     from jaxunshear.api import load_model
 
-    return load_model(name, like)
+    return load_model(name, like, force)

@@ -28,6 +28,7 @@ from jaxunshear.applications.walk_scores import Followed, servo
 from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
+from jaxunshear.image.understood import ANY
 from jaxunshear.model.parts import Tree
 from jaxunshear.model.posenet import pose_from_outputs
 from jaxunshear.model.ready import ready
@@ -62,8 +63,8 @@ class Codes(NamedTuple):
 
 @dataclass(frozen=True)
 class Model:
-    """Networks that take binary images (B, S, S), uint8 of {0, 255} or bool, as `prepare` makes them. What an image whose pins are not
-    identified for sure gives is NaN, where networks read pins."""
+    """Networks that take binary images (B, S, S), uint8 of {0, 255} or bool, as `prepare` makes them. What they give for an image that is
+    not understood is NaN: its pins are not those of the model's sensor or, where networks read pins, cannot be identified for sure."""
 
     folder: Path
     experiment: Experiment
@@ -78,7 +79,8 @@ class Model:
         return self.perceiver.preprocess.size
 
     def prepare(self, frame: np.ndarray) -> np.ndarray:
-        """A camera's frame (H, W) or (H, W, channels), of any number type -> binary image (S, S) uint8. Raises UserError."""
+        """A camera's frame (H, W) or (H, W, channels), of any number type -> binary image (S, S) uint8. Colours are red, green, blue;
+        OpenCV's are blue, green, red. Raises UserError."""
         return prepare_frame(self.perceiver.preprocess, frame, self.perceiver.view or View())
 
     def unshear(self, images: np.ndarray) -> np.ndarray:
@@ -88,7 +90,7 @@ class Model:
             raise UserError(
                 f"{self.folder} holds no network that unshears: train {DISENTANGLED}, or load another model"
             )
-        return np.where(answers.sure[:, None, None], answers.unsheared, np.nan)
+        return answers.unsheared
 
     def pose(self, images: np.ndarray) -> dict[str, dict[str, np.ndarray]]:
         """By way of reading and by quantity (mm and deg, in the frame of the labels that were learnt), (B,) each: of the images
@@ -96,18 +98,21 @@ class Model:
         answers = self._answers(images)
         if not answers.poses:
             raise UserError(f"{self.folder} holds no PoseNet: train posenet, or load another model")
-        return {
-            way: {name: np.where(answers.sure, values, np.nan) for name, values in poses.items()}
-            for way, poses in answers.poses.items()
-        }
+        return answers.poses
 
     def codes(self, images: np.ndarray) -> Codes:
         """Pose code and shear code. Raises UserError."""
         if self.encoder is None:
             raise UserError(f"{self.folder} holds no network with codes: train {DISENTANGLED}, or load another model")
         encoder = self.encoder
-        z_p, z_s = self._in_batches(images, lambda part: encoder(self.perceiver.read(part)))
-        return Codes(z_p.reshape(len(z_p), -1), None if z_s is None else z_s.reshape(len(z_s), -1))
+
+        def encode_known(part: np.ndarray) -> tuple[Array | None, ...]:
+            seen = self.perceiver.read(part)
+            known = jnp.asarray(self.perceiver.state_doubts(part, seen) == "")[:, None]
+            codes = encoder(seen.given)
+            return tuple(z if z is None else jnp.where(known, z.reshape(len(z), -1), jnp.nan) for z in codes)
+
+        return Codes(*self._in_batches(images, encode_known))
 
     def slide(self, images: np.ndarray) -> dict[str, np.ndarray]:
         """How far each image's contact slid and turned, mm and deg by quantity, (B,) each: as the simulated sensor feels it that the
@@ -145,9 +150,10 @@ class Model:
         return images
 
 
-def load_model(name: str | Path, like: str | Path | None = None) -> Model:
+def load_model(name: str | Path, like: str | Path | None = None, force: bool = False) -> Model:
     """Released weights by name, or the folder of a finished run. `like`: a folder of recordings that shows where pins stand untouched,
-    for networks over pins that learnt in simulation alone. Raises UserError."""
+    for networks over pins that learnt in simulation alone. `force`: images that are not of the model's sensor are answered, too. Raises
+    UserError."""
     folder = model_folder(Path(name))
     experiment = load_settings(folder)
     frame = None if like is None else frame_for(Path(like), experiment)
@@ -157,4 +163,5 @@ def load_model(name: str | Path, like: str | Path | None = None) -> Model:
         net = read_net(folder / DISENTANGLED)
         encoder = ready(lambda variables, seen: encode(net, variables, seen), load_best(folder / DISENTANGLED))
         slides = read_slides(folder / DISENTANGLED)
-    return Model(folder, experiment, perceiver(folder, experiment, True, frame), encoder, slides)
+    network = perceiver(folder, experiment, True, frame)
+    return Model(folder, experiment, network._replace(least=ANY) if force else network, encoder, slides)

@@ -5,6 +5,7 @@
 
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import islice
@@ -60,7 +61,8 @@ def learnt_note(experiment: Experiment) -> str:
 
 
 def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None) -> Measured:
-    """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`.
+    """Writes every image at `path`, unsheared, to `out` as a grey PNG under its own name, then `poses.csv` and `NOTE.txt`. One that is
+    not understood gets no image and no pose, but a row that says why.
 
     `like` is a folder of contacts of the same sensor and camera, for a `path` that holds too few to know where pins stand. Returns what
     was measured, as rows; the time per image is that of a batch of BATCH, blanks that fill it up included, over BATCH.
@@ -73,8 +75,9 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
     network = _perceiver(
         model, experiment, over_pins(experiment) or isinstance(experiment.paired, Recorded), like or path
     )
-    recordings, frames = _read(path, network, force)
+    recordings, network, frames = _read(path, network, force)
     targets = _targets(recordings.names)
+    left_out = _LeftOut(recordings)
     table: list[Json] = []
     seconds: list[float] = []
     errors = _Errors(network.names, recordings)
@@ -84,22 +87,30 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
         seconds.append(spent / BATCH)
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
-            write_bytes(out / targets[row], png(eight_bit(answers.unsheared[i])))
-            poses = {quantity: f"{values[i]:.4f}" for quantity, values in answers.poses.get("unsheared", {}).items()}
-            table.append({"name": name, "image": targets[row]} | poses | _recorded(recordings, row))
+            why = left_out.add(name, answers.doubt[i])
+            if why:  # a picture that is there would pass for its answer
+                (out / targets[row]).unlink(missing_ok=True)
+            else:
+                write_bytes(out / targets[row], png(eight_bit(answers.unsheared[i])))
+            image = {"name": name, "image": "" if why else targets[row]}
+            poses = {
+                quantity: _format_cell(values[i]) for quantity, values in answers.poses.get("unsheared", {}).items()
+            }
+            table.append(image | poses | _recorded(recordings, row) | {"left_out": why})
     write_text(out / "poses.csv", csv_text(table))
     notes = list(recordings.notes)
     if not network.names:
         notes.append(f"{model} has no trained PoseNet: poses.csv holds no predicted poses")
     note, frame = learnt_note(experiment), OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES
     write_text(out / "NOTE.txt", "\n".join([note, frame, f"Networks: {model.name}", *notes]) + "\n")
-    print(f"{len(table)} images unsheared, {len(recordings) - len(table)} left out; see {out / 'poses.csv'}")
+    used = len(table) - left_out.count
+    print(f"{used} images unsheared, {len(recordings) - used} left out; see {out / 'poses.csv'}")
+    left_out.report(print)
     errors.report(print)
     _print_summary([*notes, note], print)
     return _measured(
         [
-            _row("unshear.images", len(table), "1"),
-            _row("unshear.left_out", len(recordings) - len(table), "1"),
+            *_count_rows("unshear", used, recordings),
             _row("unshear.time_per_image", float(np.median(seconds)), "s"),
             *errors.rows(),
         ]
@@ -119,7 +130,8 @@ def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path 
         raise UserError(
             f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
         )
-    recordings, frames = _read(path, network, force)
+    recordings, network, frames = _read(path, network, force)
+    left_out = _LeftOut(recordings)
     table: list[Json] = []
     measured: list[Measurement] = []
     errors = _Errors(network.names, recordings)
@@ -127,17 +139,45 @@ def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path 
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
             line: Json = {"name": name}
+            why = left_out.add(name, answers.doubt[i])
             for way, poses in answers.poses.items():
                 for quantity, values in poses.items():
-                    line[f"{way}_{quantity}"] = f"{values[i]:.4f}"
-                    unit = quantity.split("_")[-1]
-                    measured.append(_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
-            table.append(line | _recorded(recordings, row))
+                    line[f"{way}_{quantity}"] = _format_cell(values[i])
+                    if not why:
+                        unit = quantity.split("_")[-1]
+                        measured.append(_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
+            table.append(line | _recorded(recordings, row) | {"left_out": why})
     print(csv_text(table).rstrip("\n"))
     note = partial(print, file=sys.stderr)
+    used = len(table) - left_out.count
+    note(f"poses of {used} images, {len(recordings) - used} left out")
+    left_out.report(note)
     errors.report(note)
     _print_summary([*recordings.notes, learnt_note(experiment)], note)
-    return _measured([*measured, *errors.rows()])
+    return _measured([*measured, *_count_rows("pose", used, recordings), *errors.rows()])
+
+
+class _LeftOut:
+    """Images that were read and not understood: counted by reason, and noted."""
+
+    def __init__(self, recordings: "Recordings") -> None:
+        self._notes = recordings.notes
+        self._reasons: Counter[str] = Counter()
+
+    @property
+    def count(self) -> int:
+        return self._reasons.total()
+
+    def add(self, name: str, doubt: str) -> str:
+        """Count an image if there is a `doubt`, which is returned."""
+        if doubt:
+            self._reasons[str(doubt)] += 1
+            self._notes.append(f"left out {name}: {doubt}")
+        return str(doubt)
+
+    def report(self, log: Log) -> None:
+        for reason, count in self._reasons.items():
+            log(f"left out {count}: {reason}")
 
 
 class _Errors:
@@ -191,12 +231,12 @@ def _settings_for(path: Path, model: Path) -> Experiment:
     return load_settings(model)
 
 
-def _read(path: Path, network: "Perceiver", force: bool) -> "tuple[Recordings, Frames]":
-    from jaxunshear.applications.frames import understood
+def _read(path: Path, network: "Perceiver", force: bool) -> "tuple[Recordings, Perceiver, Frames]":
+    from jaxunshear.applications.frames import open_frames
     from jaxunshear.dataset.recordings import read_recordings
 
     recordings = read_recordings(path, network.preprocess)
-    return recordings, understood(recordings, network, force)
+    return recordings, *open_frames(recordings, network, force)
 
 
 def _targets(names: tuple[str, ...]) -> list[str]:
@@ -239,6 +279,14 @@ def _recorded(recordings: "Recordings", row: int) -> dict[str, str]:
             for label, value in zip(LABELS, values[row], strict=True):
                 cells[f"recorded_{kind}_{label}"] = f"{value:.6g}" if np.isfinite(value) else ""
     return cells
+
+
+def _format_cell(value: float) -> str:
+    return f"{value:.4f}" if np.isfinite(value) else ""
+
+
+def _count_rows(command: str, used: int, recordings: "Recordings") -> list[Measurement]:
+    return [_row(f"{command}.images", used, "1"), _row(f"{command}.left_out", len(recordings) - used, "1")]
 
 
 def _print_summary(notes: list[str], log: Log) -> None:

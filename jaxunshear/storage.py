@@ -1,5 +1,7 @@
 """Files are written beside their place and moved into it: a killed run leaves the old file or the new one, never half.
 
+Symbolic links are followed. Pipes and devices are written into as they are.
+
 >>> write_json(Path("runs/demo/results.json"), {"ms_ssim": 0.9})
 >>> read_object(Path("runs/demo/results.json"))["ms_ssim"]
 """
@@ -115,7 +117,11 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
         raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
     if path.is_file() and path.stat().st_size and not _measured(path):
         raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
-    _check_writable(path.absolute().parent, f"{option} {path}")
+    if _is_device(path):
+        if not os.access(path, os.W_OK):
+            raise UserError(f"{option} {path} cannot be written: name another file")
+        return
+    _check_writable(_follow_link(path).parent, f"{option} {path}")
 
 
 def _measured(path: Path) -> bool:
@@ -164,19 +170,44 @@ def check_beside(recordings: Path, out: Path, option: str) -> None:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Replace `path` by `data` in one step; missing folders are made. Raises `UserError` that names the path."""
-    part = path.with_name(path.name + ".part")
+    """Replace the file at `path`, or the one a link leads to, by `data` in one step; make missing folders.
+
+    Pipes and devices are written into, never replaced. Raises `UserError` that names the path.
+    """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if _is_device(path):
+            with path.open("wb") as file:
+                file.write(data)
+        else:
+            _replace(_follow_link(path), data)
+    except OSError as error:
+        raise os_error(path, error) from error
+
+
+def _replace(path: Path, data: bytes) -> None:
+    """Replace the file at `path` by `data`: all of it is there, or the old file stays. Raises OSError."""
+    part = path.with_name(path.name + ".part")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
         with part.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         os.replace(part, path)
-    except OSError as error:
+    except OSError:
         with contextlib.suppress(OSError):  # the first error is the one worth reporting
             part.unlink(missing_ok=True)
-        raise os_error(path, error) from error
+        raise
+
+
+def _follow_link(path: Path) -> Path:
+    """Return the absolute place of `path`; where it is a link, the place that this leads to."""
+    return Path(os.path.realpath(path)) if path.is_symlink() else path.absolute()
+
+
+def _is_device(path: Path) -> bool:
+    """Say whether `path` is neither file nor folder but a pipe, a device or the like, or leads to one."""
+    return path.exists() and not (path.is_file() or path.is_dir())
 
 
 def write_npz(path: Path, arrays: "Mapping[str, np.ndarray]", compressed: bool = False) -> None:

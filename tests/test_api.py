@@ -32,7 +32,7 @@ def images(model):
     paired = model.experiment.paired
     lattice = undeformed(model.experiment.sensor, paired.camera, paired.preprocess)
     push = np.random.default_rng(0).normal(0, 2, (3, 1, 2))
-    drawn = np.asarray(dots(np.float32(lattice.place + push), 2.0, model.size))[..., 0]
+    drawn = np.asarray(dots(np.float32(lattice.place + push), 1.5, model.size))[..., 0]
     return np.stack([model.prepare(np.uint8(255 * frame)) for frame in drawn])
 
 

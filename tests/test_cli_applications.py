@@ -189,7 +189,11 @@ def test_stream_of_a_folder(command, tmp_path, model):
         Image.fromarray(((rng.random((64, 64)) < 0.2) * 255).astype(np.uint8)).save(folder / f"{number}.png")
     (folder / "3.png").write_bytes(b"torn")
     summary = tmp_path / "summary.json"
-    answer = command("stream", folder, "--model", model, "--no-images", "--json", summary)
+    words = ("stream", folder, "--model", model, "--no-images", "--json", summary)
+    refused = command(*words)
+    assert refused.code == 1 and "skipped 3: its pins are not those of the model's sensor" in refused.err
+    assert not any("edge_mm" in json.loads(line) for line in refused.out.splitlines())
+    answer = command(*words, "--force")
     assert answer.code == 0, answer.err
     assert "note: These networks have seen simulated touches only" in answer.err and "note" not in answer.out
     lines = [json.loads(line) for line in answer.out.splitlines()]

@@ -181,7 +181,7 @@ def run_dir(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def model(run_dir):
-    return load_model(run_dir)
+    return load_model(run_dir, force=True)
 
 
 def test_stablehlo_is_read_by_jax_alone(run_dir, model, tmp_path, capsys):

@@ -146,6 +146,18 @@ def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(monkeypatch, m
     assert measured.rows[-1].value == pytest.approx(1 / infer.BATCH)
 
 
+def test_half_of_the_images_left_out_is_no_success(command, model, folder, tmp_path):
+    for number in range(18):
+        (folder / "images" / f"image_{number}.png").write_bytes(b"no image")
+    words = (folder, "--force", "--model", model)
+    assert command("unshear", *words, "--out", tmp_path / "out").code == 0  # 19 of 40
+    (folder / "images" / "image_20.png").write_bytes(b"no image")
+    answer = command("unshear", *words, "--out", tmp_path / "out")
+    assert answer.code == 1 and "20 images unsheared, 20 left out" in answer.out
+    answer = command("pose", *words)
+    assert answer.code == 1 and "poses of 20 images, 20 left out" in answer.err
+
+
 def test_pose_gives_both_readings_of_each_image(command, model, folder, tmp_path):
     answer = command("pose", folder, "--force", "--model", model, "--json", tmp_path / "pose.json")
     assert answer.code == 0, answer.err
@@ -153,7 +165,7 @@ def test_pose_gives_both_readings_of_each_image(command, model, folder, tmp_path
     rows = list(csv.DictReader(answer.out.splitlines()))
     assert len(rows) == 38
     measured = {row["name"]: row for row in json.loads((tmp_path / "pose.json").read_text())["rows"]}
-    assert len(measured) == 38 * 8
+    assert len(measured) == 38 * 8 + 2 and measured["pose.left_out"]["value"] == 2
     one = measured["images/image_7.png.unsheared.edge_deg"]
     assert one["unit"] == "deg"
     assert one["value"] == pytest.approx(float(rows[6]["unsheared_edge_deg"]), abs=1e-3)

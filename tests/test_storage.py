@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError
@@ -47,6 +48,52 @@ def test_a_file_where_a_folder_should_be(tmp_path):
     (tmp_path / "runs").write_text("")
     with pytest.raises(UserError, match="runs"):
         storage.write_text(tmp_path / "runs" / "a", "x")
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    """Its path, and a function that gives what was written into it; stands for a device."""
+    path = tmp_path / "pipe"
+    os.mkfifo(path)
+    end = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+    yield path, lambda: os.read(end, 2**16)
+    os.close(end)
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_pipe_is_written_into_and_stays(tmp_path, pipe, linked):
+    path, written = pipe
+    link = tmp_path / "link"
+    link.symlink_to(path)
+    storage.check_new_file(link if linked else path)
+    storage.write_json(link if linked else path, {"a": 1})
+    assert path.is_fifo() and link.is_symlink() and len(os.listdir(tmp_path)) == 2
+    assert storage.unsealed(json.loads(written())) == {"a": 1}
+
+
+def test_a_command_writes_its_rows_into_a_pipe(command, tmp_path, pipe):
+    Image.fromarray(np.eye(64, dtype=np.uint8) * 255).save(tmp_path / "image.png")
+    answer = command("doctor", tmp_path / "image.png", "--json", pipe[0])
+    assert answer.code == 0, answer.err
+    assert pipe[0].is_fifo() and "versions" in json.loads(pipe[1]())
+
+
+def test_a_pipe_that_may_not_be_written_is_refused(pipe, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    with pytest.raises(UserError, match="pipe cannot be written"):
+        storage.check_new_file(pipe[0])
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_links_are_followed_and_stay(tmp_path, there):
+    (tmp_path / "far").mkdir()
+    far, path = tmp_path / "far" / "results.json", tmp_path / "results.json"
+    path.symlink_to(far)
+    if there:
+        far.write_text("old")
+    storage.write_json(path, 1)
+    assert path.is_symlink() and far.read_text() == "1\n"
+    assert os.listdir(far.parent) == ["results.json"] and len(os.listdir(tmp_path)) == 2
 
 
 @pytest.mark.parametrize("content", [b"{", b"", b"\xff\xfe"])

@@ -1,4 +1,4 @@
-"""Frames of a folder, checked to be of the sensor that a model learnt from."""
+"""Frames of a folder, and whether the folder is of the sensor that a model learnt from."""
 
 from collections.abc import Iterator
 
@@ -8,24 +8,29 @@ from jaxunshear.applications.perceiver import Perceiver
 from jaxunshear.dataset.recordings import Recordings, read_image
 from jaxunshear.errors import UserError
 from jaxunshear.image.preprocess import prepare_frame
-from jaxunshear.image.understood import ENOUGH, inverse, plausibility, verdict
+from jaxunshear.image.understood import ANY, inverse, verdict
 
 SAMPLED = 20  # frames that a folder is judged by
 Frames = Iterator[tuple[int, str, np.ndarray]]  # row, name, image (S, S) uint8 of {0, 255}
 
 
-def understood(recordings: Recordings, network: Perceiver, force: bool) -> Frames:
-    """Those of the model's sensor, negatives turned; the others are left out and noted. Raises UserError at once where hardly any is, and
-    in the end where none is. With `force`, all as they are."""
-    turned = False
-    if not force:
-        found = verdict(_sample(recordings, network), network.expected)
-        turned = found.inverted
-        if turned:
-            recordings.notes.append(f"{found.reason}: they are turned")
-        elif not found.ok:
-            raise UserError(f"{recordings.path}: {found.reason}; --force answers all the same")
-    return _frames(recordings, network, turned, judged=not force and not turned)
+def open_frames(recordings: Recordings, network: Perceiver, force: bool) -> tuple[Perceiver, Frames]:
+    """Give the frames that can be read, negatives turned, and the network that is to answer them.
+
+    Raises UserError at once where hardly any is of the model's sensor. With `force` all are answered as they are, but for those that
+    networks over pins find no pins in.
+    """
+    if force:
+        return network._replace(least=ANY), recordings.frames(network.view)
+    found = verdict(_sample(recordings, network), network.expected)
+    if found.inverted:
+        recordings.notes.append(f"{found.reason}: they are turned")
+        frames = recordings.frames(network.view)
+        # what dark pins leave when they are turned looks less like the sensor than light pins do
+        return network._replace(least=ANY), ((row, name, inverse(image)) for row, name, image in frames)
+    if not found.ok:
+        raise UserError(f"{recordings.path}: {found.reason}; --force answers all the same")
+    return network, recordings.frames(network.view)
 
 
 def _sample(recordings: Recordings, network: Perceiver) -> np.ndarray:
@@ -40,15 +45,3 @@ def _sample(recordings: Recordings, network: Perceiver) -> np.ndarray:
     if not images:
         raise UserError(f"none of the sampled images in {recordings.path} can be read; the last: {problem}")
     return np.stack(images)
-
-
-def _frames(recordings: Recordings, network: Perceiver, turned: bool, judged: bool) -> Frames:
-    some = False
-    for row, name, image in recordings.frames(network.view):
-        if judged and plausibility(image, network.expected) < ENOUGH:
-            recordings.notes.append(f"left out {name}: its pins are not those of the model's sensor")
-            continue
-        some = True
-        yield row, name, inverse(image) if turned else image
-    if not some:
-        raise UserError(f"{recordings.path}: no image is one of the model's sensor; --force answers all the same")

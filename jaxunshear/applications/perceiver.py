@@ -26,7 +26,7 @@ from jaxunshear.image.dots import dots
 from jaxunshear.image.lattice import make_lattice
 from jaxunshear.image.preprocess import View
 from jaxunshear.image.tracking import followed
-from jaxunshear.image.understood import Expected, expected_of
+from jaxunshear.image.understood import ANY, ENOUGH, Expected, expected_of, plausibility, state_doubt
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet
 from jaxunshear.model.parts import Tree, Variables
@@ -47,27 +47,57 @@ NETWORKS = (DISENTANGLED, POSENET, POSENET_SHEARED)
 
 
 Move = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
-# images (B, S, S) uint8 of {0, 255} -> what its networks are given: images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px
-Read = Callable[[np.ndarray], np.ndarray]
+
+
+class Seen(NamedTuple):
+    """What networks are given of a batch."""
+
+    given: np.ndarray  # images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px, NaN where one is not seen
+    sure: np.ndarray  # (B,) whether pins were identified, or none are needed
+    pins: np.ndarray | None = None  # (B, P, 2) px in the image, of networks over pins
+
+
+class Values(NamedTuple):
+    """What networks give for a batch, whether they understood it or not."""
+
+    unsheared: np.ndarray | None  # (B, S, S) in [0, 1]
+    poses: dict[str, dict[str, np.ndarray]]  # by way and target, (B,)
+    pins: dict[str, np.ndarray]  # by way, (B, P, 2) px, of networks over pins alone
 
 
 class Answers(NamedTuple):
-    """Of one batch: images (B, S, S) in [0, 1], poses by way and target, each (B,), whether pins were followed for sure (B,), and
-    their places (B, P, 2) px by way, of networks over pins alone."""
+    """The same, all of it NaN where an image was not understood."""
 
     unsheared: np.ndarray | None
     poses: dict[str, dict[str, np.ndarray]]
-    sure: np.ndarray
     pins: dict[str, np.ndarray]
+    doubt: np.ndarray  # (B,) of text: why an image was not understood; empty where it was
 
 
 class Perceiver(NamedTuple):
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: each folder's own
     names: tuple[str, ...]  # of the poses that it reads
-    read: Read
-    answer: Callable[[np.ndarray], Answers]
+    read: Callable[[np.ndarray], Seen]  # of images (B, S, S) uint8 of {0, 255}
+    run: Callable[[Seen], Values]
     expected: Expected  # how its sensor appears in prepared images
+    least: float = ENOUGH  # plausibility of an image that is understood
+
+    def state_doubts(self, images: np.ndarray, seen: Seen) -> np.ndarray:
+        """Say of each image (B, S, S) why it is not understood: (B,) of text, empty where it is."""
+        likely = [1.0 if self.least == ANY else plausibility(image, self.expected) for image in images]
+        return np.array([state_doubt(*each, self.least) for each in zip(seen.sure.tolist(), likely, strict=True)])
+
+    def answer(self, images: np.ndarray) -> Answers:
+        """Answer images (B, S, S) uint8 of {0, 255}."""
+        seen = self.read(images)
+        doubts, values = self.state_doubts(images, seen), self.run(seen)
+
+        def keep_known(value: np.ndarray) -> np.ndarray:
+            return np.where((doubts == "").reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)
+
+        shown: Values = jax.tree.map(keep_known, values)
+        return Answers(shown.unsheared, shown.poses, shown.pins, doubts)
 
 
 def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Frame | None = None) -> Perceiver:
@@ -92,13 +122,14 @@ def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Fr
             raise UserError(f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE}")
         return _of_pins(experiment, run, names, frame, rest, expected)
 
-    def answer(images: np.ndarray) -> Answers:
-        after, poses = jax.device_get(run(unit(images)))
-        return Answers(
-            None if after is None else after[..., 0], _in_order(poses, names), np.ones(len(images), bool), {}
-        )
+    def read(images: np.ndarray) -> Seen:
+        return Seen(unit(images), np.ones(len(images), bool))
 
-    return Perceiver(experiment.paired.preprocess, learnt.view if learnt else None, names, unit, answer, expected)
+    def run_networks(seen: Seen) -> Values:
+        after, poses = jax.device_get(run(seen.given))
+        return Values(None if after is None else after[..., 0], _in_order(poses, names), {})
+
+    return Perceiver(experiment.paired.preprocess, learnt.view if learnt else None, names, read, run_networks, expected)
 
 
 def frame_learnt(model: Path, experiment: Experiment) -> Frame | None:
@@ -159,27 +190,25 @@ def _of_pins(
     lattice = make_lattice(to_found(frame, frame.place), frame.shell)
     there, back, degrees = between(frame.place, frame.place if rest is None else rest)
 
-    def seen(images: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def read(images: np.ndarray) -> Seen:
         motion, sure = followed(lattice, images, alone=True)
-        return to_image(frame, lattice.place + motion), sure
+        pins = to_image(frame, lattice.place + motion)
+        return Seen(there(pins).astype(np.float32), sure, pins)
 
-    def read(images: np.ndarray) -> np.ndarray:
-        return there(seen(images)[0]).astype(np.float32)
-
-    def answer(images: np.ndarray) -> Answers:
-        pins, sure = seen(images)
-        after, poses = jax.device_get(run(there(pins).astype(np.float32)))
-        places, drawn = {AS_RECORDED: pins}, None
+    def run_networks(seen: Seen) -> Values:
+        assert seen.pins is not None
+        after, poses = jax.device_get(run(seen.given))
+        places, drawn = {AS_RECORDED: seen.pins}, None
         if after is not None:
             places[UNSHEARED] = back(after)
             drawn = np.asarray(dots(jnp.asarray(places[UNSHEARED]), frame.radius_px, frame.size))[..., 0]
         for pose in poses.values():
             if EDGE in pose:
                 pose[EDGE] = 180 - (180 - pose[EDGE] - degrees) % 360
-        return Answers(drawn, _in_order(poses, names), sure, places)
+        return Values(drawn, _in_order(poses, names), places)
 
     preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
-    return Perceiver(preprocess, frame.view, names, read, answer, expected)
+    return Perceiver(preprocess, frame.view, names, read, run_networks, expected)
 
 
 def between(here: np.ndarray, known: np.ndarray) -> tuple[Move, Move, float]:

@@ -5,6 +5,7 @@
 """
 
 import functools
+import os
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +24,7 @@ from jaxunshear.settings.targets import RECORDED
 
 VIDEOS = {".mp4", ".avi", ".mkv", ".mov", ".webm", ".mpg", ".mpeg", ".m4v"}
 CAMERA = "camera"
+QUIET = "-8"  # FFmpeg's AV_LOG_QUIET
 EXTRA = "pip install 'jaxunshear[camera]'"
 
 
@@ -73,11 +75,13 @@ def _read(number: int, file: Path, name: str, view: View) -> Frame:
 
 
 def _opencv() -> Any:
+    # one line of our own is enough; unlike its functions, its variables are the same in all versions
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", QUIET)
     try:
         import cv2
     except ImportError:
         raise UserError(f"videos and cameras need OpenCV: {EXTRA}") from None
-    cv2.setLogLevel(0)  # one line of our own is enough
     return cv2
 
 
@@ -107,7 +111,7 @@ def _captured(capture: Any, name: str, patience: float) -> Iterator[Frame]:
             good, pixels = capture.read()
             if good:
                 failed = 0
-                yield Frame(number, f"{name} {number}", pixels[..., ::-1], "")
+                yield Frame(number, f"{name} {number}", order_colours(pixels), "")
             elif number >= expected > 0 or patience == float("inf"):
                 if number < expected:
                     yield Frame(
@@ -124,6 +128,13 @@ def _captured(capture: Any, name: str, patience: float) -> Iterator[Frame]:
         raise UserError(f"{name} gave no frame {failed} times in a row: is it still plugged in?")
     finally:
         capture.release()
+
+
+def order_colours(pixels: np.ndarray) -> np.ndarray:
+    """Put OpenCV's colours (H, W, 3 or 4) in the order red, green, blue, without alpha; leave greys (H, W) as they are."""
+    if pixels.ndim < 3 or pixels.shape[-1] < 3:
+        return pixels
+    return pixels[..., 2::-1]
 
 
 def _at_pace(frames: Iterator[Frame], fps: float) -> Iterator[Frame]:

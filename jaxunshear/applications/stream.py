@@ -1,7 +1,8 @@
 """Perception for a robot: frame in; unsheared image, pose and a confidence out, as a JSON line each.
 
 The step is compiled once, before the first frame, and holds E, DC and PoseNet (or, in its place or beside it, the head on the pose
-code) with their weights: no shear code, no DS. A frame that cannot be used is reported and counted, and the next one comes.
+code) with their weights: no shear code, no DS. A frame that cannot be used, or is not understood, is reported and counted, and the next
+one comes.
 """
 
 import base64
@@ -25,7 +26,7 @@ from jaxunshear.dataset.recordings import PROBES
 from jaxunshear.errors import UserError
 from jaxunshear.image.png import eight_bit, png
 from jaxunshear.image.preprocess import View, common_view, own_view, prepare_frame
-from jaxunshear.image.understood import Expected, plausibility
+from jaxunshear.image.understood import ANY, ENOUGH, Expected, plausibility, state_doubt
 from jaxunshear.metrics import pose_errors
 from jaxunshear.model.parts import Variables
 from jaxunshear.model.ready import ready
@@ -38,7 +39,18 @@ from jaxunshear.settings.targets import names_of
 from jaxunshear.storage import Json, write_bytes
 
 FAST = 1  # zlib's level: a frame has milliseconds
-Step = Callable[[np.ndarray], tuple[np.ndarray | None, dict[str, float], float]]
+
+
+class Perceived(NamedTuple):
+    """What networks give for one frame, whether they understood it or not."""
+
+    after: np.ndarray | None  # unsheared (S, S) in [0, 1]
+    pose: dict[str, float]
+    crisp: float  # see `confidence`
+    sure: bool = True  # pins were identified, or none are needed
+
+
+Step = Callable[[np.ndarray], Perceived]  # of a binary image (S, S) uint8
 Truth = Callable[[int], Mapping[str, float]]  # labels of a frame by its number, those that are known
 
 
@@ -48,7 +60,8 @@ class Robot(NamedTuple):
     step: Step
     preprocess: Preprocess  # how frames are prepared for it
     view: View | None  # crop of the frames that it learnt from; None: the stream's own
-    expected: Expected | None = None  # how its sensor appears: confidence falls to nothing for what appears otherwise
+    expected: Expected | None = None  # how its sensor appears: confidence falls for what appears otherwise
+    least: float = ENOUGH  # plausibility of a frame that is understood
 
 
 def robot_of(
@@ -57,12 +70,14 @@ def robot_of(
     precision: str,
     way: str,
     frame: PinFrame | None,
+    force: bool = False,
 ) -> Robot:
     """A model made ready for a stream, compiled already. `way` is one of perception's that unshear; of a model that learnt from recordings
-    or reads pins it is its own. `frame` as `perceiver` takes it. Raises UserError."""
+    or reads pins it is its own. `frame` as `perceiver` takes it; `force` answers frames of other sensors, too. Raises UserError."""
+    least = ANY if force else ENOUGH
     if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
         step = step_of(model, experiment, precision, way)
-        return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment))
+        return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment), least)
     if way != DISENTANGLED:
         raise UserError(
             f"--way {way}: only networks over simulated images have a head that reads the pose code: leave it out"
@@ -70,28 +85,28 @@ def robot_of(
     perceive = perceiver(model, experiment, recorded_too=False, frame=frame)
     size = perceive.preprocess.size
 
-    def step_on(image: np.ndarray) -> tuple[np.ndarray | None, dict[str, float], float]:
-        answers = perceive.answer(image[None])
-        after = None if answers.unsheared is None else answers.unsheared[0]
-        poses = answers.poses.get(UNSHEARED) or next(iter(answers.poses.values()), {})
+    def step_on(image: np.ndarray) -> Perceived:
+        seen = perceive.read(image[None])
+        values = perceive.run(seen)
+        after = None if values.unsheared is None else values.unsheared[0]
+        poses = values.poses.get(UNSHEARED) or next(iter(values.poses.values()), {})
         crisp = 1.0 if after is None else float(confidence(after[..., None]))
-        return after, {name: float(value[0]) for name, value in poses.items()}, crisp if answers.sure[0] else 0.0
+        return Perceived(after, {name: float(value[0]) for name, value in poses.items()}, crisp, bool(seen.sure[0]))
 
     step_on(np.zeros((size, size), np.uint8))  # compiles
-    return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected)
+    return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected, least)
 
 
 def step_of(model: Path, experiment: Experiment, precision: str, way: str) -> Step:
-    """A function of one binary image (S, S) uint8 -> unsheared (S, S) in [0, 1], pose by quantity, confidence; compiled already.
-    `way` is one of perception's that unshear."""
+    """What a frame is perceived by, of networks over images; compiled already. `way` is one of perception's that unshear."""
     forward, variables, targets = load_forward(model, way, precision)
     names = names_of(targets)
     run = ready(perceive_of(forward, names), variables)
     size = experiment.paired.preprocess.size
 
-    def step(image: np.ndarray) -> tuple[np.ndarray, dict[str, float], float]:
-        after, (*pose, sure) = jax.device_get(run(image))
-        return after, dict(zip(names, map(float, pose), strict=True)), float(sure)
+    def step(image: np.ndarray) -> Perceived:
+        after, (*pose, crisp) = jax.device_get(run(image))
+        return Perceived(after, dict(zip(names, map(float, pose), strict=True)), float(crisp))
 
     step(np.zeros((size, size), np.uint8))  # compiles
     return step
@@ -138,7 +153,8 @@ def stream(
     inline: bool,
     truth: Truth | None = None,
 ) -> Streamed:
-    """Writes a line for each frame to `out`.
+    """Writes a line for each frame to `out`. One that cannot be used, or is not understood, has no pose and no image, but a reason and a
+    confidence of 0.
 
     `images`: a folder for unsheared images; `inline`: as base64 PNG in the lines instead. With `truth`
     the errors, too. A live source also ends by Ctrl-C, or when its camera is lost.
@@ -157,7 +173,7 @@ def stream(
             except UserError as error:
                 found.skipped += 1
                 found.problems[str(error)] = found.problems.get(str(error), 0) + 1
-                _write(out, line | {"error": str(error)})
+                _write(out, line | {"confidence": 0.0, "error": str(error)})
                 continue
             line |= {name: round(value, 4) for name, value in pose.items()} | {"confidence": round(sure, 4)}
             for name, off in _errors(pose, truth(frame.number) if truth else {}).items():
@@ -181,18 +197,19 @@ def _answer(
     robot: Robot, frame: Frame, seen: Callable[[np.ndarray], View]
 ) -> tuple[np.ndarray | None, dict[str, float], float, float]:
     """Unsheared image, pose, confidence, and the seconds that the networks took. Raises UserError for a frame that cannot
-    be used."""
+    be used, or is not understood."""
     if frame.pixels is None:
         raise UserError(frame.problem)
     image = prepare_frame(robot.preprocess, frame.pixels, robot.view or frame.view or seen(frame.pixels))
     if not image.any():
         raise UserError("nothing white is left of this frame: no pins to see")
     asked = time.perf_counter()
-    after, pose, sure = robot.step(image)
+    found = robot.step(image)
     answered = time.perf_counter()
-    if robot.expected is not None:
-        sure *= plausibility(image, robot.expected)
-    return after, pose, sure, answered - asked
+    likely = 1.0 if robot.expected is None else plausibility(image, robot.expected)
+    if why := state_doubt(found.sure, likely, robot.least):
+        raise UserError(why)
+    return found.after, found.pose, found.crisp * likely, answered - asked
 
 
 def _summary(found: _Found, live: bool, began: float) -> Streamed:

@@ -27,7 +27,6 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.evaluation.readers import PIN_PLACES, PoseReader, places, read, reader_of
 from jaxunshear.image.preprocess import prepare_frame
-from jaxunshear.image.understood import ENOUGH, plausibility
 from jaxunshear.metrics.machine import provenance
 from jaxunshear.metrics.pose import pose_errors
 from jaxunshear.progress import Progress
@@ -82,7 +81,7 @@ def score_transfer(
         "unsheared": (of_slides[UNSHEARED], slides.pose),
     }
     mae = {way: _errors(aligned, poses, labels) for way, (poses, labels) in ways.items()}
-    unread = [int(np.isnan(next(iter(of[AS_RECORDED].values()))).sum()) for of in (of_taps, of_slides)]
+    tap_read, slide_read = (np.isfinite(next(iter(of[AS_RECORDED].values()))) for of in (of_taps, of_slides))
     results = Results(
         experiment=experiment.name,
         trained_in=model.name,
@@ -99,11 +98,11 @@ def score_transfer(
         pose_recovery={"unsheared": _recovery(mae)},
         readers=_score_reader(tuple(aligned), known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
         counts=Counts(
-            known_taps=int(known_half.sum()),
-            test_taps=int((~known_half).sum()),
-            test_poses=len(slides.files),
-            unread_taps=unread[0],
-            test_unsure=unread[1],
+            known_taps=int((known_half & tap_read).sum()),
+            test_taps=int((~known_half & tap_read).sum()),
+            test_poses=int(slide_read.sum()),
+            unread_taps=int((~tap_read).sum()),
+            test_unsure=int((~slide_read).sum()),
         ),
         time_s={"evaluate": time.perf_counter() - started},
         **provenance(command),
@@ -180,22 +179,20 @@ def _read(
     with Progress(f"read {kind}", len(contacts.files), "frames") as progress:
         for start in range(0, len(contacts.files), BATCH):
             files = contacts.files[start : start + BATCH]
-            images, fine = np.zeros((BATCH, size, size), np.uint8), np.zeros(BATCH, bool)
+            images = np.zeros((BATCH, size, size), np.uint8)
             for i, file in enumerate(files):
                 try:
                     images[i] = prepare_frame(network.preprocess, read_image(file), view)
-                    fine[i] = plausibility(images[i], network.expected) >= ENOUGH
                 except UserError:
-                    continue  # counted as not read
+                    continue  # left black, which is not understood
             answers = network.answer(images)
-            fine &= answers.sure
             for way, poses in answers.poses.items():
                 for name, values in poses.items():
                     full = found.setdefault(way, {}).setdefault(name, np.full(len(contacts.files), np.nan))
-                    full[start : start + len(files)] = np.where(fine, values, np.nan)[: len(files)]
+                    full[start : start + len(files)] = values[: len(files)]
             for way, there in answers.pins.items():
                 full = pins.setdefault(way, np.full((len(contacts.files), *there.shape[1:]), np.nan))
-                full[start : start + len(files)] = np.where(fine[:, None, None], there, np.nan)[: len(files)]
+                full[start : start + len(files)] = there[: len(files)]
             progress.advance(len(files))
     if not found:
         raise UserError(f"{model} holds no trained PoseNet: what it reads off recordings is what is scored")

@@ -7,8 +7,9 @@ from types import ModuleType
 
 from jaxunshear.applications.folders import results_folder
 from jaxunshear.cli import geometry, pins, reconstruct, servo, stream
-from jaxunshear.cli.options import Commands, Model
+from jaxunshear.cli.options import Commands, Model, choose_exit_code
 from jaxunshear.owners import check_apart
+from jaxunshear.results.applications import Streamed
 from jaxunshear.storage import check_new_folder
 
 WORK: dict[str, ModuleType] = {
@@ -54,7 +55,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         from jaxunshear.report.report import write_report
 
         print(write_report(model[0]), file=sys.stderr)
-    return 0
+    return choose_exit_code(found.used, found.skipped) if isinstance(found, Streamed) else 0
 
 
 def _model(arguments: argparse.Namespace) -> Model:

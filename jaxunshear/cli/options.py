@@ -75,6 +75,15 @@ def stimuli_of(text: str) -> tuple[Touched, ...]:
     return found
 
 
+def add_force(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--force", action="store_true", help="answer images that are not of the model's sensor, too")
+
+
+def choose_exit_code(used: float, left_out: float) -> int:
+    """Return 1 where half of the images or more are left out: what is said of the others is no success."""
+    return int(left_out >= used)
+
+
 def add_engine(parser: argparse.ArgumentParser, piece: str) -> None:
     """Who does the pieces of a command; `engine_asked` reads it."""
     text = f"one {piece} after the other, or all over a Ray cluster (serial)"

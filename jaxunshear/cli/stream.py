@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from jaxunshear.cli.options import SKIN, Commands, Model, add_json, add_like, add_model, new_parser
+from jaxunshear.cli.options import SKIN, Commands, Model, add_force, add_json, add_like, add_model, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.results.applications import Streamed
@@ -21,6 +21,7 @@ def add_parser(commands: Commands) -> None:
     parser.add_argument("source", metavar="SOURCE", help="a folder, an image, a video file, or camera:N")
     add_model(parser, SKIN)
     add_like(parser)
+    add_force(parser)
     parser.add_argument("--fps", metavar="N", type=float, help="play a folder or video at this rate, as a camera would")
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="(float32)")
     parser.add_argument(
@@ -54,7 +55,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
     source = Path(arguments.source)
     like = arguments.like or (source if source.is_dir() else None)
     frame = frame_for(like, experiment) if like else None
-    robot = robot_of(folder, experiment, arguments.precision, arguments.way, frame)
+    robot = robot_of(folder, experiment, arguments.precision, arguments.way, frame, arguments.force)
     frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
     truth = truth_of(arguments.source, experiment)
     with _lines(arguments.lines) as lines:
@@ -71,8 +72,6 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
     print(f"note: {learnt_note(experiment)}", file=sys.stderr)
     for problem, count in list(summary.problems.items())[:5]:
         print(f"skipped {count}: {problem}", file=sys.stderr)
-    if not summary.used:
-        raise UserError(f"no frame of {arguments.source} could be used")
     return summary
 
 

@@ -3,7 +3,16 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import SKIN, Commands, add_json, add_like, add_model, new_parser
+from jaxunshear.cli.options import (
+    SKIN,
+    Commands,
+    add_force,
+    add_json,
+    add_like,
+    add_model,
+    choose_exit_code,
+    new_parser,
+)
 
 COMMANDS = ("unshear", "pose")
 
@@ -17,9 +26,7 @@ def add_parsers(commands: Commands) -> None:
         parser.add_argument("path", metavar="PATH", type=Path, help="an image, or a folder of recordings")
         add_model(parser, SKIN)
         add_like(parser)
-        parser.add_argument(
-            "--force", action="store_true", help="answer images that are not of the model's sensor, too"
-        )
+        add_force(parser)
         if name == "unshear":
             parser.add_argument("--out", metavar="DIR", type=Path, required=True, help="for images and poses.csv")
         add_json(parser)
@@ -40,4 +47,5 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         from jaxunshear.storage import write_json
 
         write_json(arguments.json, replace(measured, command=command))
-    return 0
+    counts = {row.name: row.value or 0 for row in measured.rows}
+    return choose_exit_code(counts[f"{arguments.command}.images"], counts[f"{arguments.command}.left_out"])

@@ -72,7 +72,10 @@ def learnt(name: str, taps: Reader, targets: Targets, most: int = MOST_TAPS) -> 
 
 
 def reader_of(features: np.ndarray, labels: Mapping[str, np.ndarray], targets: Targets) -> PoseReader | None:
-    """From features (N, F), NaN where nothing is seen, and the labels by field, (N, columns) each; None where there are too few."""
+    """From features (N, F), NaN where nothing is seen, and the labels by field, (N, columns) each; None where there are too few. What
+    shows nothing at all is not learnt from."""
+    some = np.isfinite(features).any(axis=1)
+    features, labels = features[some], {field: values[some] for field, values in labels.items()}
     if len(features) < FEWEST or not targets:
         return None
     seen = np.isfinite(features)

@@ -5,7 +5,7 @@ slides, as they are and unsheared, on recorded slides. Likeness is that of an un
 """
 
 import dataclasses
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple, TypeVar
@@ -72,28 +72,45 @@ def gathered_of(
     readers: Mapping[str, Reads] = MappingProxyType({}),
     split: str = "test",
 ) -> tuple[Gathered | None, Gathered | None]:
-    """Scores of a split's slides and of its taps, by the networks `run` and by `readers`.
+    """Scores of a split's slides and of its taps, by the networks `run` and by `readers`; where these read pins, of those contacts
+    alone whose pins were identified.
 
-    Raises UserError where no slide and no tap is labelled."""
-    inputs = PINS if over_pins(experiment) else IMAGES
+    Raises UserError where no slide and no tap is labelled, or read."""
+    pins = over_pins(experiment)
+    inputs = PINS if pins else IMAGES
     slides = taps = None
-    if test.slides is not None and (count := test.slides.length(split)):
+    seen = PINS if test.paired else PINS[1:]
+    if test.slides is not None and len(rows := select_identified(test.slides, split, seen if pins else ())):
         if test.paired:
-            batches = test.slides.split(split, BATCH, (*inputs, *PINS, *LABELS))
+            batches = _take_batches(test.slides, split, rows, (*inputs, *PINS, *LABELS))
         else:
-            batches = _alone(test.slides.split(split, BATCH, (IMAGES[1], PINS[1], *LABELS)))
-        slides = gather(run, batches, count, KEPT, targets, inputs=inputs, named=LABELS, readers=readers)
+            batches = _alone(_take_batches(test.slides, split, rows, (IMAGES[1], PINS[1], *LABELS)))
+        slides = gather(run, batches, len(rows), KEPT, targets, inputs=inputs, named=LABELS, readers=readers)
         slides = slides._replace(scores=_of_slides(slides.scores, test.paired))
-    if test.taps is not None and (count := test.taps.length(split)):
-        field = "pins" if over_pins(experiment) else "image"
+    if test.taps is not None and len(rows := select_identified(test.taps, split, ("pins",) if pins else ())):
         named = tuple(name for name in LABELS if name != "move")
-        batches = _as_pairs(test.taps.split(split, BATCH, ("image", "pins", *named)))
-        taps = gather(run, batches, count, 0, targets, f"evaluate taps ({field})", inputs, named, readers)
+        batches = _as_pairs(_take_batches(test.taps, split, rows, ("image", "pins", *named)))
+        title = f"evaluate taps ({'pins' if pins else 'image'})"
+        taps = gather(run, batches, len(rows), 0, targets, title, inputs, named, readers)
         of_taps = ("pose/tap/", *(f"read/{name}/tap/" for name in readers))
         taps = taps._replace(scores={n: s for n, s in taps.scores.items() if n.startswith(of_taps)})
     if slides is None and taps is None:
-        raise UserError(f"nothing can be scored: no {split} slide or tap has a label")
+        which = " and pins that are identified" if pins else ""
+        raise UserError(f"nothing can be scored: no {split} slide or tap has a label{which}")
     return slides, taps
+
+
+def select_identified(reader: Reader, split: str, fields: Sequence[str]) -> np.ndarray:
+    """Rows of a split whose pins were identified for sure, in all of the `fields` that hold pins; all rows without any."""
+    rows = np.arange(reader.length(split))
+    pins = reader.take(split, rows, fields)
+    return rows[np.all([np.isfinite(pins[name]).any(axis=(1, 2)) for name in fields], axis=0)] if fields else rows
+
+
+def _take_batches(reader: Reader, split: str, rows: np.ndarray, fields: Sequence[str]) -> Iterator[Batch]:
+    """The given rows of a split, in order."""
+    for start in range(0, len(rows), BATCH):
+        yield reader.take(split, rows[start : start + BATCH], fields)
 
 
 def results_of(
@@ -140,7 +157,7 @@ def results_of(
         recordings=recordings_of(experiment, stored),
         pairing=pairing_of(experiment, test.slides if test.paired else None, targets),
         targets=targets,
-        counts=counts_of(stored, slides, taps),
+        counts=counts_of(stored, (test.slides, slides), (test.taps, taps)),
         paper=PAPER,
         seeds={"experiment": experiment.seed, "splits": stored.settings.seed, "bootstrap": SEED},
         settings=dataclasses.asdict(experiment),

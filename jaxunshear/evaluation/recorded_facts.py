@@ -45,12 +45,19 @@ def pairing_of(experiment: Experiment, slides: Reader | None, targets: Targets) 
     return Pairing(recorded.pairing, shown)
 
 
-def counts_of(stored: RecordedSet, slides: Gathered | None, taps: Gathered | None) -> Counts:
+Tested = tuple[Reader | None, Gathered | None]  # contacts of the test, and what was scored of them
+
+
+def counts_of(stored: RecordedSet, slides: Tested, taps: Tested) -> Counts:
+    """How many contacts there are by split, and how many of the test were scored, or left out."""
     written = stored.metadata["counts"]["written"]
+    all_slides, all_taps = (0 if reader is None else reader.length("test") for reader, _ in (slides, taps))
+    test_poses, test_taps = (0 if found is None else len(found.labels["number"]) for _, found in (slides, taps))
     return Counts(
         **{split: written[split] for split in SPLITS},
-        test_poses=0 if slides is None else len(slides.labels["number"]),
-        test_taps=0 if taps is None else len(taps.labels["number"]),
-        test_unsure=0 if slides is None else int(np.sum(slides.labels["sure"] == 0)),
-        pin_images=0 if slides is None else len(slides.kept),
+        test_poses=test_poses,
+        test_taps=test_taps,
+        test_unsure=all_slides - test_poses,
+        unread_taps=all_taps - test_taps,
+        pin_images=0 if slides[1] is None else len(slides[1].kept),
     )

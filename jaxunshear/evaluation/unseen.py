@@ -108,7 +108,8 @@ def table(results: Results) -> str:
             f"{way}: {', '.join(f'{name} {share:.1%} within {widths[name]:.3g}' for name, share in shares.items())}"
         )
     counts = results.counts
-    lines.append(f"{counts.test_taps} taps, {counts.test_poses} slides, {counts.test_unsure} of them with unsure pins")
+    left_out = f"{counts.unread_taps or 0} taps and {counts.test_unsure or 0} slides were not understood"
+    lines.append(f"{counts.test_taps} taps, {counts.test_poses} slides; left out: {left_out}")
     return "\n".join(lines)
 
 

@@ -24,7 +24,7 @@ from jaxunshear.image.framing import undeformed
 from jaxunshear.image.pins import detect
 from jaxunshear.image.png import eight_bit
 from jaxunshear.image.preprocess import View, prepare_frame
-from jaxunshear.image.understood import inverse, verdict
+from jaxunshear.image.understood import ANY, inverse, verdict
 from jaxunshear.progress import Progress
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.scene.scene import edge_teller
@@ -36,7 +36,6 @@ from jaxunshear.settings.targets import SIMULATED
 
 SHEARED, TAP, TRUE = "sheared", "tap", "true"
 NO_EDGE_MM = 100.0  # a surface's edge is said to be further away than this
-UNSURE = "the pins of this image cannot be identified for sure: no unsheared image"
 
 
 class Picture(NamedTuple):
@@ -88,7 +87,8 @@ class Explorer:
             note = verdict(seen[:1], self.perceive.expected).reason
             note = f"the model does not know this sensor: {note or 'its pins only resemble those that it learnt from'}"
         else:
-            note = _add_answer(images, poses, self.perceive.answer(seen[:1]))
+            # what the simulator draws is of this sensor, however far it is pressed
+            note = _add_answer(images, poses, self.perceive._replace(least=ANY).answer(seen[:1]))
         return Picture(images, poses, np.stack([rest, pins[0]]), felt.state, felt.force_n, note)
 
     def recorded(self, name: str, data: bytes) -> Picture:
@@ -104,7 +104,7 @@ class Explorer:
             raise UserError(f"{name}: {found.reason}")
         images: dict[str, np.ndarray] = {SHEARED: inverse(image) if found.inverted else image}
         poses: dict[str, dict[str, float]] = {}
-        note = _add_answer(images, poses, network.answer(images[SHEARED][None]))
+        note = _add_answer(images, poses, network._replace(least=ANY).answer(images[SHEARED][None]))
         return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
 
 
@@ -125,8 +125,8 @@ def make_explorer(
 
 def _add_answer(images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], answers: Answers) -> str:
     """Adds the networks' answer on one image to its pictures and numbers; what hinders it, in one line."""
-    if not answers.sure[0]:
-        return UNSURE
+    if answers.doubt[0]:
+        return f"no unsheared image: {answers.doubt[0]}"
     if answers.unsheared is not None:
         images[UNSHEARED] = eight_bit(answers.unsheared[0])
     for way, key in ((AS_RECORDED, SHEARED), (UNSHEARED, UNSHEARED)):

@@ -26,6 +26,9 @@ NEIGHBOURS = 4  # of a pin that stands evenly are at most
 EVEN = 0.35  # of the spacing off it
 EVEN_ENOUGH = 0.7  # of the share expected: with fewer even pins there is no lattice
 ENOUGH = 0.5  # plausibility of an image that is one of the sensor's, and share of them in a folder that is
+ANY = 0.0  # in the place of ENOUGH: whatever it looks like
+UNSURE = "its pins cannot be identified for sure"
+STRANGE = "its pins are not those of the model's sensor"
 
 # How far an image of the right sensor may well be from what is expected; the units of the weights below.
 ALLOWED = {"pins": 0.12, "spacing": 0.08, "rim": 0.08, "middle": 0.06, "regular": 0.1}
@@ -121,6 +124,14 @@ def differences(seen: Seen, expected: Expected) -> dict[str, float]:
 def plausibility(image: np.ndarray, expected: Expected) -> float:
     """How likely a binary image (S, S) uint8 of {0, 255} is one of this sensor's, in [0, 1]."""
     return score(seen_of(image), expected)
+
+
+def state_doubt(sure: bool, likely: float, least: float = ENOUGH) -> str:
+    """Say why an image is not understood, so that it has no pose; empty where it is. All that answer images ask here.
+
+    `sure`: its pins were identified, or the networks need none. `likely`: its plausibility; below `least` it is a stranger.
+    """
+    return UNSURE if not sure else STRANGE if likely < least else ""
 
 
 def score(seen: Seen, expected: Expected) -> float:

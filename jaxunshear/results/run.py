@@ -100,9 +100,9 @@ class Counts:
     train: int | None = None
     validation: int | None = None
     test: int | None = None
-    test_poses: int | None = None
-    test_taps: int | None = None
-    test_unsure: int | None = None
+    test_poses: int | None = None  # poses or, of recordings, slides that are scored
+    test_taps: int | None = None  # that are scored
+    test_unsure: int | None = None  # slides that are left out, since they were not understood
     test_by_stimulus: Mapping[str, int] = field(default_factory=dict)
     pin_images: int | None = None
     contacts: int | None = None
@@ -110,7 +110,7 @@ class Counts:
     dropped: int | None = None
     reader_taps: Mapping[str, int] | None = None
     known_taps: int | None = None
-    unread_taps: int | None = None
+    unread_taps: int | None = None  # left out likewise
 
 
 @dataclass(frozen=True)

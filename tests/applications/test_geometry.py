@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from jaxunshear.applications.geometry import cell_areas, read_at, relative_growth, smoothed, surface
 from jaxunshear.applications.geometry_scores import correlation
+from jaxunshear.applications.recorded_geometry import heights_of_recordings
+from jaxunshear.image.dots import dots
 from jaxunshear.image.lattice import make_lattice, shells
 from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 
 
@@ -14,6 +18,24 @@ from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
 def lattice(request):
     flat = pin_lattice(request.param)
     return make_lattice(flat / np.abs(flat).max() * 46 + 64, shells(request.param))
+
+
+def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
+    """Networks over images draw pins whatever they are given, so that noise would have a touch, too."""
+    flat = pin_lattice(TACTIP_127)
+    untouched = make_lattice(flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, shells(TACTIP_127))
+    pins = np.asarray(dots(np.float32(untouched.place)[None], 2.0, 128))[0, ..., 0]
+    noise = np.random.default_rng(0).random((128, 128)) < 0.2
+    for name, image in (("a", pins > 0.5), ("b", noise)):  # a folder each: crops are common to one
+        (tmp_path / name).mkdir()
+        Image.fromarray(np.uint8(255 * image)).save(tmp_path / name / "0.png")
+    drawn = {"disentangled": lambda images: np.zeros((len(images), *untouched.place.shape))}
+    names, heights = heights_of_recordings(
+        tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], drawn
+    )
+    assert names == ["a/0.png", "b/0.png"] and heights.keys() == {"as recorded", "disentangled"}
+    for felt in heights.values():
+        assert np.abs(felt[0]).max() < 0.5 and np.isnan(felt[1]).all()
 
 
 def test_an_undeformed_sensor_is_flat(lattice):

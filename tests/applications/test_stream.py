@@ -4,16 +4,21 @@ import base64
 import io
 import json
 import time
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from jaxunshear.applications import sources
+from jaxunshear.applications.perceiver import expected_by
 from jaxunshear.applications.sources import Frame, frames_of
-from jaxunshear.applications.stream import Robot, confidence, steady_view, stream
+from jaxunshear.applications.stream import Perceived, Robot, confidence, steady_view, stream
 from jaxunshear.dataset.recordings import PROBES, read_recordings
 from jaxunshear.errors import UserError
+from jaxunshear.image.dots import dots as draw_dots
+from jaxunshear.image.framing import undeformed
+from jaxunshear.image.understood import ANY, ENOUGH, STRANGE, UNSURE
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.load import load_experiment
 
@@ -25,7 +30,7 @@ def dots(seed=0, size=128):
 
 
 def step(image):
-    return image / 255.0, {"edge_mm": 0.25, "edge_deg": -3.0}, 0.9
+    return Perceived(image / 255.0, {"edge_mm": 0.25, "edge_deg": -3.0}, 0.9)
 
 
 def run(frames, live=False, seconds=0.0, images=None, inline=True):
@@ -64,6 +69,30 @@ def test_bad_frames_are_reported_and_skipped():
     assert sum(summary.problems.values()) == 5
 
 
+def test_a_frame_that_is_not_understood_has_no_pose_and_enters_no_mean():
+    """One is noise, of another no pins were identified; what is forced is answered, but for the latter."""
+    preprocess = EXPERIMENT.paired.preprocess
+    expected = expected_by(None, EXPERIMENT)
+    known = undeformed(EXPERIMENT.sensor, EXPERIMENT.paired.camera, preprocess)
+    pins = np.uint8(255 * np.asarray(draw_dots(np.float32(known.place)[None], 1.5, preprocess.size))[0, ..., 0] + 0.5)
+    frames = [Frame(0, "pins", pins, ""), Frame(1, "noise", dots(), ""), Frame(2, "hidden", pins, "")]
+
+    def answer(least):
+        sure, out = iter((True, True, False)), io.StringIO()
+        robot = Robot(lambda image: step(image)._replace(sure=next(sure)), preprocess, None, expected, least)
+        summary = stream(iter(frames), False, robot, out, None, True, lambda number: {"edge_mm": 0.25 - number})
+        return summary, [json.loads(line) for line in out.getvalue().splitlines()]
+
+    summary, lines = answer(ENOUGH)
+    assert (summary.used, summary.skipped, summary.problems) == (1, 2, {STRANGE: 1, UNSURE: 1})
+    assert lines[0]["confidence"] > 0.5 and summary.pose_mae == {"edge_mm": 0}
+    for line, reason in zip(lines[1:], (STRANGE, UNSURE), strict=True):
+        assert line.keys() == {"frame", "name", "confidence", "error"}
+        assert (line["confidence"], line["error"]) == (0, reason)
+    summary, lines = answer(ANY)
+    assert (summary.used, summary.problems) == (2, {UNSURE: 1}) and lines[1]["confidence"] < 0.01
+
+
 @pytest.mark.parametrize("kind", ["sixteen bits", "colour", "rectangle"])
 def test_other_kinds_of_frames_are_used(kind):
     grey = np.kron(dots(2, 64), np.ones((4, 4), np.uint8))
@@ -73,6 +102,55 @@ def test_other_kinds_of_frames_are_used(kind):
         "rectangle": np.pad(grey, ((0, 0), (40, 40))),
     }[kind]
     assert run([Frame(0, kind, pixels, "")])[0].used == 1
+
+
+class Capture:
+    """A camera of OpenCV's that gives the same picture three times."""
+
+    def __init__(self, pixels):
+        self.left = [pixels] * 3
+
+    def get(self, prop):
+        return 3
+
+    def read(self):
+        return (True, self.left.pop()) if self.left else (False, None)
+
+    def release(self):
+        pass
+
+
+@pytest.mark.parametrize("channels", [(), (1,), (3,), (4,)])
+def test_greys_of_a_camera_are_not_mirrored_and_colours_are_red_green_blue(channels):
+    pixels = np.random.default_rng(0).integers(0, 255, (40, 60, *channels), dtype=np.uint8)
+    shown = [frame.pixels for frame in sources._captured(Capture(pixels), "camera 0", float("inf"))]
+    colour = channels in ((3,), (4,))
+    expected = np.stack([pixels[..., 2], pixels[..., 1], pixels[..., 0]], -1) if colour else pixels
+    assert len(shown) == 3 and all(np.array_equal(each, expected) for each in shown)
+
+
+@pytest.mark.skipif(find_spec("cv2") is None, reason="needs the extra `camera`")
+def test_a_video_is_streamed_and_a_damaged_one_refused_in_silence(tmp_path, capfd):
+    cv2 = sources._opencv()  # first, since it decides what OpenCV prints
+    video = tmp_path / "touch.avi"
+    grey = np.zeros((120, 160), np.uint8)
+    grey[:, :80] = 255
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 10, (160, 120))
+    for _ in range(4):
+        writer.write(np.stack([grey, grey // 2, 0 * grey], -1))  # blue, green, red
+    writer.release()
+    frames, live = frames_of(str(video), Preprocess(), None)
+    shown = list(frames)
+    assert not live and [frame.name for frame in shown] == [f"touch.avi {number}" for number in range(4)]
+    left, right = (shown[0].pixels[:, half].mean(axis=(0, 1)) for half in (slice(70), slice(90, None)))
+    np.testing.assert_allclose(left, [0, 127, 255], atol=6)  # red, green, blue
+    np.testing.assert_allclose(right, 0, atol=6)
+    summary, lines = run(frames_of(str(video), Preprocess(), None)[0])
+    assert summary.used == len(lines) == 4
+    (tmp_path / "torn.mp4").write_bytes(b"\0\0\0\x18ftypmp42" + b"x" * 500)
+    with pytest.raises(UserError, match="cannot be read as a video"):
+        frames_of(str(tmp_path / "torn.mp4"), Preprocess(), None)
+    assert capfd.readouterr() == ("", "")
 
 
 def test_images_go_to_a_folder(tmp_path):

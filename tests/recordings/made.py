@@ -87,6 +87,16 @@ def _drawn(pins: np.ndarray, radius: float, size: int) -> np.ndarray:
     return (255 * np.asarray(DOTS(pins.astype(np.float32), radius, size))[0, ..., 0]).astype(np.uint8)
 
 
+def hide_pins(folder: Path, numbers: list[int]) -> None:
+    """Paint the pins in the middle, three or so, out of images in the older layout."""
+    for number in numbers:
+        file = folder / "images" / f"image_{number}.png"
+        picture = np.array(Image.open(file))
+        row, column = (side // 2 for side in picture.shape)
+        picture[row - 4 : row + 4, column - 7 : column + 7] = 0
+        Image.fromarray(picture).save(file)
+
+
 def edge(folder: Path, taps: int = 60, slides: int = 60, seed: int = 0, layout: str = "older") -> Path:
     """Taps and slides of an edge, in two folders below one."""
     write(folder / "tap" / "csv_train", *contacts(taps, False, seed), layout)

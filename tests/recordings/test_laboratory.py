@@ -1,6 +1,7 @@
 """A laboratory's day, from the command line: from folder to report, scored on what was never seen, put to use."""
 
 import csv
+import errno
 import json
 import shutil
 import sys
@@ -32,6 +33,10 @@ def slides(tmp_path_factory):
 
 def rows_of(file):
     return {row["name"]: row["value"] for row in json.loads(Path(file).read_text())["rows"]}
+
+
+def read_csv(text):
+    return {row["name"]: row for row in csv.DictReader(text.splitlines())}
 
 
 def test_a_run_gives_errors_under_the_names_that_other_tools_rely_on(pins_run):
@@ -70,6 +75,93 @@ def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, 
             assert 0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
         assert 0.5 < rows[f"coverage.{way}.y_mm"] <= 1
     assert "recovery" in answer.out and "40 taps, 40 slides" in answer.out and "% within" in answer.out
+
+
+def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(command, pins_run, place, tmp_path):
+    hidden = {"tap": [3, 11, 20], "shear": [1, 2, 17, 30, 40]}
+    found = {}
+    for name in ("hidden", "without"):
+        other = made.edge(tmp_path / name, 40, 40, seed=50)
+        for kind, numbers in hidden.items():
+            made.hide_pins(other / kind / "csv_train", numbers)
+            for number in numbers if name == "without" else ():
+                (other / kind / "csv_train" / "images" / f"image_{number}.png").unlink()
+        words = ("--recordings", other, "--data", place / "datasets", "--json", tmp_path / f"{name}.json")
+        answer = command("evaluate", pins_run, *words)
+        assert answer.code == 0, answer.err
+        assert "37 taps, 35 slides" in answer.out
+        assert ("3 taps and 5 slides were not understood" in answer.out) == (name == "hidden")
+        found[name] = {
+            row: value for row, value in rows_of(tmp_path / f"{name}.json").items() if row.startswith("pose")
+        }
+    assert len(found["hidden"]) >= 12 and found["hidden"] == pytest.approx(found["without"], rel=1e-4)
+
+
+@pytest.fixture(scope="module")
+def some_hidden(slides, tmp_path_factory):
+    """The 40 slides, 20 of them with pins painted out, and which these are."""
+    folder = shutil.copytree(slides, tmp_path_factory.mktemp("hidden") / "shear")
+    numbers = list(range(1, 41, 2))
+    made.hide_pins(folder / "csv_train", numbers)
+    return folder, {f"csv_train/images/image_{number}.png" for number in numbers}
+
+
+def test_images_whose_pins_are_not_identified_have_no_pose(command, pins_run, slides, some_hidden, tmp_path):
+    """Not in the table, not in a picture, not in the mean errors; they are counted, and half of them are no success."""
+    folder, hidden = some_hidden
+    whole = command("unshear", slides, "--model", pins_run, "--out", tmp_path / "whole")
+    assert whole.code == 0 and "40 images unsheared, 0 left out" in whole.out
+    answer = command("unshear", folder, "--model", pins_run, "--out", tmp_path / "out", "--json", tmp_path / "u.json")
+    assert answer.code == 1, answer.err
+    assert "20 images unsheared, 20 left out" in answer.out
+    assert "left out 20: its pins cannot be identified for sure" in answer.out
+    known, rows = (read_csv((tmp_path / out / "poses.csv").read_text()) for out in ("whole", "out"))
+    assert rows.keys() == known.keys() and {name for name, row in rows.items() if row["left_out"]} == hidden
+    assert len(list((tmp_path / "out").rglob("*.png"))) == 20
+    for name, row in rows.items():
+        poses = [row[target] for target in TARGETS]
+        assert poses == ([""] * 3 if name in hidden else [known[name][target] for target in TARGETS])
+        assert row["image"] == ("" if name in hidden else name) and row["recorded_pose_y_mm"]
+    off = np.mean([abs(float(row["y_mm"]) - float(row["recorded_pose_y_mm"])) for row in rows.values() if row["y_mm"]])
+    measured = rows_of(tmp_path / "u.json")
+    assert measured["pose_mae.unsheared.y_mm"] == pytest.approx(off, abs=2e-3)
+    assert (measured["unshear.images"], measured["unshear.left_out"]) == (20, 20)
+
+
+def test_pose_and_stream_leave_them_out_likewise(command, pins_run, slides, some_hidden, tmp_path):
+    folder, hidden = some_hidden
+    answer = command("pose", folder, "--model", pins_run, "--json", tmp_path / "pose.json")
+    assert answer.code == 1 and "poses of 20 images, 20 left out" in answer.err
+    assert "left out 20: its pins cannot be identified for sure" in answer.err
+    rows = read_csv(answer.out)
+    for name, row in rows.items():
+        poses = [value for cell, value in row.items() if cell.startswith(("as_recorded", "unsheared", "learnt"))]
+        assert len(poses) == 9 and [bool(pose) for pose in poses] == [name not in hidden] * 9
+    measured = rows_of(tmp_path / "pose.json")
+    assert measured["pose.left_out"] == 20 and not [row for row in measured if row.startswith(tuple(hidden))]
+
+    answer = command("stream", folder, "--model", pins_run, "--json", tmp_path / "stream.json")
+    assert answer.code == 1 and "20 frames used, 20 skipped" in answer.err
+    for line in map(json.loads, answer.out.splitlines()):
+        if line["name"] in hidden:
+            assert line.keys() == {"frame", "name", "confidence", "error"} and line["confidence"] == 0
+            assert line["error"] == "its pins cannot be identified for sure"
+        else:
+            assert line["y_mm"] == pytest.approx(float(rows[line["name"]]["unsheared_y_mm"]), abs=1e-3)
+    mae = json.loads((tmp_path / "stream.json").read_text())["pose_mae"]
+    assert mae["y_mm"] == pytest.approx(measured["pose_mae.unsheared.y_mm"], abs=1e-3)
+
+
+def test_python_says_nan_of_them_in_all_that_it_gives(pins_run, some_hidden):
+    folder, hidden = some_hidden
+    model, recordings = load_model(pins_run), read_recordings(folder, Preprocess(size=made.SIZE))
+    names, frames = zip(*((name, image) for _, name, image in recordings.frames(model.perceiver.view)), strict=True)
+    images, known = np.stack(frames), np.array([name not in hidden for name in names])
+    codes, pose = model.codes(images), model.pose(images)
+    answers = (model.unshear(images), codes.pose, codes.shear, *pose["as_recorded"].values(), *pose["learnt"].values())
+    for answer in (*answers, *pose["unsheared"].values(), *(model.slide(images).values() if model.slides else ())):
+        values = answer.reshape(len(known), -1)
+        assert np.isfinite(values[known]).all() and np.isnan(values[~known]).all()
 
 
 def test_taps_alone_and_slides_alone_are_scored_as_far_as_they_go(command, pins_run, place, tmp_path):
@@ -134,8 +226,15 @@ def test_images_are_unsheared_and_frames_streamed(command, pins_run, slides, tmp
     lines = [json.loads(line) for line in (tmp_path / "lines").read_text().splitlines()]
     assert len(lines) == 40 and {*TARGETS, *(f"error_{t}" for t in TARGETS), "confidence"} <= lines[0].keys()
     assert "mean error against the labels: y_mm" in answer.err
-    full = command("stream", slides, "--model", pins_run, "--lines", "/dev/full", "--no-images")
-    assert full.code == 2 and "cannot write /dev/full: the disk is full" in full.err.splitlines()[-1]
+
+
+def test_lines_that_find_no_room_end_a_stream_in_one_line(command, pins_run, slides, tmp_path, monkeypatch):
+    def write(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("jaxunshear.applications.stream._write", write)
+    full = command("stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images")
+    assert full.code == 2 and "lines: the disk is full" in full.err.splitlines()[-1]
 
 
 def test_what_walks_in_the_simulator_is_refused_by_name(command, pins_run):

@@ -1,5 +1,6 @@
 """From simulation to skin: what a network reads is brought into the labels' frame by taps alone, then scored."""
 
+import csv
 import json
 from functools import partial
 
@@ -8,8 +9,9 @@ import made
 import numpy as np
 import pytest
 
+from jaxunshear import load_model
 from jaxunshear.applications import transfer
-from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, between
+from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Perceiver, Seen, Values, between
 from jaxunshear.applications.transfer import aligned_with, score_transfer, scored
 from jaxunshear.dataset.recorded import everything
 from jaxunshear.errors import UserError
@@ -93,8 +95,8 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
 
     asked = batches(transfer.BATCH)
 
-    def answers(images):
-        assert len(images) == transfer.BATCH
+    def values(seen):
+        assert len(seen.given) == transfer.BATCH
         pose, off = next(asked)
 
         def read(error):
@@ -107,10 +109,13 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
             return np.repeat(shown[:, :, None], 2, axis=2)
 
         poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2)}
-        return Answers(None, poses, np.ones(len(images), bool), {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
+        return Values(None, poses, {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
+
+    def read(images):
+        return Seen(images, np.ones(len(images), bool))
 
     expected = expected_of(made.rest_px(), made.SIZE)
-    network = Perceiver(preprocess, None, (), lambda seen: seen, answers, expected)
+    network = Perceiver(preprocess, None, (), read, values, expected)
     results = score_transfer(Experiment("small", "none"), tmp_path / "weights", folder, "a command", network)
     assert next(asked, None) is None
     mae = results.pose_mae
@@ -190,6 +195,35 @@ def test_a_stream_reads_what_unshear_reads(command, weights, tmp_path):
     head, *rows = (line.split(",") for line in (tmp_path / "out" / "poses.csv").read_text().splitlines())
     for line, row in zip(lines, rows, strict=True):
         assert line["edge_mm"] == pytest.approx(float(row[head.index("edge_mm")]), abs=1e-3)
+
+
+def test_weights_of_simulated_pins_give_no_pose_where_pins_are_not_identified(command, weights, tmp_path):
+    """Three of 30 frames are left out and the rest is a success; all of them are none."""
+    like = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
+    words = ("--model", weights, "--like", like)
+    for count, code in ((3, 0), (30, 1)):
+        folder = made.write(tmp_path / f"hidden{count}", *made.contacts(30, True, 0))
+        made.hide_pins(folder, list(range(1, count + 1)))
+        answer = command("unshear", folder, *words, "--out", tmp_path / f"out{count}")
+        assert answer.code == code and f"{30 - count} images unsheared, {count} left out" in answer.out, answer.err
+        assert len(list((tmp_path / f"out{count}").rglob("*.png"))) == 30 - count
+        answer = command("pose", folder, *words)
+        assert answer.code == code and f"{count} left out" in answer.err
+        rows = list(csv.DictReader(answer.out.splitlines()))
+        assert [row["unsheared_edge_mm"] == "" for row in rows] == [True] * count + [False] * (30 - count)
+        answer = command("stream", folder, *words, "--no-images")
+        assert answer.code == code and f"{30 - count} frames used, {count} skipped" in answer.err
+        assert ["edge_mm" in json.loads(line) for line in answer.out.splitlines()] == [False] * count + [True] * (
+            30 - count
+        )
+
+
+def test_images_of_other_things_have_no_pose_in_python_unless_forced(weights, tmp_path):
+    like = made.write(tmp_path / "edge", *made.contacts(30, True, 0))
+    noise = np.where(RNG.random((2, made.SIZE, made.SIZE)) < 0.2, 255, 0).astype(np.uint8)
+    for forced in (False, True):  # no pins: whoever is forced knows no more
+        model = load_model(weights, like, force=forced)
+        assert np.isnan(model.unshear(noise)).all() and np.isnan(model.codes(noise).pose).all()
 
 
 def test_folders_of_another_sensor_are_refused_by_name(command, weights, tmp_path):
