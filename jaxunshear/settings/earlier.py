@@ -20,6 +20,7 @@ LATER: Json = {
     "paired_share": 1.0,
     "tap_weight": 0.0,
     "alike_weight": 0.0,
+    "split": "random",
 }
 
 GONE: Json = {"shear_noise": 0.0}  # settings that files may still have, and what they do nothing at
