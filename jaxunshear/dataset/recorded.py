@@ -4,7 +4,8 @@ contacts = survey(settings)                                     # labels alone: 
 sensor = sensor_of(contacts, settings.preprocess)               # by the number of pins
 paths, frame = prepare(settings, sensor, contacts, folder)      # chunks of images and pins; goes on where a killed run stopped
 
-Splits are by pose (`Recorded.split`): a tap and the slides to its pose are in the same one, whatever their order in the files.
+Splits are by pose (`Recorded.split`): a tap and the slides to its pose are in the same one,
+whatever their order in the files.
 """
 
 import re
@@ -187,9 +188,10 @@ def _contacts(recordings: Recordings, slid: np.ndarray) -> Contacts:
 
 
 def _split(contacts: Contacts, settings: Recorded) -> Contacts:
-    """By a block of poses, or by the folders' names; what these leave open by a hash of the pose, for taps and slides alike.
+    """Split by a block of poses, or by folders' names and, where these leave it open, by the pose.
 
-    Names count only where some contacts are left to learn from: a folder that happens to be called `test` is no split.
+    Taps and slides are split alike. Names count only where some contacts are left to learn from: a
+    folder that happens to be called `test` is no split.
     """
     named = np.array([_named_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)])
     if settings.split == "block":
@@ -209,8 +211,8 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
                 continue
             if settings.split == "folder" and here.any():
                 raise UserError(
-                    f"paired.split folder: no folder of {kind} has the name of the split '{name}', such as csv_{name}: "
-                    "move contacts into one, or use --paired.split random"
+                    f"paired.split folder: no folder of {kind} has the name of the split '{name}', "
+                    f"such as csv_{name}: move contacts into one, or use --paired.split random"
                 )
             chosen = opened & (drawn >= start) & (drawn < start + share)
             if not chosen.any() and (left := opened & (split == 0)).sum() > len(
@@ -223,12 +225,16 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
 
 
 def _split_by_block(contacts: Contacts, named: np.ndarray, settings: Recorded) -> Contacts:
-    """Without the contacts that have no pose, which may lie in the block. Raises UserError where folders are splits already."""
+    """Keep a block of poses out, and drop contacts without a pose, since they may lie in it.
+
+    Raises UserError if a folder is a split by its name.
+    """
     kept_out = np.flatnonzero((named == "validation") | (named == "test"))
     if len(kept_out):
         raise UserError(
-            f"paired.split block: {contacts.files[kept_out[0]].parent} is a split by its name: use --paired.split folder, or "
-            "name the training folders alone, `jaxunshear fit --taps DIR --slides DIR`"
+            f"paired.split block: the folder of {contacts.names[kept_out[0]]} is a split by its "
+            "name: use --paired.split folder, or name the training folders alone, "
+            "`jaxunshear fit --taps DIR --slides DIR`"
         )
     known = np.isfinite(contacts.pose).all(axis=1)
     if not known.all():

@@ -11,6 +11,11 @@ from jaxunshear.settings.types import Rule
 
 Pairing = Literal["rendered", "nearest", "pose_id", "file", "simulated"]
 Split = Literal["random", "block", "folder"]
+KEPT_OUT: dict[str, str] = {  # what each way of splitting keeps out, in a report's words
+    "random": "random split",
+    "block": "block of poses",
+    "folder": "split by folders",
+}
 MOST_TWIST_DEG = 90.0
 MOST_SEED = 2**31 - 1
 
@@ -138,11 +143,11 @@ RENDERED = ("rendered", "simulated")  # pairings that take a renderer; the latte
 class Recorded:
     """`tactip_recorded` in the place of `PairedData`: recorded slides, each with a tap to be unsheared to.
 
-    Both folders may be one: labels say which is which. `split` says which poses are kept out of training:
-    "random": folders named `*val*` and `*test*` are those splits; what they leave open is drawn at random by pose.
-    "block": poses whose label lies within an interval are the test, those on either side of it are for validation, so that no
-    training pose is near a test pose (`dataset/pose_block.py`).
-    "folder": folders so named alone; an error where there is none.
+    Both folders may be one: labels say which is which. `split` chooses what is kept out of training:
+    "random": folders named `*val*` and `*test*`; what they leave open is drawn at random by pose.
+    "block": poses whose label lies in an interval are the test, those on either side of it are
+    for validation, so that no training pose is near a test pose (`dataset/pose_block.py`).
+    "folder": folders so named alone; an error if there is none.
     """
 
     tap_folder: str = ""  # none: there are no taps

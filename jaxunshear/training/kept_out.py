@@ -74,8 +74,8 @@ def _recorded(origin: Origin, ours: Recorded, entire: bool) -> str:
     if entire:
         return f"{learnt}: test on others, or use weights that have not seen them"
     theirs = LATER | theirs
-    names = ("split", "seed", "test", "validation")
-    other = [f"paired.{name} {theirs[name]}" for name in names if theirs[name] != getattr(ours, name)]
+    names = [name for name in ("split", "seed", "test", "validation") if theirs[name] != getattr(ours, name)]
+    other = [f"paired.{name} {theirs[name]}" for name in names]
     other += ["another table of pairs"] if pairs_in(theirs["digest"]) != pairs_in(ours.digest) else []
     other += [f"data version {origin['version']}"] if origin["version"] != version_of(ours) else []
     return f"{learnt}, split with {', '.join(other)}: split them alike, or use other weights" if other else ""

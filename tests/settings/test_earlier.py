@@ -17,6 +17,7 @@ from jaxunshear.storage import read_json, write_json
 from jaxunshear.training.checkpoint import read_net, write_settings
 
 NOW = Experiment(name="now", claim="none")
+RECORDED = dataclasses.replace(NOW, paired=Recorded(), pose=RecordedTaps())
 
 
 def groups(kind):
@@ -28,7 +29,7 @@ def groups(kind):
 
 
 def test_what_came_later_does_nothing_at_its_default():
-    fields = [field for group in groups(NOW) for field in group if field.name in LATER]
+    fields = [field for now in (NOW, RECORDED) for group in groups(now) for field in group if field.name in LATER]
     assert {field.name for field in fields} == set(LATER)
     assert all(field.default == LATER[field.name] for field in fields)
 
@@ -91,5 +92,11 @@ def test_lists_of_json_are_tuples():
 
 
 def test_a_group_without_settings_is_itself():
-    recorded = dataclasses.replace(NOW, paired=Recorded(), pose=RecordedTaps())
-    assert from_json(to_json(recorded)) == recorded
+    assert from_json(to_json(RECORDED)) == RECORDED
+
+
+def test_an_earlier_recorded_run_was_split_at_random():
+    earlier = without_later(to_json(RECORDED))
+    assert "split" not in earlier["paired"] and from_json(earlier).paired.split == "random"
+    block = to_json(replaced(RECORDED, "paired.split", "block"))
+    assert without_later(block)["paired"]["split"] == "block"
