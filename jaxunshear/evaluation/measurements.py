@@ -33,7 +33,7 @@ def measurements(results: Results) -> Measured:
     for network, times in results.ms_per_image.items():
         rows.append(_row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"))
     rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results.time_s.items()]
-    return Measured(rows, results.machine, results.versions)
+    return Measured(rows, results.machine, results.versions, test_data=results.test_data)
 
 
 def _rows(kinds: Table | Mapping[str, Swapped] | None, table: str, metric: str | int, prefix: str) -> list[Measurement]:

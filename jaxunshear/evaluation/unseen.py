@@ -18,6 +18,7 @@ from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet, frame_
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
+from jaxunshear.evaluation.recorded_facts import describe_test
 from jaxunshear.evaluation.within import coverage
 from jaxunshear.metrics.machine import machine, versions
 from jaxunshear.results.run import EVALUATED, Full, Results, Table
@@ -104,13 +105,18 @@ def table(results: Results) -> str:
         lines.append(f"{'recovery':<16}" + "".join(_figure(recovery[name], 2) for name in names))
     for reader, errors in results.readers.items():
         lines += _errors(f"reader {reader}", errors, names)
+    if results.coverage:
+        lines.append(f"95 % half-widths of the run's own session, tried on {describe_test(results)}:")
     for way, shares in (results.coverage or {}).items():
         widths = (results.half_width or {})[way]
         lines.append(
             f"{way}: {', '.join(f'{name} {share:.1%} within {widths[name]:.3g}' for name, share in shares.items())}"
         )
     counts = results.counts
-    lines.append(f"{counts.test_taps} taps, {counts.test_poses} slides, {counts.test_unsure} of them with unsure pins")
+    lines.append(
+        f"test, {describe_test(results)}: {counts.test_taps} taps, {counts.test_poses} slides, "
+        f"{counts.test_unsure} of them with unsure pins"
+    )
     return "\n".join(lines)
 
 

@@ -39,6 +39,7 @@ class Measured:
     rows: Sequence[Measurement]
     machine: Machine
     versions: Versions
+    test_data: str | None = None  # of a run over recordings, as its results say
 
 
 @dataclass(frozen=True, kw_only=True)
