@@ -4,8 +4,7 @@ contacts = survey(settings)                                     # labels alone: 
 sensor = sensor_of(contacts, settings.preprocess)               # by the number of pins
 paths, frame = prepare(settings, sensor, contacts, folder)      # chunks of images and pins; goes on where a killed run stopped
 
-Splits are by pose (`Recorded.split`): a tap and the slides to its pose are in the same one,
-whatever their order in the files.
+Splits are by pose: a tap and the slides to its pose are in the same one, in any order of files.
 """
 
 import re
@@ -215,9 +214,8 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
                     f"such as csv_{name}: move contacts into one, or use --paired.split random"
                 )
             chosen = opened & (drawn >= start) & (drawn < start + share)
-            if not chosen.any() and (left := opened & (split == 0)).sum() > len(
-                SPLITS
-            ):  # of few contacts chance may take none
+            left = opened & (split == 0)
+            if not chosen.any() and left.sum() > len(SPLITS):  # of few contacts chance may take none
                 chosen = left & (drawn == drawn[left].min())
             split[chosen] = SPLITS.index(name)
             start += share
@@ -232,9 +230,8 @@ def _split_by_block(contacts: Contacts, named: np.ndarray, settings: Recorded) -
     kept_out = np.flatnonzero((named == "validation") | (named == "test"))
     if len(kept_out):
         raise UserError(
-            f"paired.split block: the folder of {contacts.names[kept_out[0]]} is a split by its "
-            "name: use --paired.split folder, or name the training folders alone, "
-            "`jaxunshear fit --taps DIR --slides DIR`"
+            f"paired.split block: the folder of {contacts.names[kept_out[0]]} is a split by its name: use "
+            "--paired.split folder, or name training folders alone, `jaxunshear fit --taps DIR --slides DIR`"
         )
     known = np.isfinite(contacts.pose).all(axis=1)
     if not known.all():
