@@ -114,19 +114,51 @@ def touched() -> str:
     return "\n".join(lines)
 
 
+OTHER = "other recordings (locked)"
+
+
 def real_skin() -> str:
-    """Errors over pins and over images, each with its 95 % interval over seeds and contacts."""
-    inputs = [swept(name)[0].metrics for name in ("recorded_pins", "recorded_images")]
-    lines = [
-        "| a PoseNet that learnt from taps reads | pins: y, mm | pins: Rz, deg | images: y, mm | images: Rz, deg |",
-        "|---|---|---|---|---|",
+    """Errors over pins and over images: on the own tenth with 95 % intervals, and on other recordings."""
+    columns = [(name, q, d) for name in ("pins", "images") for q, d in COLUMNS]
+    own = {name: swept(f"recorded_{name}")[0].metrics for name in ("pins", "images")}
+    locked = {name: _locked(f"recorded_{name}_seed0") for name in ("pins", "images")}
+    head = [f"{name}: {q.replace('_', ', ')}: same session | {OTHER}" for name, q, _ in columns]
+    lines = [as_line("a PoseNet that learnt from taps reads", head), "|---|" + "---|---|" * len(columns)]
+    for shown, key in ROWS.items():
+        cells = [
+            f"{with_interval(own[name][f'{key}/{q}'], d)} | {_locked_value(locked[name], key, q):.{d}f}"
+            for name, q, d in columns
+        ]
+        lines.append(as_line(shown, cells))
+    undone = [
+        f"{with_interval(own[name][f'pose_recovery/disentangled/{q}'], 2)} | {locked[name][f'pose_recovery.disentangled.{q}']:.2f}"
+        for name, q, _ in columns
     ]
-    lines += [
-        as_line(name, [with_interval(one[f"{key}/{q}"], d) for one in inputs for q, d in COLUMNS])
-        for name, key in ROWS.items()
-    ]
-    undone = [with_interval(one[f"pose_recovery/disentangled/{q}"], 2) for one in inputs for q, _ in COLUMNS]
     return "\n".join([*lines, as_line("recovery: the share of the slide's damage undone", undone)])
+
+
+def other_recordings() -> str:
+    """Errors of one training over pins on its own tenth and on other recordings, and what its half-widths hold."""
+    own, locked = swept("recorded_pins")[0].metrics, _locked("recorded_pins_seed0")
+    columns = (("y_mm", 3), ("z_mm", 3), ("Rz_deg", 2))
+    head = [f"{q.replace('_', ', ')}: same session | {OTHER}" for q, _ in columns]
+    lines = [as_line("pins, seed 0", head), "|---|" + "---|---|" * len(columns)]
+    for shown, key in list(ROWS.items())[:4]:
+        cells = [f"{own[f'{key}/{q}'].per_seed['0']:.{d}f} | {_locked_value(locked, key, q):.{d}f}" for q, d in columns]
+        lines.append(as_line(shown, cells))
+    held = [
+        f"{own[f'coverage/unsheared/{q}'].per_seed['0']:.1%} | {locked[f'coverage.unsheared.{q}']:.1%}"
+        for q, _ in columns
+    ]
+    return "\n".join([*lines, as_line("95 % half-widths of slides unsheared hold", held)])
+
+
+def _locked_value(rows: dict[str, float], key: str, quantity: str) -> float:
+    """Find the figure of locked recordings that a sweep's results have under `key`."""
+    table, kind = key.removeprefix("taps: ").split("/")
+    if table == "difference":
+        return rows[f"pose_mae.disentangled.{quantity}"] - rows[f"pose_mae.{kind}.{quantity}"]
+    return rows[f"pose_mae.{kind}.{quantity}"]
 
 
 def demo() -> str:
@@ -311,30 +343,36 @@ def exported_speed() -> str:
 
 def transfer() -> str:
     """Errors on recordings of the weights that learnt in simulation alone, by their own PoseNet and by a ridge that learnt recorded taps:
-    means of the trainings, each with its least and most."""
+    means of the trainings, each with its least and most; and of the released weights on other recordings."""
     runs, dense = (
         [{name: row["value"] for name, row in run.items()} for run in runs_of("skin", begins)]
         for begins in ("skin", "dense")
     )
-    readers = ("pose_mae", "readers.pins")
-    lines = [
-        "| learnt in simulation; reads recorded | its PoseNet: y, mm | Rz, deg | a ridge on recorded taps: y, mm | Rz, deg |",
-        "|---|---|---|---|---|",
-    ]
+    locked = _locked("skin")
+    columns = [(reader, q, d) for reader in ("pose_mae", "readers.pins") for q, d in COLUMNS]
+    titles = {"pose_mae": "its PoseNet", "readers.pins": "a ridge on recorded taps"}
+    head = [f"{titles[reader]}: {q.replace('_', ', ')}: same session | {OTHER}" for reader, q, _ in columns]
+    lines = [as_line("learnt in simulation; reads recorded", head), "|---|" + "---|---|" * len(columns)]
     kinds = {"taps": "tap", "slides as recorded": "sheared", "**slides unsheared**": "unsheared"}
-
-    def line(shown: str, kind: str, runs: list[dict[str, float]]) -> str:
-        values = [([run[f"{reader}.{kind}.{q}"] for run in runs], d) for reader in readers for q, d in COLUMNS]
-        return as_line(shown, [with_range(each, digits) for each, digits in values])
-
-    lines += [line(shown, kind, runs) for shown, kind in kinds.items()]
+    for shown, kind in kinds.items():
+        keys = [(f"{reader}.{kind}.{q}", d) for reader, q, d in columns]
+        lines.append(as_line(shown, [f"{with_range(_each(runs, key), d)} | {locked[key]:.{d}f}" for key, d in keys]))
     undone = []
-    for reader in readers:
-        for q, _ in COLUMNS:
-            tap, sheared, after = ([run[f"{reader}.{kind}.{q}"] for run in runs] for kind in kinds.values())
-            undone.append(with_range([(s - u) / (s - t) for t, s, u in zip(tap, sheared, after, strict=True)], 2))
+    for reader, q, _ in columns:
+        keys = [f"{reader}.{kind}.{q}" for kind in kinds.values()]
+        own = with_range([_undone(*(run[key] for key in keys)) for run in runs], 2)
+        undone.append(f"{own} | {_undone(*(locked[key] for key in keys)):.2f}")
     lines.append(as_line("recovery: the share of the slide's damage undone", undone))
-    return "\n".join([*lines, line("for comparison: unsheared by dense layers", "unsheared", dense)])
+    others = [f"{with_range(_each(dense, f'{reader}.unsheared.{q}'), d)} | " for reader, q, d in columns]
+    return "\n".join([*lines, as_line("for comparison: unsheared by dense layers", others)])
+
+
+def _each(runs: list[dict[str, float]], key: str) -> list[float]:
+    return [run[key] for run in runs]
+
+
+def _undone(tap: float, sheared: float, unsheared: float) -> float:
+    return (sheared - unsheared) / (sheared - tap)
 
 
 def refit() -> str:
@@ -734,9 +772,14 @@ def faults() -> str:
     return "\n".join(lines)
 
 
+def _locked(name: str) -> dict[str, float]:
+    """Read scores by name that others made on recordings that are not here."""
+    return {row["name"]: row["value"] for row in take(f"locked/{name}")["rows"]}
+
+
 TABLES = {
     "README.md": (real_skin, demo, standard_first),
-    "docs/your-own-recordings.md": (few_labels, pairings, simulated_slides, transfer),
+    "docs/your-own-recordings.md": (pairings, other_recordings, few_labels, simulated_slides, transfer),
     "docs/calibration.md": (*simulator_tables.CALIBRATION, refit),
     "docs/simulator.md": simulator_tables.SIMULATOR,
     "docs/applications.md": (found_pins, geometry, servo, servo_pins, objects, perception),

@@ -21,10 +21,11 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         *ROOT.glob("experiments/**/*.py"),
         *ROOT.glob("examples/*.*"),
         *ROOT.glob("jaxunshear/weights/*/README.md"),
+        *ROOT.glob("data_specs/*/README.md"),
         ROOT / "jaxunshear/api.py",
     ):
         name = path.relative_to(ROOT).as_posix()
-        if path.suffix == ".md":  # a model card is a page
+        if path.suffix == ".md":  # the card of a model or of a data set is a page
             files.append(File.generated(config, name, content=path.read_text()))
         else:
             files.append(File.generated(config, f"{name}.txt", content=path.read_text()))

@@ -93,6 +93,7 @@ def score_transfer(
         },
         settings=asdict(experiment),
         pin_error={},
+        test_data="other recordings",
         targets=tuple(Target(name, *RECORDED[name]) for name in aligned),
         pose_mae=mae,
         pose_recovery={"unsheared": _recovery(mae)},

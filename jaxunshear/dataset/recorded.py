@@ -4,7 +4,7 @@ contacts = survey(settings)                                     # labels alone: 
 sensor = sensor_of(contacts, settings.preprocess)               # by the number of pins
 paths, frame = prepare(settings, sensor, contacts, folder)      # chunks of images and pins; goes on where a killed run stopped
 
-Splits are by pose: a tap and the slides to its pose are in the same one, whatever their order in the files.
+Splits are by pose: a tap and the slides to its pose are in the same one, in any order of files.
 """
 
 import re
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from jaxunshear.dataset.labels import read_pair_table
+from jaxunshear.dataset.pose_block import cut_block
 from jaxunshear.dataset.recordings import Recordings, read_image, read_recordings
 from jaxunshear.errors import UserError
 from jaxunshear.evenly import evenly
@@ -186,14 +187,17 @@ def _contacts(recordings: Recordings, slid: np.ndarray) -> Contacts:
 
 
 def _split(contacts: Contacts, settings: Recorded) -> Contacts:
-    """By the folders' names; what they leave open by a hash of the pose, for taps and slides alike.
+    """Split by a block of poses, or by folders' names and, where these leave it open, by the pose.
 
-    Names count only where some contacts are left to learn from: a folder that happens to be called `test` is no split.
+    Taps and slides are split alike. Names count only where some contacts are left to learn from: a
+    folder that happens to be called `test` is no split.
     """
     named = np.array([_named_split(file, name) for file, name in zip(contacts.files, contacts.names, strict=True)])
+    if settings.split == "block":
+        return _split_by_block(contacts, named, settings)
     split = np.zeros(len(named), int)
     drawn = _drawn(contacts, settings.seed)
-    for slid in (False, True):
+    for slid, kind in ((False, "taps"), (True, "slides")):
         here = contacts.slid == slid
         opened = here & ((named == "") | (named == "train"))
         if not opened.any():
@@ -204,14 +208,37 @@ def _split(contacts: Contacts, settings: Recorded) -> Contacts:
         for name, share in (("test", settings.test), ("validation", settings.validation)):
             if name in named[here]:
                 continue
+            if settings.split == "folder" and here.any():
+                raise UserError(
+                    f"paired.split folder: no folder of {kind} has the name of the split '{name}', "
+                    f"such as csv_{name}: move contacts into one, or use --paired.split random"
+                )
             chosen = opened & (drawn >= start) & (drawn < start + share)
-            if not chosen.any() and (left := opened & (split == 0)).sum() > len(
-                SPLITS
-            ):  # of few contacts chance may take none
+            left = opened & (split == 0)
+            if not chosen.any() and left.sum() > len(SPLITS):  # of few contacts chance may take none
                 chosen = left & (drawn == drawn[left].min())
             split[chosen] = SPLITS.index(name)
             start += share
     return contacts._replace(split=split)
+
+
+def _split_by_block(contacts: Contacts, named: np.ndarray, settings: Recorded) -> Contacts:
+    """Keep a block of poses out, and drop contacts without a pose, since they may lie in it.
+
+    Raises UserError if a folder is a split by its name.
+    """
+    kept_out = np.flatnonzero((named == "validation") | (named == "test"))
+    if len(kept_out):
+        raise UserError(
+            f"paired.split block: the folder of {contacts.names[kept_out[0]]} is a split by its name: use "
+            "--paired.split folder, or name training folders alone, `jaxunshear fit --taps DIR --slides DIR`"
+        )
+    known = np.isfinite(contacts.pose).all(axis=1)
+    if not known.all():
+        note = f"split block: {int((~known).sum())} contacts without a pose are left out"
+        contacts = contacts._replace(notes=(*contacts.notes, note)).take(np.flatnonzero(known))
+    split, note = cut_block(contacts.pose, settings.test, settings.validation, settings.seed)
+    return contacts._replace(split=split, notes=(*contacts.notes, note))
 
 
 def _named_split(file: Path, name: str) -> str:

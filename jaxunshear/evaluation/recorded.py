@@ -25,7 +25,7 @@ from jaxunshear.evaluation.score import PARTNER, chance, shown_kind
 from jaxunshear.evaluation.spread import numbered_poses, redrawn_means
 from jaxunshear.evaluation.summary import pose_by_size, tables, with_readers
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
-from jaxunshear.results.run import Results, Tables
+from jaxunshear.results.run import Results, Tables, TestData
 from jaxunshear.settings.experiment import Experiment, over_pins
 from jaxunshear.settings.registry import POSENET, POSENETS
 from jaxunshear.settings.targets import Targets, names_of, true_values
@@ -44,18 +44,23 @@ class Test(NamedTuple):
     slides: Reader | None
     taps: Reader | None
     paired: bool
+    data: TestData
 
 
 def what_to_test(
     experiment: Experiment, stored: RecordedSet, targets: Targets, run_dir: Path, data_dir: Path | None = None
 ) -> Test:
-    """The test split of a recorded set, for the networks of a run; without `data_dir` slides have no partners, and no likeness."""
+    """Choose the contacts to score: the test split of the recordings that the run learnt from.
+
+    Without `data_dir` these are other recordings: slides have no partners, and no likeness.
+    """
     paired = data_dir is not None and any(name not in POSENETS for name in experiment.networks)
     slides = None
     if stored.count("slides", "test"):
         slides = pairs_of(experiment, stored, targets, run_dir, data_dir) if paired and data_dir else stored.slides()
     taps = stored.taps() if stored.count("taps", "test") and POSENET in experiment.networks else None
-    return Test(slides, taps, paired and slides is not None)
+    data: TestData = "same session" if data_dir else "other recordings"
+    return Test(slides, taps, paired and slides is not None, data)
 
 
 def networks_of(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Run:
@@ -147,13 +152,14 @@ def results_of(
             "pin_error": "of pins by identity, with the partner's"
             if pins
             else "matched centroids with the partner's pins",
-            "half_width": "holds 95 % of the errors on validation contacts",
-            "coverage": "share of the errors here that half_width holds",
+            "half_width": "holds 95 % of the errors on validation contacts of the run's own session",
+            "coverage": f"share of the errors here, on {test.data}, that half_width holds",
             "readers": "as pose_mae, of a kernel ridge on the taps that PoseNet learnt from",
         },
         **vars(found),
         pin_error=_pin_error(slides, test, pins),
         baselines={"pose_chance": chance(true_values(targets, labels), targets)},
+        test_data=test.data,
         recordings=recordings_of(experiment, stored),
         pairing=pairing_of(experiment, test.slides if test.paired else None, targets),
         targets=targets,

@@ -1,11 +1,12 @@
-"""What the results of a recorded run say of the recordings: which they are, how slides are paired, and how many are scored."""
+"""What results say of recordings: which they are, how slides are paired, and what is scored."""
 
 import numpy as np
 
 from jaxunshear.dataset.reading import Reader
 from jaxunshear.dataset.recorded_reading import RecordedSet
 from jaxunshear.evaluation.gather import Gathered
-from jaxunshear.results.run import Counts, Pairing, Recordings, Scores
+from jaxunshear.results.run import Counts, Pairing, Recordings, Results, Scores
+from jaxunshear.settings.data import KEPT_OUT
 from jaxunshear.settings.experiment import Experiment, recorded_of
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import Targets
@@ -46,6 +47,16 @@ def pairing_of(experiment: Experiment, slides: Reader | None, targets: Targets) 
 
 
 Tested = tuple[Reader | None, Gathered | None]  # contacts of the test, and what was scored of them
+
+
+def describe_test(results: Results) -> str:
+    """Name the recorded contacts that a run is tested on.
+
+    Runs of earlier versions do not say: they were tested on a random split of their own session.
+    """
+    if results.test_data == "other recordings":
+        return results.test_data
+    return f"same session, {KEPT_OUT[results.settings['paired'].get('split', 'random')]}"
 
 
 def counts_of(stored: RecordedSet, slides: Tested, taps: Tested) -> Counts:

@@ -18,6 +18,7 @@ from jaxunshear.dataset.recorded_reading import RecordedSet, UnstoredSet, frame_
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import recorded
 from jaxunshear.evaluation.measurements import rounded
+from jaxunshear.evaluation.recorded_facts import describe_test
 from jaxunshear.evaluation.within import coverage
 from jaxunshear.metrics.machine import provenance
 from jaxunshear.results.run import EVALUATED, Full, Results, Table
@@ -102,6 +103,8 @@ def table(results: Results) -> str:
         lines.append(f"{'recovery':<16}" + "".join(_figure(recovery[name], 2) for name in names))
     for reader, errors in results.readers.items():
         lines += _errors(f"reader {reader}", errors, names)
+    if results.coverage:
+        lines.append(f"95 % half-widths of the run's own session, tried on {describe_test(results)}:")
     for way, shares in (results.coverage or {}).items():
         widths = (results.half_width or {})[way]
         lines.append(
@@ -109,7 +112,8 @@ def table(results: Results) -> str:
         )
     counts = results.counts
     left_out = f"{counts.unread_taps or 0} taps and {counts.test_unsure or 0} slides were not understood"
-    lines.append(f"{counts.test_taps} taps, {counts.test_poses} slides; left out: {left_out}")
+    tested = f"{counts.test_taps} taps, {counts.test_poses} slides"
+    lines.append(f"test, {describe_test(results)}: {tested}; left out: {left_out}")
     return "\n".join(lines)
 
 

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
+from jaxunshear.evaluation.recorded_facts import describe_test
+from jaxunshear.evaluation.within import ELSEWHERE
 from jaxunshear.report import page, words
 from jaxunshear.report.page import number
 from jaxunshear.results.run import Results, Scores
@@ -45,7 +47,10 @@ def recordings(results: Results) -> Markup:
         facts.append(
             Markup("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
         )
-    lead = "Frames of a real sensor: networks learn from train, their best step is chosen on validation, all figures of test."
+    lead = (
+        "Frames of a real sensor: networks learn from train, their best step is chosen on "
+        f"validation, all figures are of test ({describe_test(results)})."
+    )
     return page.section(
         "The recordings",
         lead,
@@ -67,7 +72,11 @@ def intervals(results: Results) -> Markup:
     ]
     if not rows:
         return Markup()
-    lead = "Half-widths that hold 95 % of the errors on validation contacts; in brackets the share of test contacts that they hold."
+    lead = (
+        "Half-widths that hold 95 % of the errors on validation contacts of the same session; in "
+        f"brackets the share of test contacts that they hold ({describe_test(results)}). "
+        f"{ELSEWHERE}. For yours: jaxunshear evaluate RUN --recordings DIR."
+    )
     return page.section(
         "How far an answer may be off", lead, page.table(["pose read from", *map(words.heading, names)], rows)
     )

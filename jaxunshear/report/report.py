@@ -9,6 +9,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.recorded_facts import describe_test
 from jaxunshear.report import applications, headlines, making, montage, page, poses, readers, recordings, scores, words
 from jaxunshear.report.history import read_history
 from jaxunshear.results.rows import Summary
@@ -26,7 +27,7 @@ SIMULATED = Markup(
 )
 RECORDED = Markup(
     "A soft dome that slides feels its own shear on top of what it touches. {} Every figure is measured on "
-    "<b>recorded</b> contacts of a <b>real</b> sensor that were kept out of training: {}.{}"
+    "<b>recorded</b> contacts of a <b>real</b> sensor that were kept out of training: {} ({}).{}"
 )
 OF_PAPER = Markup(" The paper's, in <span class=real>tinted columns</span>, are from another real sensor.")
 
@@ -93,4 +94,4 @@ def _of_recordings(results: Results) -> Markup:
         f"{count} {kind}" for kind, count in (("taps", counts.test_taps), ("slides", counts.test_poses)) if count
     )
     paper = OF_PAPER if results.ms_ssim and words.comparable(results) else ""
-    return RECORDED.format(about, counted, paper)
+    return RECORDED.format(about, counted, describe_test(results), paper)

@@ -52,6 +52,7 @@ class Measured:
     source: Source | None = None
     trained_by: Mapping[str, Source] = field(default_factory=dict)  # by network
     command: str = ""
+    test_data: str | None = None  # of a run over recordings, as its results say
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from jaxunshear.results.rows import Machine, Source, Versions
 from jaxunshear.settings.targets import Target
@@ -16,6 +16,8 @@ Span = Sequence[float] | None  # 95 % interval
 Spans = Mapping[str, Mapping[str, Span]]
 Reads = Mapping[str, Table]  # by reader
 Full = Mapping[str, Mapping[str, float]]  # a table without gaps
+# recorded contacts that a network is tested on: kept out of those that it learnt from, or others
+TestData = Literal["same session", "other recordings"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +162,7 @@ class Results(Tables):
     tests: Mapping[str, Further] = field(default_factory=dict)
     baselines: Table = field(default_factory=dict)
     contact: Table | None = None
+    test_data: TestData | None = None  # of simulated runs and of earlier versions unknown
     recordings: Recordings | None = None
     pairing: Pairing | None = None
     targets: Sequence[Target] | None = None

@@ -10,6 +10,12 @@ from jaxunshear.settings.stimuli import Touched, stimulus_names
 from jaxunshear.settings.types import Rule
 
 Pairing = Literal["rendered", "nearest", "pose_id", "file", "simulated"]
+Split = Literal["random", "block", "folder"]
+KEPT_OUT: dict[str, str] = {  # what each way of splitting keeps out, in a report's words
+    "random": "random split",
+    "block": "block of poses",
+    "folder": "split by folders",
+}
 MOST_TWIST_DEG = 90.0
 MOST_SEED = 2**31 - 1
 
@@ -137,8 +143,11 @@ RENDERED = ("rendered", "simulated")  # pairings that take a renderer; the latte
 class Recorded:
     """`tactip_recorded` in the place of `PairedData`: recorded slides, each with a tap to be unsheared to.
 
-    Folders named `*val*` and `*test*` are those splits; what they leave open is drawn at random by pose. Both folders may be one:
-    labels say which is which.
+    Both folders may be one: labels say which is which. `split` chooses what is kept out of training:
+    "random": folders named `*val*` and `*test*`; what they leave open is drawn at random by pose.
+    "block": poses whose label lies in an interval are the test, those on either side of it are
+    for validation, so that no training pose is near a test pose (`dataset/pose_block.py`).
+    "folder": folders so named alone; an error if there is none.
     """
 
     tap_folder: str = ""  # none: there are no taps
@@ -151,9 +160,10 @@ class Recorded:
     labelled: float = 1.0  # share of the training slides whose labels teach
     # training slides without a label; "read": posenet_sheared reads their poses
     unlabelled: Literal["left_out", "read"] = "left_out"
+    split: Split = "random"
     test: float = 0.1  # share of the poses kept out, where no folder is
     validation: float = 0.1  # likewise, for the choice of the best state
-    seed: int = 0  # of the draw of splits
+    seed: int = 0  # of that draw, or of the block's place
     preprocess: Preprocess = field(default_factory=Preprocess)
 
     def rules(self) -> Iterator[Rule]:

@@ -20,6 +20,7 @@ LATER: Json = {
     "paired_share": 1.0,
     "tap_weight": 0.0,
     "alike_weight": 0.0,
+    "split": "random",
 }
 
 GONE: Json = {  # files may still have these settings, which do nothing at these values

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from jaxunshear.dataset.digests import folders_in, pairs_in
 from jaxunshear.settings.configs import RECORDED_SET, set_name, version_of
 from jaxunshear.settings.data import PairedData, Recorded
+from jaxunshear.settings.earlier import LATER
 from jaxunshear.settings.experiment import Experiment, further_tests
 from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.storage import Json
@@ -72,8 +73,9 @@ def _recorded(origin: Origin, ours: Recorded, entire: bool) -> str:
     learnt = f"learnt from recordings that are tested (digest {', '.join(sorted(shared))})"
     if entire:
         return f"{learnt}: test on others, or use weights that have not seen them"
-    names = ("seed", "test", "validation")
-    other = [f"paired.{name} {theirs[name]:g}" for name in names if theirs[name] != getattr(ours, name)]
+    theirs = LATER | theirs
+    names = [name for name in ("split", "seed", "test", "validation") if theirs[name] != getattr(ours, name)]
+    other = [f"paired.{name} {theirs[name]}" for name in names]
     other += ["another table of pairs"] if pairs_in(theirs["digest"]) != pairs_in(ours.digest) else []
     other += [f"data version {origin['version']}"] if origin["version"] != version_of(ours) else []
     return f"{learnt}, split with {', '.join(other)}: split them alike, or use other weights" if other else ""

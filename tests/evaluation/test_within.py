@@ -1,9 +1,14 @@
 """Half-widths of answers, and what they hold."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from jaxunshear.evaluation.within import FEWEST, coverage, half_widths
+from jaxunshear.evaluation.within import ELSEWHERE, FEWEST, HELD_ELSEWHERE, coverage, half_widths
+
+LOCKED = Path(__file__).resolve().parents[2] / "docs" / "results" / "locked" / "recorded_pins_seed0.json"
 
 
 def test_of_evenly_spread_errors_the_width_is_the_conformal_one():
@@ -29,3 +34,9 @@ def test_new_draws_are_held_as_often_as_promised():
         widths = half_widths({"pose/tap/y_mm": known})
         held.append(coverage(widths, {"pose/tap/y_mm": others})["tap"]["y_mm"])
     assert np.mean(held) == pytest.approx(0.95, abs=0.006)
+
+
+def test_what_they_held_on_other_recordings_is_what_the_file_says():
+    rows = {row["name"]: row["value"] for row in json.loads(LOCKED.read_text())["rows"]}
+    assert {name: rows[f"coverage.unsheared.{name}"] for name in HELD_ELSEWHERE} == HELD_ELSEWHERE
+    assert ELSEWHERE.endswith("they held 94 % of y, 82 % of z, 95 % of Rz")

@@ -9,6 +9,7 @@ import pytest
 from jaxunshear.dataset.digests import digest_of, folders_in, pairs_in
 from jaxunshear.dataset.recorded import survey
 from jaxunshear.errors import UserError
+from jaxunshear.settings.configs import config_name
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.splits import SPLITS
 
@@ -76,6 +77,70 @@ def test_what_folders_leave_open_is_drawn_from_the_training_folder(tmp_path):
     splits = by_name(survey(Recorded(slide_folder=str(tmp_path), validation=0.2)))
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("test")} == {"test"}
     assert {SPLITS[s] for n, s in splits.items() if n.startswith("train")} == {"train", "validation"}
+
+
+BEFORE_SPLIT = (  # by a version without `paired.split`: 60 taps, then 60 slides
+    "000020200000100100000000000002200001000020010210000200000010"
+    "200000000001100001011000001000000000000000002000001020020020"
+)
+
+
+def test_a_random_split_keeps_its_bits_and_its_name(tmp_path):
+    made.edge(tmp_path / "edge", 60, 60)
+    assert "".join(map(str, survey(both(tmp_path / "edge")).split.tolist())) == BEFORE_SPLIT
+    names = {split: config_name(Recorded(digest="aa", split=split)) for split in ("random", "block", "folder")}
+    assert names["random"] == "recorded-02905f27" and len(set(names.values())) == 3
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_taps_and_slides_share_one_block_of_poses(recording, seed):
+    contacts = survey(both(recording, split="block", seed=seed))
+    train, _, test = (np.flatnonzero(contacts.split == index) for index in range(3))
+    assert len(set(contacts.slid[test])) == 2
+    y = contacts.pose[:, 1]
+    gap = np.abs(y[test][:, None] - y[train]).min()
+    random = survey(both(recording, seed=seed)).split
+    neighbours = np.abs(y[random == 2][:, None] - y[random == 0]).min()
+    assert gap > 0.15 > 10 * neighbours  # of 6 mm, with 5 % on either side
+    assert any(note.startswith("split block: test poses have y from") for note in contacts.notes)
+
+
+def test_a_block_has_no_contact_without_a_pose(tmp_path):
+    pose, move = made.contacts(80, True, 3)
+    pose[::8] = np.nan
+    folder = made.write(tmp_path / "slides", np.nan_to_num(pose), move)
+    text = (folder / "targets.csv").read_text().splitlines()
+    text[1::8] = [f"{line.split(',')[0]},1,1{',' * 12}" for line in text[1::8]]
+    (folder / "targets.csv").write_text("\n".join(text))
+    contacts = survey(Recorded(slide_folder=str(folder), split="block"))
+    assert len(contacts.names) == 70 and np.isfinite(contacts.pose).all()
+    assert any("10 contacts without a pose are left out" in note for note in contacts.notes)
+
+
+def test_folders_alone_split_where_they_are_asked_to(tmp_path):
+    for i, name in enumerate(("csv_train", "csv_val", "csv_test")):
+        made.write(tmp_path / name, *made.contacts(12, False, i))
+    named = [survey(Recorded(tap_folder=str(tmp_path), split=split)).split.tolist() for split in ("folder", "random")]
+    assert named[0] == named[1]
+
+
+@pytest.mark.parametrize(
+    ("folders", "split", "complaint"),
+    [
+        (("csv_train",), "folder", r"paired\.split folder: no folder of taps has the name of the split 'test'.*random"),
+        (("csv_train", "csv_test"), "folder", r"the split 'validation', such as csv_validation"),
+        (
+            ("csv_train", "csv_val"),
+            "block",
+            r"paired\.split block: the folder of csv_val/.* is a split by its name.*folder",
+        ),
+    ],
+)
+def test_folders_that_do_not_go_with_the_split_are_refused(tmp_path, folders, split, complaint):
+    for i, name in enumerate(folders):
+        made.write(tmp_path / name, *made.contacts(30, False, i))
+    with pytest.raises(UserError, match=complaint):
+        survey(Recorded(tap_folder=str(tmp_path), split=split))
 
 
 def test_named_taps_that_moved_are_left_out_and_said(tmp_path):

@@ -104,7 +104,7 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
     gap = np.full((30, 6), 0.42)
     reader = SimpleNamespace(length=lambda split: 30, take=lambda split, rows, names: {"gap": gap})
     targets = of_labels((), poses(np.random.default_rng(2), 200))
-    test = recorded.Test(reader if slides else None, None, bool(slides and pairing))
+    test = recorded.Test(reader if slides else None, None, bool(slides and pairing), "same session")
     results = rounded(
         plain(recorded.results_of(experiment, stored, targets, slides, taps, test))
         | {
@@ -145,7 +145,7 @@ def test_of_taps_and_slides_all_is_reported(tmp_path, read_page):
     for value in results["pose_recovery"]["unsheared"].values():
         assert f"{value:.2f}" in text
     for words in (
-        "recorded contacts of a real sensor that were kept out of training: 24 taps and 24 slides",
+        "kept out of training: 24 taps and 24 slides (same session, random split).",
         f"{results['pose_mae']['sheared']['y_mm']:.2f} \u2192 {results['pose_mae']['unsheared']['y_mm']:.2f} mm",
         f"taps: {results['pose_mae']['tap']['z_mm']:.2f}, learnt from slides directly",
         "Likeness to the partner (ms_ssim@4)",
@@ -187,6 +187,25 @@ def test_the_recordings_are_reported(tmp_path, read_page):
         assert words in text, words
     low, high = (float(part) for part in text.split("in training: y ")[1].split(" mm")[0].split(" to "))
     assert -6 <= low < -5.5 and 5.5 < high <= 6
+
+
+def test_half_widths_say_which_contacts_they_are_for(tmp_path, read_page):
+    results = make_run(tmp_path)
+    widths = {"half_width": {"unsheared": {"z_mm": 0.12}}, "coverage": {"unsheared": {"z_mm": 0.961}}}
+    (tmp_path / "results.json").write_text(json.dumps(results | widths))
+    text = read_page(write_report(tmp_path)).split("How far an answer may be off")[1]
+    assert "0.12 (96.1%)" in text and "validation contacts of the same session" in text
+    assert "On other recordings of a public edge" in text and "82 % of z" in text
+
+
+def test_a_run_of_an_earlier_version_was_tested_on_its_own_session(tmp_path, read_page):
+    results = make_run(tmp_path)
+    assert results.pop("test_data") == "same session" and results["settings"]["paired"].pop("split") == "random"
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    assert "all figures are of test (same session, random split)" in read_page(write_report(tmp_path))
+    results["settings"]["paired"]["split"] = "block"
+    (tmp_path / "results.json").write_text(json.dumps(results))
+    assert "(same session, block of poses)" in read_page(write_report(tmp_path))
 
 
 def test_names_are_escaped(tmp_path):
@@ -235,7 +254,8 @@ def test_pins_found_in_images_are_counted(tmp_path, read_page):
 def test_of_taps_alone_their_poses_are_reported(tmp_path, read_page):
     results = make_run(tmp_path, networks=("posenet",), pairing="")
     text = read_page(write_report(tmp_path))
-    assert f"{results['pose_mae']['tap']['z_mm']:.2f} mm taps" in text and "out of training: 24 taps." in text
+    assert f"{results['pose_mae']['tap']['z_mm']:.2f} mm taps" in text
+    assert "out of training: 24 taps (same session, random split)." in text
     for words in ("Recovery", "What it does", "How slides are paired", "slides 400", "How alike", "Where the pins"):
         assert words not in text, words
     assert not (tmp_path / "montage.png").exists()
@@ -245,7 +265,8 @@ def test_of_slides_alone_their_poses_are_reported(tmp_path, read_page):
     results = make_run(tmp_path, networks=("posenet_sheared",), pairing="")
     text = read_page(write_report(tmp_path))
     assert f"{results['pose_mae']['sheared_learnt']['y_mm']:.2f} mm learnt from slides directly" in text
-    assert "that has only learned from labelled slides" in text and "out of training: 24 slides." in text
+    assert "that has only learned from labelled slides" in text
+    assert "out of training: 24 slides (same session, random split)." in text
     for words in ("Recovery", "What it does", "How slides are paired", "taps 400", "Slide by slide"):
         assert words not in text, words
 
@@ -283,6 +304,7 @@ def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     rows = {line.split()[0]: line.split()[1:] for line in lines}
     assert rows["unsheared"] == [f"{value:.3f}" for value in results["pose_mae"]["unsheared"].values()]
     assert rows["recovery"] == [f"{value:.2f}" for value in results["pose_recovery"]["unsheared"].values()]
+    assert lines[-3] == "test, same session, random split: 24 taps, 24 slides, 0 of them with unsure pins"
     assert "0.683 as felt, 0.979 unsheared" in lines[-2] and lines[-1] == f"results: {tmp_path / 'results.json'}"
     print_summary(record_of(make_run_of_taps(tmp_path), Results, "it", "again"), tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == 4

@@ -27,6 +27,7 @@ REFUSED = {  # results of earlier versions
     "recorded_images": f"{NO_FOLDERS}, paired.unlabelled is missing",
     "recorded_joint": NO_FOLDERS,
 }
+RECORDED = dataclasses.replace(NOW, paired=Recorded(), pose=RecordedTaps())
 
 
 def groups(kind):
@@ -38,7 +39,7 @@ def groups(kind):
 
 
 def test_what_came_later_does_nothing_at_its_default():
-    fields = [field for group in groups(NOW) for field in group if field.name in LATER]
+    fields = [field for now in (NOW, RECORDED) for group in groups(now) for field in group if field.name in LATER]
     assert {field.name for field in fields} == set(LATER)
     assert all(field.default == LATER[field.name] for field in fields)
 
@@ -124,5 +125,11 @@ def test_lists_of_json_are_tuples():
 
 
 def test_a_group_without_settings_is_itself():
-    recorded = dataclasses.replace(NOW, paired=Recorded(), pose=RecordedTaps())
-    assert from_json(to_json(recorded)) == recorded
+    assert from_json(to_json(RECORDED)) == RECORDED
+
+
+def test_an_earlier_recorded_run_was_split_at_random():
+    earlier = without_later(to_json(RECORDED))
+    assert "split" not in earlier["paired"] and from_json(earlier).paired.split == "random"
+    block = to_json(replaced(RECORDED, "paired.split", "block"))
+    assert without_later(block)["paired"]["split"] == "block"

@@ -49,6 +49,8 @@ def origin(settings, version=None):
         (Recorded(digest="aa", seed=1), None, Exam(Recorded(digest="aa")), "digest aa), split with paired.seed 1"),
         (Recorded(digest="aa", test=0.2), None, Exam(Recorded(digest="bb+aa")), "paired.test 0.2"),
         (Recorded(digest="aa", validation=0.2), None, Exam(Recorded(digest="aa")), "paired.validation 0.2"),
+        (Recorded(digest="aa", split="block"), None, Exam(Recorded(digest="aa")), "split with paired.split block"),
+        (Recorded(digest="aa"), None, Exam(Recorded(digest="aa", split="block")), "split with paired.split random"),
         (Recorded(digest="aa+pcc"), None, Exam(Recorded(digest="aa")), "another table of pairs"),
         (Recorded(digest="aa"), "0.9.0", Exam(Recorded(digest="aa")), "data version 0.9.0"),
         (Recorded(digest="aa", seed=1), None, Exam(Recorded(digest="bb")), ""),  # nobody can know
