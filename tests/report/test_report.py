@@ -169,6 +169,13 @@ def test_nulls_are_shown_as_dashes(bare_run):
     assert "\u2013" in page.split("Where the pins are")[0] and "\u2013 px" in page and "ndash" not in page
 
 
+def test_the_papers_likeness_of_swapped_codes_is_called_multi_scale(page):
+    """It is: see `jaxunshear.evaluation.paper`."""
+    section = page.read_text().split("Swapped codes")[1].split("</table>")[0]
+    heads = re.findall(r"<th[^>]*>(.*?)</th>", section.split("</thead>")[0], re.DOTALL)
+    assert [head for head in heads if "paper" in head] == ["MSE<br>paper", "MS-SSIM<br>paper"]
+
+
 @pytest.mark.parametrize(("table", "by"), [("pose_by_stimulus", "shape"), ("pose_by_depth", "depth")])
 def test_recovery_is_reported_by_shape_and_by_depth(bare_run, table, by):
     folder, results = bare_run
