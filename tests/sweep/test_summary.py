@@ -125,6 +125,20 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     assert "pose_recovery/unet/x_mm" not in recovered(errors | {"sheared": errors["tap"] / 2})  # no damage to undo
 
 
+def test_edge_angles_are_also_given_where_the_edge_has_one_direction():
+    name, smooth = "pose/tap/edge_deg", np.arange(12) < 7
+    rows = {seed: done(random(0)) for seed in (0, 1)}
+    errors = {seed: np.random.default_rng(seed).uniform(0, 9, 12) for seed in rows}
+
+    def found(labels):
+        return metrics({s: row._replace(tests={"": {name: errors[s]} | labels}) for s, row in rows.items()})
+
+    both = np.stack([errors[0], errors[1]])
+    marked = found(LABELS | {"smooth": smooth})
+    assert marked[f"smooth: {name}"].mean == pytest.approx(both[:, :7].mean())
+    assert marked[name] == found(LABELS)[name] and f"smooth: {name}" not in found(LABELS)
+
+
 def test_means_are_over_seeds_and_contacts_and_each_seed_is_reported(summary):
     figure = summary.cells[0].metrics[NAME]
     both = np.stack([random(0), random(1)])
