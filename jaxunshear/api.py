@@ -1,6 +1,6 @@
 """A trained model in a few lines of Python.
 
->>> model = load_model("standard")                    # released weights, or the folder of a finished run
+>>> model = load_model("skin", like="recordings/edge/shear")     # or the folder of a finished run
 >>> images = np.stack([model.prepare(frame) for frame in frames])
 >>> model.unshear(images)                             # (B, S, S) in [0, 1]
 >>> model.pose(images)["unsheared"]["edge_mm"]        # (B,)
@@ -9,6 +9,7 @@
 What the commands do with a model are functions, too: `servo`, `reconstruct`, `geometry`, `find_pins`.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,10 +26,11 @@ from jaxunshear.applications.perception import BATCH, in_batches
 from jaxunshear.applications.pins import Pins, find_pins
 from jaxunshear.applications.servo import Course
 from jaxunshear.applications.walk_scores import Followed, servo
-from jaxunshear.errors import UserError
+from jaxunshear.errors import Note, UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.image.understood import ANY
+from jaxunshear.infer import learnt_note, suits_recordings
 from jaxunshear.model.parts import Tree
 from jaxunshear.model.posenet import pose_from_outputs
 from jaxunshear.model.ready import ready
@@ -79,8 +81,15 @@ class Model:
         return self.perceiver.preprocess.size
 
     def prepare(self, frame: np.ndarray) -> np.ndarray:
-        """A camera's frame (H, W) or (H, W, channels), of any number type -> binary image (S, S) uint8. Colours are red, green, blue;
-        OpenCV's are blue, green, red. Raises UserError."""
+        """Turn a camera's frame into a binary image (S, S) uint8.
+
+        The frame is (H, W) or (H, W, channels), of any number type. Colours are red, green, blue;
+        OpenCV's are blue, green, red. Warns with a `Note` if these
+        networks do not suit a camera: they learnt from simulated touches of one sensor alone, so
+        their answers for other frames mean little. Raises UserError.
+        """
+        if not suits_recordings(self.experiment):
+            warnings.warn(learnt_note(self.experiment), Note, stacklevel=2)
         return prepare_frame(self.perceiver.preprocess, frame, self.perceiver.view or View())
 
     def unshear(self, images: np.ndarray) -> np.ndarray:
@@ -151,9 +160,13 @@ class Model:
 
 
 def load_model(name: str | Path, like: str | Path | None = None, force: bool = False) -> Model:
-    """Released weights by name, or the folder of a finished run. `like`: a folder of recordings that shows where pins stand untouched,
-    for networks over pins that learnt in simulation alone. `force`: images that are not of the model's sensor are answered, too. Raises
-    UserError."""
+    """Load released weights by name, or the networks in the folder of a finished run.
+
+    Networks over pins that learnt from simulation alone, such as `skin`, need `like`: a folder of
+    at least 20 contacts of your sensor and camera. The mean over them shows where untouched pins
+    are. Other networks do not use it. `force` also answers images that are not of the model's
+    sensor. Raises UserError.
+    """
     folder = model_folder(Path(name))
     experiment = load_settings(folder)
     frame = None if like is None else frame_for(Path(like), experiment)

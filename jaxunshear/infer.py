@@ -40,6 +40,16 @@ OWN_FRAME = "Poses have the names, the frame and the units of the recorded label
 Log = Callable[[str], None]
 
 
+def suits_recordings(experiment: Experiment) -> bool:
+    """Say whether networks suit frames of a real camera.
+
+    They do if they learnt from recordings, or from simulated pins drawn as other sensors and
+    cameras would show them.
+    """
+    drawn = over_pins(experiment) and experiment.pins.turned > 0
+    return isinstance(experiment.paired, Recorded) or drawn
+
+
 def learnt_note(experiment: Experiment) -> str:
     """What the networks of a model have seen, and what that means for recordings: one line, from its own settings."""
     if isinstance(experiment.paired, Recorded):
@@ -51,7 +61,7 @@ def learnt_note(experiment: Experiment) -> str:
             "object or another camera is another matter; score them with `jaxunshear evaluate RUN_DIR --recordings DIR`."
         )
     seen = f"These networks have seen simulated touches only (sensor {experiment.sensor.name}, {', '.join(experiment.paired.names)})"
-    if over_pins(experiment) and experiment.pins.turned:
+    if suits_recordings(experiment):
         return (
             f"{seen}, drawn as other sensors and cameras would show them. What they read has a zero and a sense of its own, which a few "
             "labelled taps show (`jaxunshear evaluate MODEL --recordings DIR`); more exact are networks that learn from your own "

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 CHUNK = 250  # frames in a file
 NOTHING = np.zeros((0, 1), np.uint8)
 LEAST_FRAMES = 20  # contacts whose mean shows where pins stand
-LIKE = "name a folder of contacts of the same sensor and camera by --like"
+LIKE = "name a folder of contacts of the same sensor and camera by --like (`like=` in Python)"
 LATTICE_FRAMES = 60  # training frames that the untouched pins are found from
 
 

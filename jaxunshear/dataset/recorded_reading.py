@@ -179,7 +179,8 @@ class RecordedSet:
             if images:
                 partner["canonical"] = self._redrawn(batch["pose"], pins, targets, render)
             return _numbered(batch | partner | {"weight": np.ones(count, np.float32)})
-        taps = _concatenated([self.labelled_taps(each) for each in (("train",) if split == "train" else SPLITS)])
+        # a tap of another held-out split would let that split choose the checkpoint
+        taps = _concatenated([self.labelled_taps(each) for each in dict.fromkeys(("train", split))])
         if way == "nearest":
             row, distance = pairing.nearest(targets, batch["pose"], taps["pose"])
             weight = pairing.weights_of(distance)

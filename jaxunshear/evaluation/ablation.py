@@ -170,18 +170,19 @@ def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[Json]:
 
 
 def table(rows: list[Json]) -> str:
-    """For people; the paper's figures, of a real sensor, apart."""
+    """Make a table for people, with the paper's figures, of a real sensor, in a column of their own.
+
+    The paper's figures are multi-scale, so ours are, too; as many scales as the images carry.
+    """
     width = max(len(row["name"]) for row in rows)
-    lines = [
-        f"{'':{width}}  should draw  MSE     SSIM [95 %]            MS-SSIM  SSIM to the other  paper: MSE, MS-SSIM"
-    ]
+    lines = [f"{'':{width}}  should draw  MSE     MS-SSIM [95 %]         to the other  paper: MSE, MS-SSIM"]
     for row in rows:
-        low, high = row["ssim interval"]
-        other = f"{row['ssim to the other']:.3f}" if "ssim to the other" in row else ""
+        low, high = row["ms_ssim interval"]
+        other = f"{row['ms_ssim to the other']:.3f}" if "ms_ssim to the other" in row else ""
         paper = "{mse}, {ms_ssim}".format(**row["paper"]) if row["paper"] else ""
         lines.append(
-            f"{row['name']:{width}}  {row['target']:11}  {row['mse']:.4f}  {row['ssim']:.3f} [{low:.3f}, {high:.3f}]"
-            f"  {row['ms_ssim']:8.3f}  {other:17}  {paper}"
+            f"{row['name']:{width}}  {row['target']:11}  {row['mse']:.4f}  "
+            f"{row['ms_ssim']:.3f} [{low:.3f}, {high:.3f}]  {other:12}  {paper}"
         )
     return "\n".join([*lines, f"brackets: 95 % intervals over {OVER}"])
 

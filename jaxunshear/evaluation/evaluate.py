@@ -28,6 +28,7 @@ from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.pins import pin_errors
 from jaxunshear.evaluation.readers import PIN_PLACES, PIXELS, of_batches, read_pins, readers_of
 from jaxunshear.evaluation.score import chance, shown_kind
+from jaxunshear.evaluation.smooth import SMOOTH, WHAT, edge_angles, marked
 from jaxunshear.evaluation.speed import ms_per_image
 from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.evaluation.summary import CONTACT_FIELDS, contact_quality, pose_by_size, tables, typical, with_readers
@@ -118,6 +119,7 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
     readers = readers_of(experiment, data_dir, run_dir)
     reads = of_batches({name: reader for name, reader in readers.items() if over or name == PIXELS})
     gathered = gather(run, pairs.split("test", BATCH, FIELDS), total, KEPT, targets, inputs=inputs, readers=reads)
+    gathered = marked(gathered, paired)
     if PIN_PLACES in readers and not over:
         true = {name: value[gathered.kept] for name, value in true_values(targets, gathered.labels).items()}
         gathered = gathered._replace(read=read_pins(readers[PIN_PLACES], lattice, gathered.images, true))
@@ -126,11 +128,13 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
         reader = open_set(settings, data_dir, experiment.sensor)
         count = sum(reader.length(split) for split in SPLITS)
         batches = chain.from_iterable(reader.split(split, BATCH, FIELDS) for split in SPLITS)
-        further[name] = gather(run, batches, count, 0, targets, f"evaluate {name}", inputs, readers=reads)
+        tested = gather(run, batches, count, 0, targets, f"evaluate {name}", inputs, readers=reads)
+        further[name] = marked(tested, settings)
     found = found_pairs(pairs, lattice, FIELDS) if over else None
     if found:
         count, title = len(found.pairs["pose"]), "evaluate found pins"
-        further[FOUND] = gather(run, batches_of(found, BATCH), count, 0, targets, title, INPUTS, readers=reads)
+        tested = gather(run, batches_of(found, BATCH), count, 0, targets, title, INPUTS, readers=reads)
+        further[FOUND] = marked(tested, paired)
     results = results_of(experiment, gathered, further)
     if found:
         tests = {**results.tests, FOUND: replace(results.tests[FOUND], followed=found.reported)}
@@ -173,9 +177,9 @@ def _recorded(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
 
 
 def every_score(gathered: Gathered) -> bytes:
-    """An npz of all scores by name, `stimulus` and `pose_id`, (N,) each."""
+    """An npz of all scores by name, `stimulus`, `pose_id`, and SMOOTH if it is known, (N,) each."""
     buffer = io.BytesIO()
-    labels = {name: gathered.labels[name] for name in ("stimulus", "pose_id")}
+    labels = {name: gathered.labels[name] for name in ("stimulus", "pose_id", SMOOTH) if name in gathered.labels}
     np.savez_compressed(buffer, **gathered.scores, **labels)  # type: ignore[arg-type]
     return buffer.getvalue()
 
@@ -199,6 +203,7 @@ def results_of(
             "scales": scales,
             "pose_mae": "mean absolute error of a PoseNet trained on taps (sheared_learnt: on slides; code_learnt: "
             "of a head on the pose code; both_learnt: of the mean of its answer and the unsheared image's)",
+            "pose_smooth": WHAT,
             "pose_ratio": "error over the error on sheared images",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
             "difference": "disentangled less this network, contact by contact",
@@ -222,6 +227,7 @@ def results_of(
         counts=Counts(
             test_poses=len(np.unique(numbered_poses(labels["stimulus"], labels["pose_id"]))),
             test_by_stimulus={name: int(np.sum(labels["stimulus"] == index)) for index, name in enumerate(names)},
+            test_smooth=int(labels[SMOOTH].sum()) if SMOOTH in labels else None,
             pin_images=len(gathered.kept),
         ),
         bars={name: Bar(*bar) for name, bar in BARS.items()},
@@ -260,6 +266,7 @@ def _tables(settings: PairedData, gathered: Gathered) -> Tables:
         pose_by_depth=pose_by_size(
             gathered.scores, labels["pose"][:, 3], ranges.depth_min_mm, ranges.depth_max_mm, poses, BOOTSTRAP_SEED
         ),
+        pose_smooth=edge_angles(gathered, poses, BOOTSTRAP_SEED),
     )
 
 

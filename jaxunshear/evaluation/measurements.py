@@ -28,6 +28,8 @@ def measurements(results: Results) -> Measured:
     ):
         for name in names:
             rows += _rows(getattr(found, name, None), name, results.metric.get(name, name), prefix)
+        if found.pose_smooth:
+            rows += _rows(found.pose_smooth.pose_mae, "pose_smooth", results.metric["pose_smooth"], prefix)
         for reader, kinds in found.readers.items():
             rows += _rows(kinds, reader, results.metric["readers"], f"{prefix}readers.")
     for network, times in results.ms_per_image.items():

@@ -91,13 +91,16 @@ def pose_by_size(
     digits = max(1, 1 - math.floor(math.log10(bounds[1] - bounds[0])))  # as many as distinguish the parts
     found: dict[str, PartPoses | None] = {}
     for index, (low, high) in enumerate(itertools.pairwise(bounds)):
-        inside = part == index
-        name = f"{low:.{digits}f}-{high:.{digits}f} mm"
-        found[name] = None
-        if inside.any():
-            again = redrawn_means({name: score[inside] for name, score in felt.items()}, poses[inside], seed)
-            found[name] = _poses_of(felt, inside, again)
+        found[f"{low:.{digits}f}-{high:.{digits}f} mm"] = part_poses(felt, part == index, poses, seed)
     return found
+
+
+def part_poses(felt: dict[str, np.ndarray], inside: np.ndarray, poses: np.ndarray, seed: int) -> PartPoses | None:
+    """Give what `tables` says of poses, of the contacts `inside` (N,) alone; None if there is none."""
+    if not inside.any():
+        return None
+    again = redrawn_means({name: score[inside] for name, score in felt.items()}, poses[inside], seed)
+    return _poses_of(felt, inside, again)
 
 
 def with_readers(found: Tables, read: Sequence[tuple[Mapping[str, np.ndarray], np.ndarray]], seed: int) -> Tables:

@@ -41,11 +41,28 @@ def poses(results: Results) -> Markup:
         TITLE,
         _lead(results, names),
         page.table(head, rows, range(1 + len(names), len(head)), strong),
+        _smooth(results),
         _recovery(results),
         _by_part(results, results.pose_by_stimulus, "shape"),
         _by_part(results, results.pose_by_depth, "depth" if results.simulated else "z"),
         _by_part(results, results.pose_by_slide, "length of the slide"),
         *_apart(results),
+    )
+
+
+def _smooth(results: Results) -> Markup:
+    """The sentence on edge angles without those that are ambiguous; nothing if none are marked."""
+    smooth, counts = results.pose_smooth, results.counts
+    if smooth is None or not counts.test_smooth or not counts.test:
+        return Markup()
+    errors, spans = smooth.pose_mae, smooth.spread.pose_mae
+    reported = [
+        f"{words.kind_of(results, kind)} {number(errors[kind]['edge_deg'], 1)}{_span(spans[kind]['edge_deg'], '.1f')}"
+        for kind in errors
+    ]
+    return page.soft(
+        f"Edge angle errors, deg, on the {counts.test_smooth / counts.test:.0%} of contacts whose nearest edge has one "
+        f"direction: {'; '.join(reported)}. On the others two edges are as near, or the edge is tightly curved."
     )
 
 

@@ -163,6 +163,6 @@ def swap(results: Results) -> Markup:
         "MSE",
         "SSIM",
         name,
-        *(Markup("{}<br>paper").format(metric) for metric in ("MSE", "SSIM") if known),
+        *(Markup("{}<br>paper").format(metric) for metric in ("MSE", "MS-SSIM") if known),
     ]
     return page.section("Swapped codes" if both else "The two decoders", lead, page.table(head, rows, (5, 6)))

@@ -82,6 +82,7 @@ class Tables(Poses):
     pins: Table | None = None
     pose_by_depth: Parts | None = None
     pose_by_slide: Parts | None = None
+    pose_smooth: PartPoses | None = None  # edge angles where the nearest edge has one direction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,6 +104,7 @@ class Counts:
     validation: int | None = None
     test: int | None = None
     test_poses: int | None = None  # poses or, of recordings, slides that are scored
+    test_smooth: int | None = None  # contacts whose nearest edge has one direction
     test_taps: int | None = None  # that are scored
     test_unsure: int | None = None  # slides that are left out, since they were not understood
     test_by_stimulus: Mapping[str, int] = field(default_factory=dict)

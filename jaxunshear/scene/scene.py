@@ -7,15 +7,19 @@ is not.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float, Num
+from jaxtyping import Bool, Float, Num
 
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_of
 from jaxunshear.settings.stimuli import Outline
+
+NEAR_MM, TURN_DEG = 1.0, 30.0  # a direction that turns by more than this so near by is ambiguous
+RING = 16  # places that it is compared with
 
 
 @dataclass(frozen=True)
@@ -87,6 +91,31 @@ def edge_labels(stimuli: tuple[str | Outline, ...], scenes: Scenes) -> Float[np.
         here = scenes.stimulus == index
         labels[here] = edge_teller(stimulus_of(stimuli[index]))(scenes.pose[here, :3])
     return labels
+
+
+def has_one_edge(
+    stimuli: tuple[str | Outline, ...],
+    stimulus: Num[np.ndarray, "B"],
+    pose: Num[np.ndarray, "B P"],
+) -> Bool[np.ndarray, "B"]:
+    """Say at which poses the direction of the nearest edge is unambiguous.
+
+    Two edges are as near on the medial axis of a shape: there the direction jumps, and about the
+    centre of a tight curve it turns fast. A pose counts as ambiguous if the outward normal turns by
+    more than TURN_DEG anywhere on a circle of NEAR_MM about the sensor's point, or if it has no
+    direction. `stimulus` is an index into `stimuli`; `pose` has x, y in mm in its first columns.
+    """
+    angle = 2 * np.pi * np.arange(RING) / RING
+    around = NEAR_MM * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    one = np.zeros(len(stimulus), bool)
+    for index in np.unique(stimulus):
+        here = stimulus == index
+        normal = jax.jit(partial(outward_normal, stimulus_of(stimuli[index])))
+        xy = jnp.asarray(pose[here, :2], jnp.float32)
+        own, others = normal(xy), normal(xy[:, None] + jnp.asarray(around, jnp.float32)[None])
+        turn = jnp.sum(own[:, None] * others, axis=-1)
+        one[here] = np.asarray(turn).min(axis=1) >= np.cos(np.radians(TURN_DEG))
+    return one
 
 
 def edge_teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:

@@ -1,13 +1,18 @@
-"""How far a mean would move with other seeds and other test contacts: a bootstrap over both, crossed. Pure functions.
+"""How far a mean would move with other seeds and other test contacts, crossed. Pure functions.
 
-Every seed is scored at the same test poses, so a resample draws seeds, and draws poses, and takes every drawn pose with every
-drawn seed. Draws follow from how many seeds and poses there are alone: cells of a sweep see the same, and so differences
-between cells are those of pairs.
+Every seed is scored at the same test poses. A resample weights the seeds, draws poses, and takes
+every drawn pose with every seed. Poses are many, so they are drawn with replacement. Seeds are few:
+a bootstrap of three holds their mean in three cases of four, not in 95 of 100. Their weights are
+therefore normal, with a spread that makes the interval Student's t where seeds alone vary.
+
+Draws follow from the numbers of seeds and poses alone. Cells of a sweep see the same draws, so
+differences between cells are those of pairs.
 """
 
 import functools
 
 import numpy as np
+from scipy.special import ndtri, stdtrit
 
 from jaxunshear.evaluation import spread
 
@@ -16,13 +21,12 @@ OVER = "training seeds and test poses"  # what the intervals of several seeds ar
 
 
 def spread_of(seeds: int) -> dict[str, str | int]:
-    """Of sweep.json: what its intervals are."""
-    slides = "each drawn pose with all its slides"
-    drawn = (
-        f"seeds and test poses, {slides} and with every drawn seed" if seeds > 1 else f"the seed's test poses, {slides}"
-    )
+    """Say what the intervals in sweep.json are."""
+    drawn = "bootstrap over test poses, each with all its slides"
+    kind = f"Student's t over {seeds} seeds and {drawn}" if seeds > 1 else drawn
     return {
-        "what": f"{spread.LEVEL:.0%} bootstrap interval of the mean over {drawn}; the same draws in all cells",
+        "interval": kind,
+        "what": f"{spread.LEVEL:.0%} interval of the mean: {kind}; the same draws in all cells",
         "over": OVER if seeds > 1 else spread.OVER,
         "resamples": spread.RESAMPLES,
         "seed": SEED,
@@ -40,16 +44,31 @@ def interval(values: np.ndarray, poses: np.ndarray) -> list[float]:
 
 
 def resampled(values: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """The mean of `values` (seeds, N) in each of the resamples, (resamples,)."""
+    """Give the mean of `values` (seeds, N) in each of the resamples, (resamples,)."""
     _, group = np.unique(poses, return_inverse=True)
     counts = np.bincount(group).astype(np.float64)
     sums = np.stack([np.bincount(group, row) for row in values.astype(np.float64)])  # (seeds, poses)
-    of_seeds, of_poses = draws(len(values), SEED + 1), draws(len(counts), SEED)
+    of_seeds, of_poses = weights(len(values), SEED + 1), draws(len(counts), SEED)
     return np.sum((of_seeds @ sums) * of_poses, axis=1) / (len(values) * (of_poses @ counts))
 
 
 @functools.cache
+def weights(seeds: int, seed: int) -> np.ndarray:
+    """Draw how much each training seed counts in each resample, (resamples, seeds); 1 on average.
+
+    The weighted mean of numbers x, one per training seed, is normal about mean(x). Its standard
+    deviation is that of the mean, s / sqrt(seeds), times t / z: the 97.5 % quantiles of Student's t
+    with seeds - 1 degrees of freedom and of the normal distribution. A single seed counts 1.
+    """
+    upper = (1 + spread.LEVEL) / 2
+    wider = stdtrit(seeds - 1, upper) / ndtri(upper) if seeds > 1 else 0.0
+    drawn = np.random.default_rng(seed).normal(size=(spread.RESAMPLES, seeds))
+    apart = drawn - drawn.mean(axis=1, keepdims=True)
+    return 1 + wider * np.sqrt(seeds / max(seeds - 1, 1)) * apart
+
+
+@functools.cache
 def draws(things: int, seed: int) -> np.ndarray:
-    """How often each of `things` is drawn, with replacement, in each resample: (resamples, things)."""
+    """Draw how often each of `things` counts, with replacement, in each resample: (resamples, things)."""
     equal = np.full(things, 1 / things)
     return np.random.default_rng(seed).multinomial(things, equal, size=spread.RESAMPLES).astype(np.float64)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation.smooth import SMOOTH
 from jaxunshear.evaluation.spread import numbered_poses
 from jaxunshear.results.run import Notes
 from jaxunshear.results.sweep import Outcome
@@ -82,6 +83,15 @@ def shapes_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
         stimuli = results.tests[test].stimuli if test in results.tests else ()
     names, stimulus = stimulus_names(stimuli), _labels(rows, test)["stimulus"]
     return {name: stimulus == index for index, name in enumerate(names) if np.any(stimulus == index)}
+
+
+def smooth_of(rows: Mapping[int, Measured], test: str) -> dict[str, np.ndarray]:
+    """Say which contacts (N,) of a test have a nearest edge of one direction, if there are such.
+
+    Scores of an earlier version do not say so.
+    """
+    smooth = _labels(rows, test).get(SMOOTH)
+    return {SMOOTH: smooth.astype(bool)} if smooth is not None and smooth.any() else {}
 
 
 def same_contacts(rows: Mapping[int, Measured], other: Mapping[int, Measured], test: str) -> bool:

@@ -15,7 +15,17 @@ from jaxunshear.settings.stored import to_json
 from jaxunshear.settings.sweep import Sweep, base_of, names_of
 from jaxunshear.sweep.bootstrap import interval, resampled, spread_of
 from jaxunshear.sweep.rows import Cell, axis_values, name_of, parts_of
-from jaxunshear.sweep.scores import Measured, called, metric_of, names_in, poses_of, same_contacts, shapes_of, stacked
+from jaxunshear.sweep.scores import (
+    Measured,
+    called,
+    metric_of,
+    names_in,
+    poses_of,
+    same_contacts,
+    shapes_of,
+    smooth_of,
+    stacked,
+)
 
 TABLES = ("pin_error", "half_width", "coverage")  # of a run's results: figures that are no means over contacts
 TAPS = "taps"  # the test of recorded taps, which are no pairs of the slides
@@ -80,13 +90,14 @@ def _cell(
 def metrics(rows: Mapping[int, Measured]) -> dict[str, Figure]:
     """By metric: `mean` over seeds and contacts, its `interval`, and the mean of every seed; figures of `TABLES` without one.
 
-    Those of further tests are called `<test>: <metric>`, likeness on one shape `<shape>: ms_ssim/<kind>`.
+    Those of further tests are called `<test>: <metric>`, likeness on one shape `<shape>: ms_ssim/<kind>`, edge angles where the
+    nearest edge has one direction `smooth: pose/<kind>/edge_deg`.
     """
     found = {}
     for test, name in names_in(rows):
         values, poses = stacked(rows, test, name), poses_of(rows, test)
         found[called(test, name)] = _figure(rows, values, poses)
-        for shape, inside in shapes_of(rows, test).items() if name.startswith("ms_ssim/") else ():
+        for shape, inside in parts_in(rows, test, name).items():
             found[called(test, name, shape)] = _figure(rows, values[:, inside], poses[inside])
     found |= recoveries(rows)
     plain = {
@@ -100,6 +111,13 @@ def metrics(rows: Mapping[int, Measured]) -> dict[str, Figure]:
         for seed, row in rows.items()
     }
     return found | _over_seeds(plain)
+
+
+def parts_in(rows: Mapping[int, Measured], test: str, name: str) -> dict[str, np.ndarray]:
+    """Give the parts of a test (N,) that the metric `name` is also given of."""
+    if name.startswith("ms_ssim/"):
+        return shapes_of(rows, test)
+    return smooth_of(rows, test) if name.startswith("pose/") and name.endswith("/edge_deg") else {}
 
 
 def _figure(rows: Mapping[int, Measured], values: np.ndarray, poses: np.ndarray) -> Figure:

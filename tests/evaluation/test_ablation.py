@@ -68,6 +68,14 @@ def test_rows_give_which_image_was_drawn(drawn):
     assert "DS(z_p,z_s of another)" in table(list(rows.values()))
 
 
+def test_what_is_beside_the_papers_figure_is_multi_scale():
+    """As the paper's is: by a single scale the same image scores 0.115."""
+    scores = {"DC(z_s)/mse": 0.19, "DC(z_s)/ssim": 0.115, "DC(z_s)/ms_ssim": 0.165}
+    rows = rows_of({name: np.full(4, value) for name, value in scores.items()}, np.arange(4))
+    line = table(rows).splitlines()[1]
+    assert line.split()[2:] == ["0.1900", "0.165", "[0.165,", "0.165]", "0.22,", "0.02"]
+
+
 @pytest.mark.parametrize("total", [1, 2, 5, 32, 48, 49, 720])
 def test_every_row_counts_once_beside_one_half_the_split_on(total):
     parts = list(partners(np.arange(total), 32))

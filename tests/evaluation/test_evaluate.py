@@ -10,7 +10,8 @@ from jaxunshear.evaluation.evaluate import every_score, montage, results_of
 from jaxunshear.evaluation.gather import BATCH, FIELDS, gather
 from jaxunshear.evaluation.measurements import measurements, reproducible
 from jaxunshear.evaluation.score import CELLS, Outputs, chance, image_scores
-from jaxunshear.settings.data import Ranges
+from jaxunshear.evaluation.smooth import marked
+from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.targets import of_ranges, true_values
 
@@ -156,6 +157,28 @@ def test_scores_are_kept_contact_by_contact(gathered):
     with np.load(io.BytesIO(every_score(gathered))) as kept:
         assert set(kept) == {*gathered.scores, "stimulus", "pose_id"}
         np.testing.assert_array_equal(kept["ms_ssim/entangled"], gathered.scores["ms_ssim/entangled"])
+
+
+def test_edge_angles_are_also_given_where_the_edge_has_one_direction(gathered):
+    """Of the first five contacts here; without the marks the results say nothing of it."""
+    experiment = Experiment(name="made up", claim="none")
+    smooth = np.arange(len(gathered.labels["stimulus"])) < 5
+    marks = gathered._replace(labels=gathered.labels | {"smooth": smooth})
+    found = results_of(experiment, marks)
+    assert found.counts.test_smooth == 5
+    for kind, errors in found.pose_smooth.pose_mae.items():
+        assert errors == {"edge_deg": pytest.approx(gathered.scores[f"pose/{kind}/edge_deg"][:5].mean(dtype=float))}
+    assert "pose_smooth.disentangled.edge_deg" in {row.name for row in measurements(found).rows}
+    assert found.pose_mae == results_of(experiment, gathered).pose_mae
+    assert results_of(experiment, gathered).pose_smooth is None
+    with np.load(io.BytesIO(every_score(marks))) as kept:
+        np.testing.assert_array_equal(kept["smooth"], smooth)
+
+
+def test_marks_are_of_the_contacts_poses(gathered):
+    labels = gathered.labels | {"stimulus": np.zeros(2, int), "pose": np.array([[-50.0, 0, 0, 3], [0.0, 0, 0, 3]])}
+    settings = PairedData(stimuli=("disk",))
+    assert marked(gathered._replace(labels=labels), settings).labels["smooth"].tolist() == [False, True]
 
 
 def test_measurements_of_results_have_the_bars(results):

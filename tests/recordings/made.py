@@ -65,7 +65,7 @@ def write(
     names = [f"image_{i + 1}.png" for i in range(len(pose))]
     ids = np.arange(1, len(pose) + 1) if pose_id is None else pose_id
     for name, own, by in zip(names, pose, move, strict=True):
-        picture = _drawn(pins_px(own, by, sensor, size)[None], 0.017 * size, size)
+        picture = _drawn(pins_px(own, by, sensor, size)[None], 0.017 * size * (127 / sensor.pins) ** 0.5, size)
         Image.fromarray(picture).save(images / name)
     with open(folder / "targets.csv", "w", newline="") as file:
         rows = csv.writer(file)

@@ -11,6 +11,7 @@ from PIL import Image
 
 from jaxunshear.dataset import preparing
 from jaxunshear.dataset.making import make_set
+from jaxunshear.dataset.pairing import gaps, nearest
 from jaxunshear.dataset.recorded import sensor_of, survey
 from jaxunshear.dataset.recorded_reading import open_recorded
 from jaxunshear.errors import UserError
@@ -113,6 +114,23 @@ def test_the_nearest_tap_weighs_by_its_gap(opened):
     near, far = scaled < np.quantile(scaled, 0.2), scaled > np.quantile(scaled, 0.8)
     assert rows["weight"][near].mean() > 2 * rows["weight"][far].mean()
     assert np.all(rows["gap"][:, [0, 3, 4]] == 0) and 0 < np.median(rows["gap"][:, 5]) < 20
+
+
+@pytest.mark.parametrize("split", SPLITS)
+def test_a_partner_is_a_tap_of_the_own_split_or_of_training(opened, split):
+    """Else test taps would have a say in which checkpoint is the best."""
+    stored = opened(pairing="nearest")
+    reader = stored.pairs(stored.targets(()))
+    partners = reader.take(split, np.arange(reader.length(split)), ("canonical", "pose", "gap"))
+    taps = {each: stored.taps().take(each, np.arange(stored.count("taps", each)), ("image", "pose")) for each in SPLITS}
+    known = {image.tobytes(): each for each in SPLITS for image in taps[each]["image"]}  # no two taps are of one pose
+    assert len(known) == sum(len(part["image"]) for part in taps.values())
+    assert {known[image.tobytes()] for image in partners["canonical"]} == {"train", split}
+    # and the nearest of these
+    allowed = np.concatenate([taps[each]["pose"] for each in dict.fromkeys(("train", split))])
+    targets = stored.targets(())
+    row, _ = nearest(targets, partners["pose"], allowed)
+    np.testing.assert_allclose(partners["gap"], gaps(partners["pose"], allowed[row]), atol=1e-4)
 
 
 def test_rendered_partners_stand_where_the_renderer_says(opened):

@@ -156,6 +156,16 @@ def test_without_logs_and_times_the_rest_is_still_shown(made_up_run, read):
     assert "5 min 14 s" in text
 
 
+def test_the_page_says_how_edge_angles_err_where_the_edge_has_one_direction(bare_run, read):
+    folder, results = bare_run
+    assert "has one direction" not in write_report(folder).read_text()
+    part = {"pose_mae": {"tap": {"edge_deg": 5.04}}, "spread": {"pose_mae": {"tap": {"edge_deg": [4.5, 5.6]}}}}
+    results["pose_smooth"], results["counts"]["test_smooth"] = part, 670
+    (folder / "results.json").write_text(json.dumps(results))
+    text = " ".join(" ".join(read(write_report(folder).read_text()).text).split())
+    assert "on the 93% of contacts whose nearest edge has one direction: tap (no slide) 5.0 [4.5, 5.6]" in text
+
+
 def test_nulls_are_shown_as_dashes(bare_run):
     folder, results = bare_run
     results["ms_ssim"]["sheared"]["disk"] = None
@@ -167,6 +177,13 @@ def test_nulls_are_shown_as_dashes(bare_run):
     (folder / "results.json").write_text(json.dumps(results))
     page = write_report(folder).read_text()
     assert "\u2013" in page.split("Where the pins are")[0] and "\u2013 px" in page and "ndash" not in page
+
+
+def test_the_papers_likeness_of_swapped_codes_is_called_multi_scale(page):
+    """It is: see `jaxunshear.evaluation.paper`."""
+    section = page.read_text().split("Swapped codes")[1].split("</table>")[0]
+    heads = re.findall(r"<th[^>]*>(.*?)</th>", section.split("</thead>")[0], re.DOTALL)
+    assert [head for head in heads if "paper" in head] == ["MSE<br>paper", "MS-SSIM<br>paper"]
 
 
 @pytest.mark.parametrize(("table", "by"), [("pose_by_stimulus", "shape"), ("pose_by_depth", "depth")])

@@ -6,7 +6,7 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import DEPTH, TILT_X, YAW, path_of
 from jaxunshear.scene.pins import pin_tips
-from jaxunshear.scene.scene import draw_moves, draw_poses, edge_labels, make_scenes
+from jaxunshear.scene.scene import NEAR_MM, draw_moves, draw_poses, edge_labels, has_one_edge, make_scenes
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor, sensor_named
 
 
@@ -27,6 +27,28 @@ def test_edge_labels_on_the_disk():
     outward = np.degrees(np.arctan2(4, 50))
     np.testing.assert_allclose(labels, [[2, 0], [-3, -30], [np.hypot(50, 4) - 50, outward + 45]], atol=1e-2)
     assert scenes.friction[0] == pytest.approx(0.7)
+
+
+def test_an_edge_has_one_direction_but_near_a_medial_axis():
+    """Of the teardrop, whose flanks mirror each other about the x axis and end in a tip of 1 mm; of the
+    disk at its centre; of the straight edge nowhere."""
+
+    def one(shape, *points):
+        xy = np.array(points, float)
+        pose = np.column_stack([xy, np.full((len(xy), 2), 3.0)])
+        return has_one_edge((shape,), np.zeros(len(xy), int), pose).tolist()
+
+    inside = [[-5.0, 0.0], [-5.0, 0.9 * NEAR_MM], [-5.0, -0.9 * NEAR_MM], [-5.0, 1.1 * NEAR_MM], [-5.0, 2.5]]
+    assert one("teardrop", *inside) == [False, False, False, True, True]
+    assert one("teardrop", [0.0, 0.0], [2.0, 0.0]) == [False, True]  # the tip turns fast: 1 and 3 mm from its centre
+    assert one("disk", [-50.0, 0.0], [-50.0, 1.5], [-46.0, 0.0], [0.0, 0.0]) == [False, False, True, True]
+    assert one("edge", [0.0, 0.0], [-4.0, 3.0]) == [True, True]
+    assert one("surface", [0.0, 0.0]) == [False]  # no edge, no direction
+
+
+def test_which_shape_is_touched_decides_whether_an_edge_has_one_direction():
+    pose = np.array([[-5.0, 0.2, 0.0, 3.0]] * 3)
+    assert has_one_edge(("disk", "teardrop", "edge"), np.array([1, 0, 2]), pose).tolist() == [False, True, True]
 
 
 def test_pins_of_both_layouts():

@@ -103,12 +103,12 @@ def test_likeness_is_reported_for_every_shape_too(summary):
 def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     generator = np.random.default_rng(0)
     errors = {
-        kind: generator.uniform(0.9, 1.1, (2, 12)) * size for kind, size in (("tap", 1), ("sheared", 5), ("unet", 2))
+        kind: generator.uniform(0.9, 1.1, (5, 12)) * size for kind, size in (("tap", 1), ("sheared", 5), ("unet", 2))
     }
 
     def recovered(errors):
-        scores = [{f"pose/{kind}/x_mm": values[seed] for kind, values in errors.items()} for seed in (0, 1)]
-        rows = {seed: done(random(0)) for seed in (0, 1)}
+        scores = [{f"pose/{kind}/x_mm": values[seed] for kind, values in errors.items()} for seed in range(5)]
+        rows = {seed: done(random(0)) for seed in range(5)}
         return metrics({seed: row._replace(tests={"": scores[seed] | LABELS}) for seed, row in rows.items()})
 
     figure = recovered(errors)["pose_recovery/unet/x_mm"]
@@ -116,13 +116,27 @@ def test_recovery_is_of_the_means_with_an_interval_of_its_own():
     assert figure.mean == pytest.approx((sheared - unet) / (sheared - tap))
     low, high = figure.interval
     assert low < figure.mean < high and high - low < 0.1
-    assert set(figure.per_seed) == {"0", "1"}
+    assert set(figure.per_seed) == {"0", "1", "2", "3", "4"}
     clover = [values[:, POSES % 3 == 1].mean() for values in errors.values()]
     assert recovered(errors)["clover: pose_recovery/unet/x_mm"].mean == pytest.approx(
         (clover[1] - clover[2]) / (clover[1] - clover[0])
     )
     assert "pose_recovery/sheared/x_mm" not in recovered(errors)
     assert "pose_recovery/unet/x_mm" not in recovered(errors | {"sheared": errors["tap"] / 2})  # no damage to undo
+
+
+def test_edge_angles_are_also_given_where_the_edge_has_one_direction():
+    name, smooth = "pose/tap/edge_deg", np.arange(12) < 7
+    rows = {seed: done(random(0)) for seed in (0, 1)}
+    errors = {seed: np.random.default_rng(seed).uniform(0, 9, 12) for seed in rows}
+
+    def found(labels):
+        return metrics({s: row._replace(tests={"": {name: errors[s]} | labels}) for s, row in rows.items()})
+
+    both = np.stack([errors[0], errors[1]])
+    marked = found(LABELS | {"smooth": smooth})
+    assert marked[f"smooth: {name}"].mean == pytest.approx(both[:, :7].mean())
+    assert marked[name] == found(LABELS)[name] and f"smooth: {name}" not in found(LABELS)
 
 
 def test_means_are_over_seeds_and_contacts_and_each_seed_is_reported(summary):
