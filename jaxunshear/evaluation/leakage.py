@@ -25,6 +25,7 @@ from jaxunshear.evaluation.spread import OVER, interval, numbered_poses, redrawn
 from jaxunshear.evenly import evenly
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import provenance
+from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
@@ -92,6 +93,7 @@ def leakage(experiment: Experiment, run_dir: Path, data_dir: Path, command: str,
         "slide": [] if leaks_alone else _slide(experiment, examples, seen, encode, (learnt, tested)),
         "slides": {"learnt": len(groups), "tested": len(poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
+        **read_trained(run_dir, experiment.networks),
         **provenance(command),
     }
     write_json(Path(run_dir) / "leakage.json", results)

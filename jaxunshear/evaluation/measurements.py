@@ -34,7 +34,13 @@ def measurements(results: Results) -> Measured:
         rows.append(_row(f"ms_per_image.{network}", times["median"], "ms", "median of one image at a time"))
     rows += [_row(f"time_s.{stage}", seconds, "s", "wall clock") for stage, seconds in results.time_s.items()]
     return Measured(
-        rows, results.machine, results.versions, results.source, results.trained_by, command=results.command
+        rows,
+        results.machine,
+        results.versions,
+        results.source,
+        results.trained_on,
+        results.trained_by,
+        results.command,
     )
 
 
