@@ -43,6 +43,9 @@ PROGRAMS = {  # the modules that a command starts from
     "validate": ("calibration.validate",),
     "calibrate": ("calibration.calibrate",),
     **{name: (f"cli.{name}",) for name in ("geometry", "servo", "reconstruct", "pins", "stream")},
+    "unshear": ("infer",),
+    "pose": ("infer",),
+    "check plan": ("verification.show_plan",),
     "check verify": ("verification.verify",),
     "check stability": ("verification.stability",),
     "check identify": ("calibration.identify",),
@@ -90,7 +93,8 @@ def sources(held: Json) -> list[Source]:
     for part in parts(held):
         own = [*part.get("sources", []), *part.get("trained_by", {}).values()]
         own += [part["source"]] if part.get("source") else []
-        if not own:
+        trained = part.get("trained_on", {})  # of a sweep a list, whose `sources` are complete or none
+        if not own or (isinstance(trained, dict) and trained.keys() - part.get("trained_by", {}).keys()):
             return []
         found += own
     return list(dict.fromkeys(Source(**each) for each in found))
@@ -191,9 +195,16 @@ def _flat(settings: Json, group: str = "") -> Json:
 def changes(name: str, root: Path = ROOT) -> list[str]:
     """Return what a result was computed with and the package no longer has, as `lost`."""
     held, today, same = read_result(name), read_modules(root), read_known().same
-    pairs = [(source.commit, command) for source in sources(held) for command in commands(held)]
-    found = [line for commit, typed in pairs for line in lost(read_modules(root, commit), today, programs(typed), same)]
-    return sorted(set(found))
+    found: set[str] = set()
+    for source in sources(held):
+        try:
+            then = read_modules(root, source.commit)
+        except LookupError:
+            found.add(f"commit {source.commit} is not in this history")
+            continue
+        for command in commands(held):
+            found |= set(lost(then, today, programs(command), same))
+    return sorted(found)
 
 
 def lost(

@@ -173,6 +173,7 @@ def test_a_note_says_what_a_file_knows():
     assert origin(one) == "`jaxunshear sweep experiments/demo.py`, commit 0123456 of 2030-01-02"
     unclean = {"source": code | {"clean": False}}
     assert origin(unclean) == "commit 0123456 of 2030-01-02 with uncommitted changes"
+    assert origin(one | {"trained_on": {"posenet": {}}}).endswith(", commit not kept")
     several = {"runs": {"a": {"command": "x", "source": code}, "b": {"command": "y"}}}
     assert origin(several) == "`x`, and 1 more commands, commit not kept"
 

@@ -71,7 +71,9 @@ def test_results_bear_the_names_that_others_rely_on(finished):
     assert found["counts"]["test_poses"] == 6 and found["counts"]["dropped"] == 0
     assert 0 < found["ms_ssim"]["sheared"]["overall"] < 0.6
     measured = json.loads((finished / "rows.json").read_text())
-    assert {"rows", "machine", "versions"} <= set(measured)
+    assert {"rows", "machine", "versions", "source", "command"} <= set(measured)
+    assert set(found["trained_by"]) == {"entangled", "disentangled", "posenet"}
+    assert measured["source"] == found["source"] == found["trained_by"]["posenet"]
     assert {"name", "value", "unit", "bar", "ok"} <= set(measured["rows"][0])
 
 

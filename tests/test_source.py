@@ -87,6 +87,6 @@ def test_an_installed_package_has_its_version_alone(tmp_path):
     for name in ("__init__.py", "source.py"):
         shutil.copy(source.ROOT / "jaxunshear" / name, tmp_path / "jaxunshear")
     asked = "from jaxunshear.source import read_source as read; print(read().version, read().commit, read().clean)"
-    words, here = [sys.executable, "-c", asked], os.environ | {"PYTHONPATH": str(tmp_path)}
+    words, here = [sys.executable, "-P", "-c", asked], os.environ | {"PYTHONPATH": str(tmp_path)}
     done = subprocess.run(words, env=here, cwd=source.ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.split() == [__version__, "None", "None"]

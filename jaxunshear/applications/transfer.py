@@ -31,6 +31,7 @@ from jaxunshear.metrics.machine import provenance
 from jaxunshear.metrics.pose import pose_errors
 from jaxunshear.progress import Progress
 from jaxunshear.results.run import Counts, Results
+from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
 from jaxunshear.settings.targets import RECORDED, STILL, Target, names_of, of_labels
@@ -106,6 +107,7 @@ def score_transfer(
             test_unsure=int((~slide_read).sum()),
         ),
         time_s={"evaluate": time.perf_counter() - started},
+        **read_trained(model, experiment.networks),
         **provenance(command),
     )
     return rounded(results)

@@ -45,8 +45,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     found = WORK[arguments.command].run(arguments, out, model)
     from jaxunshear.metrics.machine import provenance
     from jaxunshear.results.stored import write
+    from jaxunshear.results.trained import read_trained
 
     results = provenance(command) | vars(found)
+    if model:
+        results |= read_trained(model[0], model[1].networks)
     if arguments.json:
         write(arguments.json, results)
     if arguments.command != "stream" or finished:

@@ -25,6 +25,7 @@ from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import provenance
 from jaxunshear.model.layers import in_precision
 from jaxunshear.progress import Progress
+from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
@@ -107,6 +108,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
         "rows": rows_of(scores, poses[np.concatenate(order)]),
         "contacts": total,
         "seed": SEED,
+        **read_trained(run_dir, experiment.networks),
         **provenance(command),
     }
     write_bytes(Path(run_dir) / "ablation.png", picture(shown))

@@ -7,7 +7,6 @@ import dataclasses
 import io
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -36,16 +35,16 @@ from jaxunshear.evaluation.within import coverage, half_widths
 from jaxunshear.image.framing import undeformed
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import provenance
-from jaxunshear.results.rows import Machine, Summary
 from jaxunshear.results.run import Bar, Counts, Further, Results, Tables
-from jaxunshear.results.stored import read, write
+from jaxunshear.results.stored import write
 from jaxunshear.results.times import read_times
+from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import Experiment, further_tests, over_pins, recorded_of, simulated_of
 from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.targets import of_ranges, true_values
-from jaxunshear.storage import Json, write_bytes
+from jaxunshear.storage import write_bytes
 from jaxunshear.training.checkpoint import check_finished
 from jaxunshear.training.examples import open_examples, stored_of
 from jaxunshear.training.origin import check_origin
@@ -77,7 +76,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         results,
         ms_per_image=ms_per_image(run_dir, experiment.networks, experiment.train.precision),
         time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
-        **_trained(experiment, run_dir),
+        **read_trained(run_dir, experiment.networks),
         **provenance(command),
     )
     results = rounded(results)
@@ -89,18 +88,6 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         write_bytes(run_dir / f"scores-{name}.npz", every_score(found))
     write(run_dir / "results.json", results)
     return results
-
-
-def _trained(experiment: Experiment, run_dir: Path) -> Json:
-    """Return on what and with which code each network was trained, of those that say so."""
-    found = {}
-    for name in experiment.networks:
-        with suppress(UserError):
-            found[name] = read(run_dir / name / "summary.json", Summary, "train again")
-    return {
-        "trained_on": {name: each.trained_on for name, each in found.items() if each.trained_on != Machine()},
-        "trained_by": {name: each.trained_by for name, each in found.items() if each.trained_by},
-    }
 
 
 def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:

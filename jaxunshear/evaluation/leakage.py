@@ -27,6 +27,7 @@ from jaxunshear.evenly import evenly
 from jaxunshear.metrics.disentanglement import Blocks, score_dci, score_mig, score_sap
 from jaxunshear.metrics.independence import hsic, r2
 from jaxunshear.metrics.machine import provenance
+from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.data import PairedData, Ranges
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.registry import DISENTANGLED
@@ -118,6 +119,7 @@ def leakage(
         "slide": _slide(experiment, examples, encode, (train, test)),
         "slides": {"learnt": len(train.poses), "tested": len(test.poses)},
         "sizes": {code: int(codes[1][code].shape[1]) for code in CODES},
+        **read_trained(run_dir, experiment.networks),
         **provenance(command),
     }
     for row in rows:

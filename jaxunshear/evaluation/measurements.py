@@ -40,6 +40,7 @@ def measurements(results: Results) -> Measured:
         results.machine,
         results.versions,
         results.source,
+        results.trained_on,
         results.trained_by,
         command=results.command,
         test_data=results.test_data,

@@ -23,6 +23,7 @@ from jaxunshear.evaluation.within import coverage
 from jaxunshear.metrics.machine import provenance
 from jaxunshear.results.run import EVALUATED, Full, Results, Table
 from jaxunshear.results.stored import read
+from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, recorded_of
 from jaxunshear.storage import read_object
@@ -72,6 +73,7 @@ def score_recordings(experiment: Experiment, run_dir: Path, recordings: Path, da
             coverage=coverage(widths, recorded.errors_of(slides, taps)),
             trained_in=run_dir.name,
             time_s={"evaluate": time.perf_counter() - started},
+            **read_trained(run_dir, experiment.networks),
             **provenance(command),
         )
     )

@@ -50,7 +50,8 @@ class Measured:
     machine: Machine
     versions: Versions
     source: Source | None = None
-    trained_by: Mapping[str, Source] = field(default_factory=dict)  # by network
+    trained_on: Mapping[str, Machine] = field(default_factory=dict)  # by network
+    trained_by: Mapping[str, Source] = field(default_factory=dict)
     command: str = ""
     test_data: str | None = None  # of a run over recordings, as its results say
 

@@ -185,6 +185,13 @@ class Results(Tables):
     command: str = ""
 
     @property
+    def sources(self) -> list[Source]:
+        """Return the code that evaluated and that trained; nothing if some of it is not known."""
+        if self.source is None or self.trained_on.keys() - self.trained_by.keys():
+            return []
+        return [self.source, *self.trained_by.values()]
+
+    @property
     def recorded(self) -> tuple[Recordings, Pairing]:
         """Of a run over recordings. Raises KeyError."""
         if self.recordings is None or self.pairing is None:

@@ -102,4 +102,4 @@ class SweepResult:
     machines: Sequence[Machine] = ()
     trained_on: Sequence[Machine] = ()
     versions: Sequence[Versions] = ()
-    sources: Sequence[Source] = ()  # that trained or evaluated
+    sources: Sequence[Source] = ()  # that trained or evaluated; none if one is not known

@@ -118,9 +118,9 @@ def _made_with(summary: SweepResult, measured: Mapping[tuple[str, int], Measured
         machines=_distinct(result.machine for result in results),
         trained_on=_distinct(machine for result in results for machine in result.trained_on.values()),
         versions=_distinct(result.versions for result in results),
-        sources=_distinct(
-            found for result in results for found in (result.source, *result.trained_by.values()) if found
-        ),
+        sources=_distinct(found for result in results for found in result.sources)
+        if all(result.sources for result in results)
+        else (),
     )
 
 
