@@ -12,7 +12,8 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from jaxunshear.metrics.machine import provenance
-from jaxunshear.storage import plain, sealed, write_text
+from jaxunshear.plain import plain
+from jaxunshear.storage import sealed, write_text
 from jaxunshear.style import DPI, LABEL, STYLE
 
 RESULTS = Path(__file__).parent / "results"

@@ -21,10 +21,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jaxunshear.cli import read_base
+from jaxunshear.plain import plain
 from jaxunshear.results.rows import Source
 from jaxunshear.settings.earlier import LATER, without_later
 from jaxunshear.settings.stored import to_json
-from jaxunshear.storage import Json, plain
+from jaxunshear.storage import Json
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"

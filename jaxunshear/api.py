@@ -25,12 +25,12 @@ from jaxunshear.applications.perceiver import Answers, Perceiver, frame_for, per
 from jaxunshear.applications.perception import BATCH, in_batches
 from jaxunshear.applications.pins import Pins, find_pins
 from jaxunshear.applications.servo import Course
+from jaxunshear.applications.suitability import learnt_note, suits_recordings
 from jaxunshear.applications.walk_scores import Followed, servo
 from jaxunshear.errors import Note, UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.image.understood import ANY
-from jaxunshear.infer import learnt_note, suits_recordings
 from jaxunshear.model.parts import Tree
 from jaxunshear.model.posenet import pose_from_outputs
 from jaxunshear.model.ready import ready

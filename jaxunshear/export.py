@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxunshear import __version__
+from jaxunshear.applications.suitability import learnt_note
 from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
-from jaxunshear.infer import FRAMES, OWN_FRAME, learnt_note
+from jaxunshear.infer import FRAMES, OWN_FRAME
 from jaxunshear.owners import check_apart
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins

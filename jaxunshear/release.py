@@ -10,13 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from jaxunshear.errors import UserError
+from jaxunshear.plain import plain
 from jaxunshear.results.rows import Machine
 from jaxunshear.results.run import EVALUATED, Results
 from jaxunshear.results.stored import read
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, REGISTRY
 from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.settings.targets import to_json
-from jaxunshear.storage import plain, read_object, write_json, write_text
+from jaxunshear.storage import read_object, write_json, write_text
 
 PARTS = {name: kind.released for name, kind in REGISTRY.items() if kind.released is not None}
 ORIGINS = ("origin", "taken_over", "start")  # what they learnt from goes with the weights

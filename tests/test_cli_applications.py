@@ -9,13 +9,13 @@ from PIL import Image
 
 from jaxunshear.applications import servo
 from jaxunshear.applications.geometry_ways import WAYS
+from jaxunshear.plain import plain
 from jaxunshear.results.applications import WalkScores
 from jaxunshear.results.stored import SCHEMA, record_of
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PoseNet, UnshearNet
-from jaxunshear.storage import plain
 from tests.test_infer import init, trained
 
 

@@ -19,7 +19,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.evaluation import ablation, exchange, leakage
+    from jaxunshear.evaluation import ablation, exchange, leakage, leakage_table
     from jaxunshear.settings.stored import from_json
     from jaxunshear.storage import read_object, write_bytes, write_json
 
@@ -35,7 +35,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         results = leakage.leakage(experiment, arguments.run, arguments.data, command)
         drawn = exchange.exchanged(experiment, arguments.run, arguments.data)
         write_bytes(arguments.run / "leakage.png", leakage_figure(results, drawn))
-        print(leakage.table(results))
+        print(leakage_table.table(results))
         print(arguments.run / "leakage.png")
     else:
         results = ablation.ablate(experiment, arguments.run, arguments.data, command)

@@ -33,9 +33,10 @@ def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRow
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.image.fitting import Layout, layout_of, read_layout
     from jaxunshear.image.lattice import Lattice
+    from jaxunshear.plain import csv_text, plain
     from jaxunshear.settings.image import Preprocess
     from jaxunshear.settings.sensor import sensor_named
-    from jaxunshear.storage import csv_text, plain, write_bytes, write_npz, write_text
+    from jaxunshear.storage import write_bytes, write_npz, write_text
 
     if not arguments.path.exists():
         raise UserError(f"{arguments.path} does not exist: name an image or a folder of recordings")

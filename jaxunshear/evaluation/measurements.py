@@ -5,9 +5,10 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from jaxunshear.plain import plain
 from jaxunshear.results.rows import Measured, Measurement
 from jaxunshear.results.run import Results, Swapped, Table
-from jaxunshear.storage import Json, plain
+from jaxunshear.storage import Json
 
 BARS: dict[str, tuple[str, float]] = {  # of the demo, on held-out poses
     "ms_ssim.disentangled.overall": (">=", 0.90),

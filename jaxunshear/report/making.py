@@ -4,12 +4,12 @@ import json
 
 from markupsafe import Markup
 
+from jaxunshear.plain import plain
 from jaxunshear.progress import duration
 from jaxunshear.report import figures, page, words
 from jaxunshear.report.history import History
 from jaxunshear.results.rows import Summary
 from jaxunshear.results.run import Results
-from jaxunshear.storage import plain
 
 TRAINED = "delete it, then run the same experiment again, which goes on from the checkpoint"
 

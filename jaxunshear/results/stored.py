@@ -11,7 +11,8 @@ from typing import TypeVar
 import msgspec
 
 from jaxunshear.errors import UserError
-from jaxunshear.storage import plain, read_json, write_json
+from jaxunshear.plain import plain
+from jaxunshear.storage import read_json, write_json
 
 SCHEMA = 1  # of all records; a file that names none is of this first one
 Record = TypeVar("Record")

@@ -126,7 +126,8 @@ def _row(order: Order, folder: Path) -> Outcome:
 def _spoilt(experiment: Experiment, folder: Path, data: Path, command: str) -> list[dict[str, object]]:
     """What decoders make of exchanged codes, and what each code holds that it should not."""
     from jaxunshear.evaluation.ablation import ablate
-    from jaxunshear.evaluation.leakage import for_sweep, leakage
+    from jaxunshear.evaluation.leakage import leakage
+    from jaxunshear.evaluation.leakage_table import for_sweep
 
     over = over_pins(experiment)
     rows = [] if over else ablate(experiment, folder, data, command)["rows"]

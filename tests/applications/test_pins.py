@@ -11,12 +11,12 @@ from jaxunshear.api import find_pins
 from jaxunshear.errors import UserError
 from jaxunshear.image.camera import frame, project
 from jaxunshear.image.fitting import layout_of, read_layout
+from jaxunshear.plain import plain
 from jaxunshear.results.applications import PinRows
 from jaxunshear.results.stored import SCHEMA, record_of
 from jaxunshear.scene.pins import pin_lattice, pin_tips
 from jaxunshear.settings.image import Camera, Nuisance
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
-from jaxunshear.storage import plain
 
 CAMERA = Camera(frame_px=256)
 

@@ -11,7 +11,14 @@ from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import felt
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation import exchange, leakage, probes
+from jaxunshear.evaluation import (
+    exchange,
+    leakage,
+    leakage_scores,
+    leakage_table,
+    probed_slides,
+    probes,
+)
 from jaxunshear.report.leakage_figure import leakage_figure
 from jaxunshear.run import run_stages
 from jaxunshear.scene.scene import turned
@@ -161,9 +168,9 @@ def test_a_planted_leak_is_found_by_the_test_of_independence():
     """Nothing in the code, and a hundredth of its spread planted: p is large without the leak, and small with it."""
     rng = np.random.default_rng(5)
     code, quantity = rng.normal(size=(400, 8)), rng.uniform(-1, 1, (400, 1))
-    test = leakage.Split(code, code, {"slide": {"slide_x_mm": quantity}}, np.arange(400), {})
+    test = probed_slides.Split(code, code, {"slide": {"slide_x_mm": quantity}}, np.arange(400), {})
     row = {"leak": True, "ceiling": 0.9, "code": "z_p", "what": "slide", "quantity": "slide_x_mm"}
-    (found,) = leakage._independence({"z_p": code}, test, [row])
+    (found,) = leakage_scores.measure_independence({"z_p": code}, test, [row])
     assert found["p"] > 0.05 and found["planted p"] < 0.01
 
 
@@ -172,7 +179,7 @@ def test_the_slide_is_read_with_an_interval(found):
         (f"slide_{axis}_mm", part) for axis in "xy" for part in ("all", "sticking", "slipped")
     ]
     assert all(0 <= row["coverage"] <= 1 and row["half_width"] > 0 for row in found["slide"])
-    assert "95 % intervals hold" in leakage.table(found)
+    assert "95 % intervals hold" in leakage_table.table(found)
 
 
 def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, folder):
@@ -194,11 +201,11 @@ def test_exchanged_codes_stand_beside_the_contact_of_that_pose_and_slide(found, 
         exchanged.true[0, 0] - exchanged.true[0, 1], exchanged.true[1, 0] - exchanged.true[1, 1], atol=1e-3
     )
     assert leakage_figure(found, exchanged)[:4] == leakage_figure(found, None)[:4] == b"\x89PNG"
-    assert "a leak" in leakage.table(found) and "codes exchanged" in leakage.table(found)
+    assert "a leak" in leakage_table.table(found) and "codes exchanged" in leakage_table.table(found)
 
 
 def test_a_sweep_gets_the_figures_and_can_leave_out_the_controls(found, folder):
-    names = {row["name"] for row in leakage.for_sweep(found)}
+    names = {row["name"] for row in leakage_table.for_sweep(found)}
     assert {"pose from z_s", "slide_x_mm from z_p", "DS, codes exchanged", "slide_x_mm, all"} <= names
     assert "standard scores" in names
     assert {"DS, codes exchanged, sticking", "DS, codes both of its own, slipped"} <= names
@@ -280,8 +287,8 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     assert found["exchanged"]["ratio"] == pytest.approx(
         drawn["exchanged"]["rms_grey"] / drawn["both of its own"]["rms_grey"]
     )
-    assert {"DS, codes exchanged", "DS, codes exchanged, sticking"} <= {row["name"] for row in leakage.for_sweep(found)}
-    assert "of 1 in grey" in leakage.table(found)
+    assert {"DS, codes exchanged", "DS, codes exchanged, sticking"} <= {row["name"] for row in leakage_table.for_sweep(found)}
+    assert "of 1 in grey" in leakage_table.table(found)
     assert all(0 <= row["missed_per_image"] <= SENSOR.pins for row in drawn.values())
     exchanged = exchange.exchanged(images, run, folder / "data")
     assert exchanged.drawn.shape == exchanged.true.shape == (2, 2, SIZE, SIZE, 1)

@@ -3,9 +3,9 @@
 import pytest
 
 from jaxunshear.evaluation.measurements import BARS, measurements, reproducible
+from jaxunshear.plain import plain
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import record_of
-from jaxunshear.storage import plain
 
 
 def results(unsheared=0.95, sheared=0.32, ratio=0.5):

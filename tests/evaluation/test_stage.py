@@ -11,12 +11,13 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.evaluate import evaluate
 from jaxunshear.evaluation.measurements import reproducible
+from jaxunshear.plain import plain
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import SCHEMA, read
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.registry import ALL_NETWORKS, UNSHEARING
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.storage import plain, read_json, write_json
+from jaxunshear.storage import read_json, write_json
 from jaxunshear.training import examples
 from jaxunshear.training.origin import origin_of
 

@@ -15,6 +15,7 @@ from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import open_set
 from jaxunshear.dataset.recordings import read_image
 from jaxunshear.errors import UserError
+from jaxunshear.plain import plain
 from jaxunshear.report import montage
 from jaxunshear.report.history import read_history
 from jaxunshear.results.run import Results
@@ -25,7 +26,7 @@ from jaxunshear.settings.data import PairedData, PoseData, Recorded
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.splits import SPLITS
 from jaxunshear.settings.stored import from_json
-from jaxunshear.storage import plain, read_json
+from jaxunshear.storage import read_json
 from jaxunshear.training.checkpoint import load_best, read_net, read_targets
 from tests.faults import shim
 from tests.faults.outcome import Row, Size, attempt, commanded, digest

@@ -4,9 +4,9 @@ import json
 import platform
 
 from jaxunshear.metrics.machine import machine, versions
+from jaxunshear.plain import plain
 from jaxunshear.results.rows import Machine
 from jaxunshear.results.stored import record_of
-from jaxunshear.storage import plain
 
 
 def test_machine_is_plain_and_says_something():

@@ -18,6 +18,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.evaluation.unseen import table
 from jaxunshear.image.understood import expected_of
 from jaxunshear.model import pinnets, posenet
+from jaxunshear.plain import plain
 from jaxunshear.scene.pins import pin_lattice
 from jaxunshear.settings import targets
 from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
@@ -26,7 +27,7 @@ from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
 from jaxunshear.settings.sensor import TACTIP_127
 from jaxunshear.settings.stored import to_json
-from jaxunshear.storage import plain, write_json
+from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint
 
 RNG = np.random.default_rng(0)

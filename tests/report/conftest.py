@@ -10,8 +10,8 @@ import pytest
 from jaxunshear.evaluation.evaluate import montage, results_of
 from jaxunshear.evaluation.gather import Gathered
 from jaxunshear.evaluation.score import CELLS
+from jaxunshear.plain import plain
 from jaxunshear.settings.experiment import Experiment
-from jaxunshear.storage import plain
 
 VOID = {"meta", "img", "br"}
 SIZE, COUNT = 128, 36

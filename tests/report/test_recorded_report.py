@@ -13,13 +13,13 @@ from jaxunshear.evaluation.evaluate import montage
 from jaxunshear.evaluation.gather import Gathered
 from jaxunshear.evaluation.measurements import rounded
 from jaxunshear.fit import BASE
+from jaxunshear.plain import plain
 from jaxunshear.report.report import write_report
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import record_of
 from jaxunshear.run import print_summary
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.targets import of_labels
-from jaxunshear.storage import plain
 
 COUNT, KEPT = 24, 12
 ERRORS = {"partner": 0.9, "sheared": 4.0, "sheared_learnt": 1.5, "disentangled": 1.75}

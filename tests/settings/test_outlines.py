@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.plain import plain
 from jaxunshear.settings.configs import config_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
@@ -17,7 +18,6 @@ from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.stimuli import MOST_CORNERS, Outline
 from jaxunshear.settings.stored import from_json, to_json
-from jaxunshear.storage import plain
 from jaxunshear.training.kept_out import exams_of, known
 
 SQUARE = ((0, 0), (20, 0), (20, 20), (0, 20))

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxunshear.errors import UserError
+from jaxunshear.plain import plain
 from jaxunshear.results.rows import Summary
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import record_of
@@ -27,7 +28,7 @@ from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.settings.stored import to_json
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.source import read_source
-from jaxunshear.storage import os_error, plain, read_json, write_json
+from jaxunshear.storage import os_error, read_json, write_json
 from jaxunshear.sweep import work
 from jaxunshear.sweep.rows import training_part
 
@@ -150,7 +151,7 @@ def main():
         summary = run_sweep(failing, out, out / "data", "none", retry_failed=retry, worker=WORKER, **more)
         print(json.dumps(plain(summary)))
         return 0
-    for name, functions in {"ablation": (ablate,), "leakage": (leakage, for_sweep)}.items():
+    for name, functions in {"ablation": (ablate,), "leakage": (leakage,), "leakage_table": (for_sweep,)}.items():
         module = sys.modules[f"jaxunshear.evaluation.{name}"] = type(sys)(name)
         for function in functions:
             setattr(module, function.__name__, function)

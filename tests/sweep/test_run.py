@@ -17,11 +17,12 @@ import pytest
 from jaxunshear.dataset.making import sets_of
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
+from jaxunshear.plain import plain
 from jaxunshear.results.stored import SCHEMA, record_of
 from jaxunshear.results.sweep import SweepResult
 from jaxunshear.settings.stored import from_json
 from jaxunshear.source import read_source
-from jaxunshear.storage import plain, read_json, write_json
+from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import plan
 from jaxunshear.sweep.rows import cells_of, rows_of
 from jaxunshear.sweep.summary import reproducible

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jaxunshear.plain import plain
 from jaxunshear.results.stored import record_of
 from jaxunshear.results.sweep import Failure, Figure, Outcome, SweepResult
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.sweep import Sweep
-from jaxunshear.storage import plain
 from jaxunshear.sweep.bootstrap import interval
 from jaxunshear.sweep.rows import cells_of, reference_of
 from jaxunshear.sweep.scores import Measured

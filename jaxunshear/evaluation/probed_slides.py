@@ -1,0 +1,102 @@
+"""The slides that probes learn from and are tested on, with all that they may be asked for."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset.reading import Batch, Reader
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.readers import places
+from jaxunshear.evaluation.spread import numbered_poses
+from jaxunshear.evenly import evenly
+from jaxunshear.settings.data import PairedData, Ranges
+from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
+from jaxunshear.settings.targets import SIMULATED, Target, Targets, of_ranges, true_values
+from jaxunshear.training.examples import Examples, stored_of
+
+MOST_LEARNT, MOST_TESTED = 4000, 2000  # slides, evenly chosen
+LABELS = ("pose", "move", "stimulus", "pose_id")
+PINS = "sheared_pins"
+
+Known = dict[str, np.ndarray]  # (N, 1), or (N, 2) of an angle over the full circle, by name
+
+
+class Split(NamedTuple):
+    """Slides that probes learn from, or are tested on."""
+
+    seen: np.ndarray  # what the network is given
+    pins: np.ndarray  # (N, 2 P) px, finite
+    wanted: dict[str, Known]  # "pose" and "slide"
+    poses: np.ndarray  # (N,) which pose a slide belongs to
+    batch: Batch
+
+
+def read_splits(experiment: Experiment, examples: Examples, data_dir: Path) -> tuple[Split, Split]:
+    pose = _pose(experiment, data_dir)
+    train = _read_split(experiment, examples, pose, "train", MOST_LEARNT)
+    test = _read_split(experiment, examples, pose, "test", MOST_TESTED)
+    mean = np.nanmean(train.pins, axis=0)  # a pin that is not seen counts as it is on average
+    train, test = (
+        s._replace(pins=np.where(np.isfinite(s.pins), s.pins, mean)) for s in (train, test)
+    )
+    return train, test
+
+
+def _read_split(
+    experiment: Experiment, examples: Examples, pose: list[Target], split: str, most: int
+) -> Split:
+    batch = take_labelled(experiment, examples.reader, split, most)
+    wanted = {"pose": _values(pose, batch), "slide": slides_of_batch(examples.slides, batch)}
+    seen = batch[PINS if over_pins(experiment) else "sheared"]
+    poses = numbered_poses(batch["stimulus"], batch["pose_id"])
+    return Split(seen, places(batch[PINS]), wanted, poses, batch)
+
+
+def take_labelled(experiment: Experiment, reader: Reader, split: str, most: int) -> Batch:
+    """Evenly chosen slides with labels, those whose pins are sure."""
+    sure = ("sure",) if recorded_of(experiment) else ()
+    batch = reader.take(split, np.arange(reader.length(split)), (*LABELS, *sure))
+    kept = np.isfinite(batch["pose"]).all(axis=1) & np.isfinite(batch["move"]).all(axis=1)
+    rows = np.flatnonzero(kept & (batch["sure"] == 1) if sure else kept)
+    if not len(rows):
+        raise UserError(
+            f"no {split} slide has labels of its pose and its slide: there is nothing to probe for"
+        )
+    rows = rows[evenly(len(rows), most)]
+    more = () if recorded_of(experiment) else ("felt", "edge", "stuck", "slipping")
+    images = () if over_pins(experiment) else ("sheared",)
+    return reader.take(split, rows, (PINS, *images, *LABELS, *more))
+
+
+def _pose(experiment: Experiment, data_dir: Path) -> list[Target]:
+    """All of a pose that the data vary."""
+    if isinstance(experiment.paired, PairedData):
+        return [target for name in SIMULATED for target in _varied(name, experiment.paired.ranges)]
+    return list(stored_of(experiment, data_dir).targets(()))
+
+
+def slides_of_batch(slides: Targets, batch: Batch) -> Known:
+    """The slide in mm and deg: as the sensor feels it; of recordings as it is labelled."""
+    return {name: value[:, None] for name, value in true_values(slides, batch).items()}
+
+
+def _varied(name: str, ranges: Ranges) -> tuple[Target, ...]:
+    try:
+        return of_ranges((name,), ranges)
+    except UserError:  # it does not vary
+        return ()
+
+
+def _values(targets: list[Target], batch: Batch) -> Known:
+    values = {}
+    for target in targets:
+        value = batch[target.field][:, target.column].astype(np.float64)
+        angle = np.radians(value)
+        scaled = (
+            [np.cos(angle), np.sin(angle)]
+            if target.circle
+            else [(value - target.middle) / target.reach]
+        )
+        values[target.name] = np.stack(scaled, axis=-1)
+    return values
