@@ -32,7 +32,8 @@ from jaxunshear.cli.fields import asked_for, help_on
 from jaxunshear.environment import check_environment, check_links, settle
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
-from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
+from jaxunshear.places import check_new_file, check_new_folder
+from jaxunshear.storage import disk_is_full
 
 _usual = warnings.formatwarning
 # of all commands but `check`'s
