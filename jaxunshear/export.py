@@ -17,9 +17,10 @@ from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.infer import FRAMES, OWN_FRAME
 from jaxunshear.owners import check_apart
+from jaxunshear.places import check_new_folder
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
-from jaxunshear.storage import check_new_folder, write_bytes
+from jaxunshear.storage import write_bytes
 
 if TYPE_CHECKING:
     from jaxunshear.applications.exported.frames import Camera

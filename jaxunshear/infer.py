@@ -5,8 +5,7 @@
 
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from itertools import islice
 from pathlib import Path, PurePosixPath
@@ -15,16 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jaxunshear.applications.suitability import learnt_note
+from jaxunshear.applications.tally import LabelErrors, LeftOut, Log, count_rows, make_row
 from jaxunshear.errors import UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.png import eight_bit, png
+from jaxunshear.places import check_beside
 from jaxunshear.plain import csv_text
 from jaxunshear.progress import Progress
 from jaxunshear.results.rows import Measured, Measurement
 from jaxunshear.settings.data import Recorded
 from jaxunshear.settings.experiment import Experiment, over_pins
-from jaxunshear.settings.targets import RECORDED, SLIDES
-from jaxunshear.storage import Json, check_beside, write_bytes, write_text
+from jaxunshear.storage import Json, write_bytes, write_text
 
 if TYPE_CHECKING:
     from jaxunshear.applications.frames import Frames
@@ -38,8 +38,6 @@ FRAMES = (
     "give the nearest edge in the sensor frame; recorded_* are the labels that came with the images, in their own work frame."
 )
 OWN_FRAME = "Poses have the names, the frame and the units of the recorded labels that the networks learnt from."
-
-Log = Callable[[str], None]
 
 
 def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, like: Path | None = None) -> Measured:
@@ -59,10 +57,10 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
     )
     recordings, network, frames = _read(path, network, force)
     targets = _targets(recordings.names)
-    left_out = _LeftOut(recordings)
+    left_out = LeftOut(recordings)
     table: list[Json] = []
     seconds: list[float] = []
-    errors = _Errors(network.names, recordings)
+    errors = LabelErrors(network.names, recordings)
     for rows, names, answers, spent in _answers(recordings, network, frames, "unshear"):
         if answers.unsheared is None:
             raise UserError(f"{model} has no network that unshears: it learnt poses alone; use `jaxunshear pose`")
@@ -92,8 +90,8 @@ def unshear_recordings(path: Path, model: Path, out: Path, force: bool = False, 
     _print_summary([*notes, note], print)
     return _measured(
         [
-            *_count_rows("unshear", used, recordings),
-            _row("unshear.time_per_image", float(np.median(seconds)), "s"),
+            *count_rows("unshear", used, recordings),
+            make_row("unshear.time_per_image", float(np.median(seconds)), "s"),
             *errors.rows(),
         ]
     )
@@ -113,10 +111,10 @@ def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path 
             f"{model / 'posenet'} holds no trained model (no checkpoints): train first, or name another folder"
         )
     recordings, network, frames = _read(path, network, force)
-    left_out = _LeftOut(recordings)
+    left_out = LeftOut(recordings)
     table: list[Json] = []
     measured: list[Measurement] = []
-    errors = _Errors(network.names, recordings)
+    errors = LabelErrors(network.names, recordings)
     for rows, names, answers, _ in _answers(recordings, network, frames, "pose"):
         errors.add(rows, answers)
         for i, (row, name) in enumerate(zip(rows, names, strict=True)):
@@ -127,7 +125,7 @@ def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path 
                     line[f"{way}_{quantity}"] = _format_cell(values[i])
                     if not why:
                         unit = quantity.split("_")[-1]
-                        measured.append(_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
+                        measured.append(make_row(f"{name}.{way}.{quantity}", float(values[i]), unit))
             table.append(line | _recorded(recordings, row) | {"left_out": why})
     print(csv_text(table).rstrip("\n"))
     note = partial(print, file=sys.stderr)
@@ -136,69 +134,7 @@ def pose_of_recordings(path: Path, model: Path, force: bool = False, like: Path 
     left_out.report(note)
     errors.report(note)
     _print_summary([*recordings.notes, learnt_note(experiment)], note)
-    return _measured([*measured, *_count_rows("pose", used, recordings), *errors.rows()])
-
-
-class _LeftOut:
-    """Images that were read and not understood: counted by reason, and noted."""
-
-    def __init__(self, recordings: "Recordings") -> None:
-        self._notes = recordings.notes
-        self._reasons: Counter[str] = Counter()
-
-    @property
-    def count(self) -> int:
-        return self._reasons.total()
-
-    def add(self, name: str, doubt: str) -> str:
-        """Count an image if there is a `doubt`, which is returned."""
-        if doubt:
-            self._reasons[str(doubt)] += 1
-            self._notes.append(f"left out {name}: {doubt}")
-        return str(doubt)
-
-    def report(self, log: Log) -> None:
-        for reason, count in self._reasons.items():
-            log(f"left out {count}: {reason}")
-
-
-class _Errors:
-    """Errors of what a model reads against the labels that came with the images, where these are of the same names."""
-
-    def __init__(self, names: tuple[str, ...], recordings: "Recordings") -> None:
-        labels = {"pose": recordings.poses, "move": recordings.moves}
-        true = {
-            name: values[:, column]
-            for name, (field, column) in (RECORDED | SLIDES).items()
-            if name in names and (values := labels[field]) is not None
-        }
-        self._true = true if len(true) == len(names) else None
-        self._found: dict[str, list[np.ndarray]] = {}
-
-    def add(self, rows: list[int], answers: "Answers") -> None:
-        if self._true is None:
-            return
-        from jaxunshear.metrics.pose import pose_errors
-
-        true = {name: values[rows] for name, values in self._true.items()}
-        for way, poses in answers.poses.items():
-            for name, error in pose_errors({n: v[: len(rows)] for n, v in poses.items()}, true).items():
-                self._found.setdefault(f"{way}.{name}", []).append(error[np.isfinite(error)])
-
-    def means(self) -> dict[str, float]:
-        found = {name: np.concatenate(parts) for name, parts in self._found.items()}
-        return {name: float(errors.mean(dtype=np.float64)) for name, errors in found.items() if len(errors)}
-
-    def rows(self) -> list[Measurement]:
-        return [_row(f"pose_mae.{name}", value, name.rpartition("_")[2]) for name, value in self.means().items()]
-
-    def report(self, log: Log) -> None:
-        by_way: dict[str, list[str]] = {}
-        for name, value in self.means().items():
-            way, target = name.split(".")
-            by_way.setdefault(way, []).append(f"{target} {value:.3f}")
-        for way, parts in by_way.items():
-            log(f"mean error against the labels, {way}: {', '.join(parts)}")
+    return _measured([*measured, *count_rows("pose", used, recordings), *errors.rows()])
 
 
 def _perceiver(model: Path, experiment: Experiment, recorded_too: bool, like: Path) -> "Perceiver":
@@ -267,19 +203,11 @@ def _format_cell(value: float) -> str:
     return f"{value:.4f}" if np.isfinite(value) else ""
 
 
-def _count_rows(command: str, used: int, recordings: "Recordings") -> list[Measurement]:
-    return [_row(f"{command}.images", used, "1"), _row(f"{command}.left_out", len(recordings) - used, "1")]
-
-
 def _print_summary(notes: list[str], log: Log) -> None:
     for note in (*notes[:9], *notes[9:][-1:]):
         log(f"note: {note}")
     if len(notes) > 10:
         log(f"note: and {len(notes) - 10} more")
-
-
-def _row(name: str, value: float, unit: str) -> Measurement:
-    return Measurement(name, value, unit, None, None, None, name.split(".")[-1])
 
 
 def _measured(rows: list[Measurement]) -> Measured:

@@ -13,6 +13,7 @@ from PIL import Image
 
 from jaxunshear import storage
 from jaxunshear.errors import UserError
+from jaxunshear.places import check_new_file
 
 
 def test_json_round_trip_of_arrays_paths_and_nan(tmp_path):
@@ -65,7 +66,7 @@ def test_a_pipe_is_written_into_and_stays(tmp_path, pipe, linked):
     path, written = pipe
     link = tmp_path / "link"
     link.symlink_to(path)
-    storage.check_new_file(link if linked else path)
+    check_new_file(link if linked else path)
     storage.write_json(link if linked else path, {"a": 1})
     assert path.is_fifo() and link.is_symlink() and len(os.listdir(tmp_path)) == 2
     assert storage.unsealed(json.loads(written())) == {"a": 1}
@@ -81,7 +82,7 @@ def test_a_command_writes_its_rows_into_a_pipe(command, tmp_path, pipe):
 def test_a_pipe_that_may_not_be_written_is_refused(pipe, monkeypatch):
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     with pytest.raises(UserError, match="pipe cannot be written"):
-        storage.check_new_file(pipe[0])
+        check_new_file(pipe[0])
 
 
 @pytest.mark.parametrize("there", [True, False])

@@ -32,9 +32,10 @@ from jaxunshear.cli.fields import help_on, split_question
 from jaxunshear.environment import check_environment, check_links, settle
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
+from jaxunshear.places import check_new_file, check_new_folder
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.source import read_source
-from jaxunshear.storage import check_new_file, check_new_folder, disk_is_full
+from jaxunshear.storage import disk_is_full
 
 _usual = warnings.formatwarning
 # of all commands but `check`'s

@@ -9,8 +9,8 @@ from jaxunshear.applications.folders import results_folder
 from jaxunshear.cli import geometry, pins, reconstruct, servo, stream
 from jaxunshear.cli.options import Commands, Model, choose_exit_code
 from jaxunshear.owners import check_apart
+from jaxunshear.places import check_new_folder
 from jaxunshear.results.applications import Streamed
-from jaxunshear.storage import check_new_folder
 
 WORK: dict[str, ModuleType] = {
     "pins": pins,

@@ -40,7 +40,8 @@ def add_parsers(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns 0."""
     from jaxunshear.metrics.machine import provenance
-    from jaxunshear.storage import check_beside, write_json
+    from jaxunshear.places import check_beside
+    from jaxunshear.storage import write_json
 
     if arguments.out is not None:
         check_beside(arguments.recordings, arguments.out, "--out")
@@ -64,7 +65,7 @@ def _validate(arguments: argparse.Namespace) -> Json:
         raise UserError(f"--seed {arguments.seed}: use 0 or more")
     from jaxunshear.calibration.calibrated import SHIPPED, read_calibration
     from jaxunshear.calibration.validate import validate
-    from jaxunshear.storage import check_new_file
+    from jaxunshear.places import check_new_file
 
     check_new_file(arguments.refit, "--refit")
     if arguments.refit is not None and arguments.refit.resolve().is_relative_to(arguments.recordings.resolve()):

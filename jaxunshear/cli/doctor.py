@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands, add_results, new_parser
-from jaxunshear.storage import check_beside
+from jaxunshear.places import check_beside
 
 COMMANDS = ("doctor",)
 

@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, add_model, add_results, new_parser
+from jaxunshear.places import check_beside
 from jaxunshear.plain import plain
 from jaxunshear.results.applications import GeometryScores
 from jaxunshear.settings.experiment import simulated_of
-from jaxunshear.storage import check_beside
 
 
 def add_parser(commands: Commands) -> None:

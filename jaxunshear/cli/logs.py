@@ -23,7 +23,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     import jax
 
     from jaxunshear.owners import check_apart
-    from jaxunshear.storage import check_new_folder
+    from jaxunshear.places import check_new_folder
 
     check_new_folder(arguments.tensorboard, "--tensorboard")
     check_apart(arguments.tensorboard, "--tensorboard")

@@ -5,9 +5,9 @@ from pathlib import Path
 
 from jaxunshear.cli.options import Commands, Model, add_results, new_parser
 from jaxunshear.errors import UserError
+from jaxunshear.places import check_beside
 from jaxunshear.results.applications import PinRows
 from jaxunshear.settings.experiment import simulated_of
-from jaxunshear.storage import check_beside
 
 
 def add_parser(commands: Commands) -> None:

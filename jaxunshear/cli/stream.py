@@ -10,9 +10,10 @@ from typing import TextIO
 from jaxunshear.cli.options import SKIN, Commands, Model, add_force, add_json, add_like, add_model, new_parser
 from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
+from jaxunshear.places import check_beside, check_new_file, check_new_folder
 from jaxunshear.results.applications import Streamed
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import check_beside, check_new_file, check_new_folder, os_error
+from jaxunshear.storage import os_error
 
 
 def add_parser(commands: Commands) -> None:

@@ -11,7 +11,8 @@ from jaxunshear.compare.runs import notes, read_runs, settings_apart
 from jaxunshear.evaluation import spread
 from jaxunshear.metrics.machine import provenance
 from jaxunshear.owners import check_apart
-from jaxunshear.storage import Json, check_new_folder, write_text
+from jaxunshear.places import check_new_folder
+from jaxunshear.storage import Json, write_text
 
 LONGEST = 100  # letters of a page's name
 

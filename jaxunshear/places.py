@@ -1,0 +1,73 @@
+"""Places for results: refused before there is work to lose, where nothing can be written or something would be lost."""
+
+import contextlib
+import json
+import os
+import tempfile
+from pathlib import Path
+
+from jaxunshear.errors import UserError
+from jaxunshear.storage import follow_link, is_device, read_object_if_sound
+
+
+def check_new_file(path: Path | None, option: str = "--json") -> None:
+    """Refuses, before there is work to lose, a file for JSON that is a folder, lies in a file, or holds what no command wrote there."""
+    if path is None:
+        return
+    if path.is_dir():
+        raise UserError(f"{option} {path} is a folder: name a file")
+    above = _file_above(path)
+    if above is not None:
+        raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
+    if path.is_file() and path.stat().st_size and not _measured(path):
+        raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
+    if is_device(path):
+        if not os.access(path, os.W_OK):
+            raise UserError(f"{option} {path} cannot be written: name another file")
+        return
+    _check_writable(follow_link(path).parent, f"{option} {path}")
+
+
+def _measured(path: Path) -> bool:
+    """Whether a file is of `--json`, whose writers report machines and versions, or of `--lines`."""
+    with path.open("rb") as file:
+        line = file.readline(2**20)
+    with contextlib.suppress(ValueError, TypeError):
+        if "frame" in json.loads(line):
+            return True
+    held = read_object_if_sound(path)
+    return held is not None and "versions" in held and not held.keys().isdisjoint(("machine", "machines"))
+
+
+def check_new_folder(path: Path | None, option: str = "--out") -> None:
+    """Refuses, before there is work to lose, a folder for results that is a file or lies in one."""
+    if path is None:
+        return
+    if path.exists() and not path.is_dir():
+        raise UserError(f"{option} {path} is a file: name a folder")
+    above = _file_above(path)
+    if above is not None:
+        raise UserError(f"{option} {path}: {above} is a file: name another folder")
+    _check_writable(path.absolute(), f"{option} {path}")
+
+
+def _check_writable(folder: Path, named: str) -> None:
+    """By a file without a name in it, or in the nearest folder above that is there: rights alone say nothing about file systems."""
+    place = next(above for above in (folder, *folder.parents) if above.exists())
+    try:
+        tempfile.TemporaryFile(dir=place).close()
+    except OSError as error:
+        raise UserError(f"{named}: {place} cannot be written ({error.strerror or error}): name another place") from None
+
+
+def _file_above(path: Path) -> Path | None:
+    above = next((folder for folder in path.absolute().parents if folder.exists()), None)
+    return None if above is None or above.is_dir() else above
+
+
+def check_beside(recordings: Path, out: Path, option: str) -> None:
+    """Refuses to write among the recordings: a name could be theirs, and the next run would read what this one wrote."""
+    place, root = out.resolve(), recordings.resolve()
+    if place == root.parent if recordings.is_file() else place.is_relative_to(root):
+        raise UserError(f"{option} {out} lies among the recordings in {recordings}: name another folder")
+    check_new_folder(out, option)
