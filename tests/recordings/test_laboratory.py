@@ -74,7 +74,11 @@ def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, 
         for target in TARGETS:
             assert 0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
         assert 0.5 < rows[f"coverage.{way}.y_mm"] <= 1
-    assert "recovery" in answer.out and "40 taps, 39 slides; left out: 0 taps and 1 slides" in answer.out and "% within" in answer.out
+    assert (
+        "recovery" in answer.out
+        and "40 taps, 39 slides; left out: 0 taps and 1 slides" in answer.out
+        and "% within" in answer.out
+    )
 
 
 def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(command, pins_run, place, tmp_path):
