@@ -77,7 +77,11 @@ def test_a_finished_run_is_scored_on_other_recordings(command, pins_run, place, 
         for target in TARGETS:
             assert 0.4 * mae[way][target] < rows[f"pose_mae.{way}.{target}"] < 2.5 * mae[way][target]
         assert 0.5 < rows[f"coverage.{way}.y_mm"] <= 1
-    assert "recovery" in answer.out and "% within" in answer.out
+    assert (
+        "recovery" in answer.out
+        and "40 taps, 39 slides; left out: 0 taps and 1 slides" in answer.out
+        and "% within" in answer.out
+    )
 
 
 def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(command, pins_run, place, tmp_path):
@@ -92,8 +96,8 @@ def test_contacts_whose_pins_are_not_identified_enter_no_mean_error(command, pin
         words = ("--recordings", other, "--data", place / "datasets", "--json", tmp_path / f"{name}.json")
         answer = command("evaluate", pins_run, *words)
         assert answer.code == 0, answer.err
-        assert "37 taps, 35 slides" in answer.out
-        assert ("3 taps and 5 slides were not understood" in answer.out) == (name == "hidden")
+        assert "37 taps, 34 slides" in answer.out  # of one more slide the pins are not identified anyhow
+        assert ("3 taps and 6 slides were not understood" in answer.out) == (name == "hidden")
         found[name] = {
             row: value for row, value in rows_of(tmp_path / f"{name}.json").items() if row.startswith("pose")
         }
