@@ -9,6 +9,8 @@ Over pins: of an edge and of three shapes, touched by the fitted sensor, drawn a
 Expected on two cores: 8 minutes to simulate, 9 to train on one of them; docs/results/skin.json for its score on recordings of a real edge.
 """
 
+from dataclasses import replace
+
 from jaxunshear.settings.configs import PAIRED, POSE, sensor_of
 from jaxunshear.settings.experiment import PINS, Experiment
 from jaxunshear.settings.networks import PinNet, UnshearNet
@@ -23,5 +25,5 @@ experiment = Experiment(
     pose=POSE["skin"],
     unshear=UnshearNet(input="pins"),
     pins=PinNet(convolved=(24, 48, 96), noise_px=0.3, turned=1.0),
-    train_pins=PINS,
+    train_pins=replace(PINS, epochs=50),
 )
