@@ -299,31 +299,39 @@ def exported_speed() -> str:
 
 
 def transfer() -> str:
-    """Errors on recordings of the weights that learnt in simulation alone, by their own PoseNet and by a ridge that learnt recorded taps:
-    means of the trainings, each with its least and most."""
-    runs, dense = (
-        [{name: row["value"] for name, row in run.items()} for run in _runs("skin", begins)]
-        for begins in ("skin", "dense")
+    """Errors on recordings, which no choice has seen, of the weights that learnt in simulation alone, by their own PoseNet and by a
+    ridge that learnt from recorded taps."""
+    part, block, anew = (
+        {name: row["value"] for name, row in _runs("skin", begins)[0].items()}
+        for begins in ("skin, other half", "skin, block", "anew, seed 0, other half")
     )
-    readers = ("pose_mae", "readers.pins")
-    lines = [
-        "| learnt in simulation; reads recorded | its PoseNet: y, mm | Rz, deg | a ridge on recorded taps: y, mm | Rz, deg |",
-        "|---|---|---|---|---|",
-    ]
+    readers, quantities = ("pose_mae", "readers.pins"), (("y_mm", 2), ("z_mm", 2), ("Rz_deg", 1))
     kinds = {"taps": "tap", "slides as recorded": "sheared", "**slides unsheared**": "unsheared"}
 
-    def line(shown: str, kind: str, runs: list[dict[str, float]]) -> str:
-        values = [([run[f"{reader}.{kind}.{q}"] for run in runs], d) for reader in readers for q, d in COLUMNS]
-        return _line(shown, [_of_values(each, digits) for each, digits in values])
+    def line(shown: str, kind: str, run: dict[str, float]) -> str:
+        values = [(run.get(f"{reader}.{kind}.{q}"), digits) for reader in readers for q, digits in quantities]
+        return _line(shown, ["" if value is None else f"{value:.{digits}f}" for value, digits in values])
 
-    lines += [line(shown, kind, runs) for shown, kind in kinds.items()]
-    undone = []
-    for reader in readers:
-        for q, _ in COLUMNS:
-            tap, sheared, after = ([run[f"{reader}.{kind}.{q}"] for run in runs] for kind in kinds.values())
-            undone.append(_of_values([(s - u) / (s - t) for t, s, u in zip(tap, sheared, after, strict=True)], 2))
-    lines.append(_line("recovery: the share of the slide's damage undone", undone))
-    return "\n".join([*lines, line("for comparison: unsheared by dense layers", "unsheared", dense)])
+    def undone(shown: str, run: dict[str, float]) -> str:
+        found = []
+        for reader in readers:
+            for q, _ in quantities:
+                tap, sheared, after = (run[f"{reader}.{kind}.{q}"] for kind in kinds.values())
+                found.append(f"{(sheared - after) / (sheared - tap):.2f}")
+        return _line(shown, found)
+
+    return "\n".join(
+        [
+            "| | its PoseNet: y, mm | z, mm | Rz, deg | a ridge on recorded taps: y, mm | z, mm | Rz, deg |",
+            "|---|---|---|---|---|---|---|",
+            *(line(shown, kind, part) for shown, kind in kinds.items()),
+            undone("recovery: the share of the slide's damage undone", part),
+            line("slides unsheared, read with the zero of taps as recorded", "unsheared_raw_zero", part),
+            *(line(f"block: {shown}", kind, block) for shown, kind in [*kinds.items()][1:]),
+            undone("block: recovery", block),
+            line("trained anew without the factor, not released: slides unsheared", "unsheared", anew),
+        ]
+    )
 
 
 def refit() -> str:
