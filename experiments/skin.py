@@ -4,7 +4,8 @@
     jaxunshear evaluate runs/skin --recordings DIR
 
 Over pins: of an edge and of three shapes, touched by the fitted sensor, drawn as other sensors, cameras and days would show them
-(`--pins.turned`). The weights `skin`, which `unshear`, `pose` and `stream` take where none are named, come from it.
+(`--pins.turned`). The weights `skin`, which `unshear`, `pose` and `stream` take where none are named, come from it as it was in
+version 0.2.0: their slides dragged the pins 0.5 to 2.5 times as far as simulated, today's 0.5 to 2 times.
 
 Expected: minutes to simulate and to train on two cores (no file has the times);
 docs/results/skin.json for its scores on recordings of a real edge.

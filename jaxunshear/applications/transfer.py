@@ -4,8 +4,10 @@
 >>> results.pose_mae["unsheared"]["Rz_deg"]
 
 What they read, edge distance, edge direction and depth, has its own zero and sense. Half of the recorded taps, drawn at random, show how
-it goes with the labels: a sign and an offset each. The other half is scored, and every slide. No label of a slide is used. For networks
-over pins, where pins rest is the mean over some of the contacts themselves: of taps for taps, of slides for slides.
+it goes with the labels: a sign and an offset each. The other half is scored, and every slide; no reading is fitted to slides.
+Unsheared pins are read with a zero of their own, that of unsheared taps: the network moves real taps a little, and all of them alike.
+With the zero of taps as recorded, unsheared slides are scored once more (`RAW_ZERO`).
+For networks over pins, where pins rest is the mean over some of the contacts themselves: of taps for taps, of slides for slides.
 
 Networks over pins are also read by one of another make: a kernel ridge that learns pose from the pins of those same taps. It has nothing
 in common with the networks, and with the simulator that they learnt in.
@@ -38,6 +40,7 @@ from jaxunshear.settings.targets import RECORDED, STILL, Target, names_of, of_la
 
 BATCH = 32
 SEED = 0  # of the taps that show how readings and labels go together
+RAW_ZERO = "unsheared_raw_zero"  # unsheared slides, read with the zero of taps as recorded
 READS = {"x_mm": "edge_mm", "y_mm": "edge_mm", "z_mm": "depth_mm", "Rz_deg": "edge_deg"}  # what goes with a label
 
 
@@ -72,33 +75,37 @@ def score_transfer(
     (of_taps, tap_pins), (of_slides, slide_pins) = (
         _read(experiment, model, network, settings, *kind) for kind in ((taps, "taps"), (slides, "slides"))
     )
-    known = _of(of_taps[AS_RECORDED], known_half)
     if UNSHEARED not in of_slides:
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
-    aligned = {name: aligned_with(name, known, taps.pose[known_half]) for name in scored(known, taps.pose[known_half])}
-    ways = {
-        "tap": (_of(of_taps[AS_RECORDED], ~known_half), taps.pose[~known_half]),
-        "sheared": (of_slides[AS_RECORDED], slides.pose),
-        "unsheared": (of_slides[UNSHEARED], slides.pose),
+    labels = taps.pose[known_half]
+    names = scored(_of(of_taps[AS_RECORDED], known_half), labels)
+    raw, after = (
+        {name: aligned_with(name, _of(of_taps[way], known_half), labels) for name in names}
+        for way in (AS_RECORDED, UNSHEARED)
+    )
+    mae = {
+        "tap": _errors(raw, _of(of_taps[AS_RECORDED], ~known_half), taps.pose[~known_half]),
+        "sheared": _errors(raw, of_slides[AS_RECORDED], slides.pose),
+        "unsheared": _errors(after, of_slides[UNSHEARED], slides.pose),
+        RAW_ZERO: _errors(raw, of_slides[UNSHEARED], slides.pose),
     }
-    mae = {way: _errors(aligned, poses, labels) for way, (poses, labels) in ways.items()}
     tap_read, slide_read = (np.isfinite(next(iter(of[AS_RECORDED].values()))) for of in (of_taps, of_slides))
     results = Results(
         experiment=experiment.name,
         trained_in=model.name,
         metric={
             "pose_mae": "mean absolute error of a PoseNet that learnt from simulated taps, sign and offset of each reading by half of the "
-            "recorded taps",
+            f"recorded taps, which are unsheared where slides are; {RAW_ZERO}: by these taps as recorded",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",
             "readers": "mean absolute error of a kernel ridge that learnt from the pins of half of the recorded taps",
         },
         settings=asdict(experiment),
         pin_error={},
         test_data="other recordings",
-        targets=tuple(Target(name, *RECORDED[name]) for name in aligned),
+        targets=tuple(Target(name, *RECORDED[name]) for name in names),
         pose_mae=mae,
         pose_recovery={"unsheared": _recovery(mae)},
-        readers=_score_reader(tuple(aligned), known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
+        readers=_score_reader(names, known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
         counts=Counts(
             known_taps=int((known_half & tap_read).sum()),
             test_taps=int((~known_half & tap_read).sum()),

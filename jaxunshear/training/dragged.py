@@ -26,11 +26,12 @@ from jaxunshear.progress import Progress
 from jaxunshear.settings.configs import config_name
 from jaxunshear.settings.sensor import Sensor
 from jaxunshear.storage import write_npz
-from jaxunshear.training.drawing import FOLLOW, SHIFTED, TURNED_DEG
+from jaxunshear.training.drawing import SHIFTED, TURNED_DEG
 
 SLIDE_MM = 5.0  # along both axes of the object's top, within +- this: most slides come to slip
 TWIST_DEG = 5.0  # about all three axes
 FRICTION = (0.25, 0.55)  # fits to recordings gave .34 to .50
+FOLLOW = (0.5, 2.5)  # times the simulated motion; chosen with recorded slides in sight (docs/your-own-recordings.md, 9)
 DRAWN = 4  # slides to each tap, of one simulated motion
 CHUNK = 250  # contacts in a file
 VERSION = 1  # raise it whenever the same taps give other slides

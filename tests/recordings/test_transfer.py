@@ -82,7 +82,7 @@ def test_a_turned_and_smaller_lattice_moves_as_the_known_one(degrees):
 
 
 def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
-    """A stand-in reads the true pose of taps, a worse one of slides, and half of that error once unsheared."""
+    """A stand-in reads the true pose of taps, a worse one of slides, and half of that error once unsheared, which moves all edges."""
     folder = made.edge(tmp_path / "edge", 60, 40)
     preprocess = Preprocess(size=made.SIZE)
     contacts = everything(Recorded(str(folder), str(folder), preprocess=preprocess))
@@ -100,16 +100,20 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
         assert len(seen.given) == transfer.BATCH
         pose, off = next(asked)
 
-        def read(error):
+        def read(error, moved=0.0):
             angle = -(pose[:, 5] + 10 * error) + 40
-            return {"edge_mm": -(pose[:, 1] + error), "depth_mm": pose[:, 2] + 7, "edge_deg": 180 - (180 - angle) % 360}
+            return {
+                "edge_mm": -(pose[:, 1] + error + moved),
+                "depth_mm": pose[:, 2] + 7,
+                "edge_deg": 180 - (180 - angle) % 360,
+            }
 
         def pins(error):
             turn = np.radians(pose[:, 5])
             shown = np.stack([pose[:, 1] + error, pose[:, 2], np.cos(turn), np.sin(turn)], -1)
             return np.repeat(shown[:, :, None], 2, axis=2)
 
-        poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2)}
+        poses = {AS_RECORDED: read(off), UNSHEARED: read(off / 2, moved=0.3)}
         return Values(None, poses, {AS_RECORDED: pins(off), UNSHEARED: pins(off / 2)})
 
     def read(images):
@@ -123,6 +127,7 @@ def test_errors_recovery_and_counts_are_those_of_what_was_read(tmp_path):
     assert mae["tap"] == pytest.approx({"y_mm": 0, "z_mm": 0, "Rz_deg": 0}, abs=1e-3)
     assert mae["sheared"] == pytest.approx({"y_mm": 1, "z_mm": 0, "Rz_deg": 10}, abs=1e-3)
     assert mae["unsheared"] == pytest.approx({"y_mm": 0.5, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
+    assert mae[transfer.RAW_ZERO] == pytest.approx({"y_mm": 0.8, "z_mm": 0, "Rz_deg": 5}, abs=1e-3)
     assert results.pose_recovery["unsheared"]["y_mm"] == pytest.approx(0.5)
     reader = results.readers["pins"]
     assert [reader[way]["y_mm"] for way in ("tap", "sheared", "unsheared")] == pytest.approx([0, 1, 0.5], abs=0.05)
