@@ -22,7 +22,8 @@ LATER: Json = {
     "alike_weight": 0.0,
 }
 
-GONE: Json = {"shear_noise": 0.0}  # settings that files may still have, and what they do nothing at
+# settings that files may still have, and what they do nothing at
+GONE: Json = {"shear_noise": 0.0, "label_weight": 0.0}
 
 MOVED = {  # modules that experiment files imported
     "jaxunshear.experiment": "jaxunshear.settings.experiment",

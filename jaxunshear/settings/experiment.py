@@ -37,7 +37,6 @@ PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "alike_weight",
     "pose_weight",
     "pose_target",
-    "label_weight",
 )
 
 PINS = Training(

@@ -25,7 +25,6 @@ def refusal(words: str) -> str:
         ("crop_px", "10", "20"),
         ("reconstruction_weight", "0.3", "1"),
         ("pose_weight", "1", "0"),
-        ("label_weight", "1", "0"),
         ("paired_share", "0.1", "1"),
     ],
 )
@@ -47,12 +46,6 @@ def test_a_poses_target_is_known_and_on_the_teachers_scale():
     words = ["--train.pose_weight", "0.1", "--train.pose_target", "label"]
     validate(override(PLAIN, words))
     assert "make paired.ranges and pose.ranges equal" in refusal(" ".join([*words, "--pose.ranges.yaw_deg 60"]))
-
-
-def test_labels_need_a_code_to_be_read_off():
-    words = ["--train.label_weight", "0.5", "--networks"]
-    assert refusal(" ".join([*words, "unet,posenet"])).startswith("--train.label_weight 0.5: ")
-    validate(override(PLAIN, [*words, "entangled,disentangled,posenet"]))
 
 
 def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
