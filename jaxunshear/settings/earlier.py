@@ -14,6 +14,8 @@ LATER: Json = {
     "other_tilts_deg": (),
     "apart": False,
     "convolved": (),
+    "direct_convolved": (),
+    "direct_taps": "none",
     "swap_weight": 0.0,
     "agreement_weight": 0.0,
     "slide_weight": 0.0,

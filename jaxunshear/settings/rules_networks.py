@@ -43,6 +43,17 @@ def network_rules(experiment: Experiment, paired: Preprocess, pose: Preprocess) 
         "pins.turned",
         "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
     )
+    yield (
+        not pins.direct_convolved
+        or (over_pins(experiment) and POSENET_SHEARED in trained(experiment)),
+        "pins.direct_convolved",
+        "is for posenet_sheared over pins, which this experiment does not train: leave it empty",
+    )
+    yield (
+        not (pins.direct_convolved and pins.turned) or recorded_of(experiment) is None,
+        "pins.direct_convolved",
+        "takes recorded pins as they are: leave pins.turned at 0",
+    )
     named = {text.partition(":")[0] for text in experiment.targets}
     yield (
         not pins.turned or recorded_of(experiment) is not None or (bool(named) and named <= TURNED),

@@ -145,6 +145,15 @@ def test_turned_touches_keep_distance_direction_and_depth_alone():
     assert refusal("--pins.turned 1 --targets edge_mm").startswith("--pins.turned ")
 
 
+def test_a_direct_posenet_that_convolves_reads_pins():
+    pins = "--unshear.input pins --pins.direct_convolved"
+    validate(override(PLAIN, f"{pins} 4,6 --networks posenet_sheared".split()))
+    assert "does not train" in refusal(f"{pins} 4,6 --networks posenet")
+    assert "does not train" in refusal("--pins.direct_convolved 4 --networks posenet_sheared")
+    assert "list positive numbers" in refusal(f"{pins} 4,0 --networks posenet_sheared")
+    assert "list at most four" in refusal(f"{pins} 4,4,4,4,4 --networks posenet_sheared")
+
+
 @pytest.mark.parametrize("field", ["swap_weight", "agreement_weight", "slide_weight"])
 def test_what_codes_that_do_not_leak_take(field):
     pins = "--unshear.input pins --networks disentangled,posenet"
