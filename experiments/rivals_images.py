@@ -31,7 +31,7 @@ ROWS = {
     "15 epochs, weight decay 1e-6": (LONGER, ("train_posenet.l2", 1e-6)),
     "15 epochs, weight decay 1e-5": (LONGER, ("train_posenet.l2", 1e-5)),
     "15 epochs, 32 hidden units": (LONGER, ("posenet.hidden", 32)),
-    "15 epochs, shifts of half a pixel": (LONGER, ("train_posenet.shift", 0.004)),
+    "15 epochs, shifts of one pixel": (LONGER, ("train_posenet.shift", 0.008)),
     "taps, too": (("paired.direct_taps", "recorded"),),
     "15 epochs, taps, too": (LONGER, ("paired.direct_taps", "recorded")),
 }
