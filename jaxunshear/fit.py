@@ -63,7 +63,11 @@ def with_recordings(experiment: Experiment, taps: str = "", slides: str = "", pa
         recorded = replace(recorded, pairing="file")
     contacts = survey(recorded)
     dragged = bool(contacts.slid.any()) or recorded.pairing == "simulated"
-    networks = allowed(experiment.networks, bool((~contacts.slid).any()), dragged)
+    tapped = bool((~contacts.slid).any())
+    if recorded.direct_taps != "none" and not tapped:
+        asked = f"--paired.direct_taps {recorded.direct_taps}"
+        raise UserError(f"{asked}: these recordings hold no taps: leave it at none")
+    networks = allowed(experiment.networks, tapped, dragged)
     if not networks:
         raise UserError(f"networks: none of {', '.join(experiment.networks)} can learn from these recordings")
     sensor = sensor_of(contacts, recorded.preprocess)

@@ -152,8 +152,6 @@ def _turning(ranges: Mapping[str, float]) -> str:
 
 
 def _simulated_card(results: Results, name: str) -> str:
-    from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE
-
     settings, metric = results.settings, results.metric
     paired, pose, sensor = settings["paired"], settings["pose"], settings["sensor"]["name"]
     shapes = ", ".join(stimulus_names(paired["stimuli"]))
@@ -191,18 +189,11 @@ def _simulated_card(results: Results, name: str) -> str:
         f"| image | {metric['ms_ssim']} to the tap | {' | '.join(columns.values())} |",
         "| --- | --- |" + " --- |" * len(columns),
     ]
-    headed = [kind for kind in (LEARNT_CODE, LEARNT_BOTH) if kind in results.pose_mae]
-    for kind in ("tap", "sheared", DISENTANGLED, *headed):
+    for kind in ("tap", "sheared", DISENTANGLED):
         errors = results.pose_mae.get(kind, {})
         likeness = results.ms_ssim.get(kind, {}).get("overall")
         cells = [likeness, *(errors.get(q) for q in columns)]
         lines.append(f"| {kind} | " + " | ".join("" if cell is None else f"{cell:.3g}" for cell in cells) + " |")
-    if headed:
-        lines += [
-            "",
-            f"`{LEARNT_CODE}`: read off the pose code by the head that the network learnt with (`servo --ways code`, `stream --way code`); "
-            f"`{LEARNT_BOTH}`: the mean of its answer and of PoseNet's off the unsheared image (`both`).",
-        ]
     for test, found in results.tests.items():
         likeness = found.ms_ssim[DISENTANGLED]["overall"]
         lines += ["", f"Test `{test}` ({', '.join(found.stimuli)}): {metric['ms_ssim']} {likeness:.3f}."]

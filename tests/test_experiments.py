@@ -15,7 +15,7 @@ from jaxunshear.settings.fields import override
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sweep import check, load_sweep, with_overrides
-from jaxunshear.sweep.rows import cells_of, reference_of, rows_of
+from jaxunshear.sweep.rows import cells_of, reference_of, rows_of, training_part
 
 FOLDER = Path(__file__).resolve().parents[1] / "experiments"
 
@@ -83,6 +83,40 @@ def test_lambda_split_is_five_by_five_by_three():
     assert len(cells) == 25 and sweep.seeds == (0, 1, 2) and sweep.ablation
     assert len({row.digest for row in rows_of(sweep, cells).values()}) == 75
     assert all(cell.experiment.unshear.pose_channels + cell.experiment.unshear.shear_channels == 128 for cell in cells)
+
+
+def test_rivals_are_of_one_make_and_read_by_one_posenet():
+    sweep = with_overrides(load_sweep(FOLDER / "rivals.py"), SOMEWHERE)
+    cells = cells_of(sweep)
+    for name in ("posenet", "renderer"):
+        assert len({training_part(cell.experiment, name).name for cell in cells}) == 1
+    for cell in cells:
+        pins = cell.experiment.pins
+        assert pins.convolved == pins.direct_convolved
+        assert bool(pins.convolved) == cell.label.startswith("convolving")
+    assert sweep.seeds == (0, 1, 2) and sweep.base.train_pins.epochs == 100
+
+
+def test_the_commands_that_rivals_gives_make_its_rows():
+    text = (FOLDER / "rivals.py").read_text()
+    options = {
+        "dense": "dense ",
+        "convolving": "convolving ",
+        "dense, direct from rendered taps, too": "direct from rendered taps ",
+        "convolving, no pose labels in the loss": "no pose labels ",
+    }
+    recorded = load_experiment(FOLDER / "recorded.py")
+    cells = {c.label: c for c in cells_of(with_overrides(load_sweep(FOLDER / "rivals.py"), SOMEWHERE))}
+    given = {
+        label: next(line for line in text.splitlines() if line.startswith(f"    {start}")).split("--", 1)[1]
+        for label, start in options.items()
+    }
+    given["dense, direct from rendered taps, too"] += f" --{given['dense']}"
+    given["convolving, no pose labels in the loss"] += f" --{given['convolving']}"
+    for label, words in given.items():
+        asked = ["--unshear.input", "pins", *SOMEWHERE, *f"--{words}".split()]
+        made, row = override(recorded, asked), cells[label].experiment
+        assert replace(made, name="", claim="") == replace(row, name="", claim=""), label
 
 
 def test_paper_is_appendix_b():

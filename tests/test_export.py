@@ -80,8 +80,9 @@ def images(net=NET):
     return Parts(unshears, reads, TARGETS, "unsheared", None, SIZE)
 
 
-def pins(turned=0.0, convolved=()):
-    net, reader = PinUnshear(**PINS, convolved=convolved), PinPoseNet(**PINS, turned=turned)
+def pins(turned=0.0, convolved=(), read_by=()):
+    net = PinUnshear(**PINS, convolved=convolved)
+    reader = PinPoseNet(**PINS, turned=turned, convolved=read_by)
     reads = Part(reader, drawn_of_pins(reader, posenet.outputs_of(TARGETS)))
     return Parts(Part(net, drawn_of_pins(net)), reads, TARGETS, "unsheared", REST, SIZE)
 
@@ -95,6 +96,7 @@ CASES = {
     "pins": pins,
     "pins, turned": lambda: pins(0.5),
     "pins, convolved": lambda: pins(convolved=(4, 6, 5)),
+    "pins, reader convolved": lambda: pins(read_by=(4, 6)),
 }
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from jaxunshear import folders, infer
 from jaxunshear.errors import UserError
-from jaxunshear.model import pose_head, posenet, unshearnet
+from jaxunshear.model import posenet, unshearnet
 from jaxunshear.release import card, release
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import record_of
@@ -116,14 +116,7 @@ def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
     assert "mm along each axis, twisting by up to 5 deg, of a sensor that leans by up to 25 deg. Beyond" in text
 
 
-@pytest.mark.parametrize("head", [False, True])
-def test_released_weights_do_what_the_run_does(run, tmp_path, head):
-    if head:
-        variables = checkpoint.load_best(run / "disentangled")
-        variables["params"]["head"] = pose_head.init(unshearnet.code_shape(NET), 5, jax.random.key(2))
-        checkpoint.save(run / "disentangled", 2, {"average": variables}, {"history": [], "best_step": 2})
-        errors = RESULTS["pose_mae"] | {"code_learnt": RESULTS["pose_mae"]["tap"]}
-        write_json(run / "results.json", RESULTS | {"pose_mae": errors})
+def test_released_weights_do_what_the_run_does(run, tmp_path):
     made = release(run, tmp_path / "weights" / "mine")
     frames = image_in(tmp_path / "frames")
     for model, out in ((run, "by_run"), (made, "by_weights")):
@@ -143,9 +136,7 @@ def test_released_weights_do_what_the_run_does(run, tmp_path, head):
     assert read_json(made / "experiment.json")["name"] == "mine"
     arrays = np.load(made / "disentangled" / "weights.npz").files
     assert not any("DS" in name or "shear" in name for name in arrays)
-    assert sum("head" in name for name in arrays) == (6 if head else 0)
     card = (made / "README.md").read_text()
-    assert ("servo --ways code" in card) == ("| code_learnt |" in card) == head
     assert "--model mine" in card and "0.123" in card and "simulated" in card and "`unseen` (leaf)" in card
 
 

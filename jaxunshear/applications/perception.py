@@ -7,7 +7,6 @@ Ways have the same names whether a run's networks read images or pins, which are
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from functools import partial, reduce
 from pathlib import Path
 from typing import TypeVar
 
@@ -19,13 +18,12 @@ from jaxunshear.errors import UserError
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import followed, motions_of
-from jaxunshear.model import pose_head, posenet, unshearnet
+from jaxunshear.model import posenet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.parts import Net, Tree, Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
 from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
-from jaxunshear.settings.networks import PinPoseNet, PoseNet
 from jaxunshear.settings.registry import (
     DISENTANGLED,
     ENTANGLED,
@@ -46,10 +44,7 @@ WAYS = {  # name: the networks it runs, in this order
     ENTANGLED_LARGE: (ENTANGLED_LARGE, POSENET),
     UNET: (UNET, POSENET),
     "learnt": (POSENET_SHEARED,),
-    "code": (DISENTANGLED,),  # the head that reads the pose code; draws no image
-    "both": (DISENTANGLED, POSENET),  # the mean of what that head reads and what PoseNet reads off the image
 }
-OF_CODE = ("code", "both")  # ask for a head
 # images (B, S, S) uint8 of {0, 255} -> the edge's mm and deg, (B,) each; NaN where pins are needed and not identified for sure
 Perceive = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 # (variables by network, images (B, S, S) uint8 of {0, 255}) -> unsheared or as they are (B, S, S, 1) in [0, 1], pose by quantity, each
@@ -65,9 +60,7 @@ Images = TypeVar("Images", np.ndarray, Array)
 
 def ways_of(model: Path) -> tuple[str, ...]:
     """The ways that the trained networks in a folder allow."""
-    there = [way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks)]
-    headed = "code" in there and pose_head.of(load_best(model / DISENTANGLED)) is not None
-    return tuple(way for way in there if headed or way not in OF_CODE)
+    return tuple(way for way, networks in WAYS.items() if all(holds_model(model / name) for name in networks))
 
 
 def trained(model: Path, names: Iterable[str]) -> tuple[dict[str, Net], dict[str, Variables], dict[str, Targets]]:
@@ -104,7 +97,7 @@ def digests(model: Path, ways: Iterable[str]) -> dict[str, str]:
 
 def unsheared_by(way: str) -> str:
     """The network, if there is one of the name, that unshears the images of walks by this way of perceiving."""
-    return DISENTANGLED if way in (TRUE, *OF_CODE) else way
+    return DISENTANGLED if way == TRUE else way
 
 
 def unshearers(model: Path, experiment: Experiment, names: tuple[str, ...]) -> dict[str, Unshear]:
@@ -127,30 +120,16 @@ def in_batches(run: Callable[[np.ndarray], Tree], given: np.ndarray, at_once: in
     return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
-def forward_of(
-    nets: Mapping[str, Net], targets: Mapping[str, Targets], precision: str = "float32", by_head: bool = False
-) -> Forward:
-    """Of networks by name, in the order in which they run; `targets` by network. With `by_head` the answer of the head of a network
-    that unshears counts, too: alone, or in a mean with PoseNet's."""
+def forward_of(nets: Mapping[str, Net], targets: Mapping[str, Targets], precision: str = "float32") -> Forward:
+    """Return the function of networks by name, in the order in which they run, a PoseNet last; `targets` by network."""
 
     def forward(variables: Variables, given: Array) -> tuple[Array, dict[str, Array]]:
-        seen, answers = unit(given) if given.dtype == np.uint8 else given, []
-        known: Targets = ()
-        for name, net in nets.items():
-            if isinstance(net, PoseNet | PinPoseNet):
-                known = targets[name]
-                answers.append(posenet.pose_from_outputs(predict(net, variables[name], seen), known))
-                continue
-            given = in_precision(seen, precision)
-            if by_head:
-                known = targets[name]
-                z_p = unshearnet.encode_pose(net, variables[name], given)
-                head = pose_head.of(variables[name])
-                assert head is not None  # see `load_forward`
-                outputs = pose_head.predict(head, z_p)
-                answers.append(posenet.pose_from_outputs(outputs, known))
-            seen = unshear(net, variables[name], given)
-        return seen, reduce(partial(posenet.mean_pose, targets=known), answers)
+        seen = unit(given) if given.dtype == np.uint8 else given
+        *unshearing, reader = nets.items()
+        for name, net in unshearing:
+            seen = unshear(net, variables[name], in_precision(seen, precision))
+        name, net = reader
+        return seen, posenet.pose_from_outputs(predict(net, variables[name], seen), targets[name])
 
     return forward
 
@@ -158,18 +137,7 @@ def forward_of(
 def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[Forward, Variables, Targets]:
     """A way of looking, its networks' variables and the poses that it reads, from the folder of a run. Raises `UserError`."""
     nets, variables, targets = trained(model, WAYS[way])
-    if way not in OF_CODE:
-        return forward_of(nets, targets, precision), variables, targets[WAYS[way][-1]]
-    if pose_head.of(variables[DISENTANGLED]) is None:
-        raise UserError(
-            f"{model / DISENTANGLED} has no head that reads the pose code, which networks over images get by "
-            "--train.label_weight above zero: train one, or perceive another way"
-        )
-    if not targets[DISENTANGLED]:
-        raise UserError(
-            f"{model / DISENTANGLED} does not state what its head reads: train it again, or perceive another way"
-        )
-    return forward_of(nets, targets, precision, by_head=True), variables, targets[DISENTANGLED]
+    return forward_of(nets, targets, precision), variables, targets[WAYS[way][-1]]
 
 
 def lattice_of(experiment: Experiment) -> Lattice:

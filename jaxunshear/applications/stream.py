@@ -1,8 +1,8 @@
 """Perception for a robot: frame in; unsheared image, pose and a confidence out, as a JSON line each.
 
-The step is compiled once, before the first frame, and holds E, DC and PoseNet (or, in its place or beside it, the head on the pose
-code) with their weights: no shear code, no DS. A frame that cannot be used, or is not understood, is reported and counted, and the next
-one comes.
+The step is compiled once, before the first frame, and holds E, DC and PoseNet with their weights: no
+shear code, no DS. A frame that cannot be used, or is not understood, is reported
+and counted, and the next one comes.
 """
 
 import base64
@@ -68,20 +68,17 @@ def robot_of(
     model: Path,
     experiment: Experiment,
     precision: str,
-    way: str,
     frame: PinFrame | None,
     force: bool = False,
 ) -> Robot:
-    """A model made ready for a stream, compiled already. `way` is one of perception's that unshear; of a model that learnt from recordings
-    or reads pins it is its own. `frame` as `perceiver` takes it; `force` answers frames of other sensors, too. Raises UserError."""
+    """Make a model ready for a stream, compiled already.
+
+    `frame` as `perceiver` takes it; `force` answers frames of other sensors, too. Raises UserError.
+    """
     least = ANY if force else ENOUGH
     if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
-        step = step_of(model, experiment, precision, way)
+        step = step_of(model, experiment, precision)
         return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment), least)
-    if way != DISENTANGLED:
-        raise UserError(
-            f"--way {way}: only networks over simulated images have a head that reads the pose code: leave it out"
-        )
     perceive = perceiver(model, experiment, recorded_too=False, frame=frame)
     size = perceive.preprocess.size
 
@@ -97,9 +94,9 @@ def robot_of(
     return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected, least)
 
 
-def step_of(model: Path, experiment: Experiment, precision: str, way: str) -> Step:
-    """What a frame is perceived by, of networks over images; compiled already. `way` is one of perception's that unshear."""
-    forward, variables, targets = load_forward(model, way, precision)
+def step_of(model: Path, experiment: Experiment, precision: str) -> Step:
+    """Return what a frame is perceived by, of networks over images; compiled already."""
+    forward, variables, targets = load_forward(model, DISENTANGLED, precision)
     names = names_of(targets)
     run = ready(perceive_of(forward, names), variables)
     size = experiment.paired.preprocess.size

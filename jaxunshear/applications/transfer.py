@@ -77,18 +77,8 @@ def score_transfer(
     )
     if UNSHEARED not in of_slides:
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
-    labels = taps.pose[known_half]
-    names = scored(_of(of_taps[AS_RECORDED], known_half), labels)
-    raw, after = (
-        {name: aligned_with(name, _of(of_taps[way], known_half), labels) for name in names}
-        for way in (AS_RECORDED, UNSHEARED)
-    )
-    mae = {
-        "tap": _errors(raw, _of(of_taps[AS_RECORDED], ~known_half), taps.pose[~known_half]),
-        "sheared": _errors(raw, of_slides[AS_RECORDED], slides.pose),
-        "unsheared": _errors(after, of_slides[UNSHEARED], slides.pose),
-        RAW_ZERO: _errors(raw, of_slides[UNSHEARED], slides.pose),
-    }
+    names = scored(_of(of_taps[AS_RECORDED], known_half), taps.pose[known_half])
+    mae = _score_ways(names, known_half, (of_taps, taps.pose), (of_slides, slides.pose))
     tap_read, slide_read = (np.isfinite(next(iter(of[AS_RECORDED].values()))) for of in (of_taps, of_slides))
     results = Results(
         experiment=experiment.name,
@@ -106,18 +96,45 @@ def score_transfer(
         pose_mae=mae,
         pose_recovery={"unsheared": _recovery(mae)},
         readers=_score_reader(names, known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
-        counts=Counts(
-            known_taps=int((known_half & tap_read).sum()),
-            test_taps=int((~known_half & tap_read).sum()),
-            test_poses=int(slide_read.sum()),
-            unread_taps=int((~tap_read).sum()),
-            test_unsure=int((~slide_read).sum()),
-        ),
+        counts=_count(known_half, tap_read, slide_read),
         time_s={"evaluate": time.perf_counter() - started},
         **read_trained(model, experiment.networks),
         **provenance(command),
     )
     return rounded(results)
+
+
+def _score_ways(
+    names: tuple[str, ...],
+    known_half: np.ndarray,
+    taps: tuple[dict[str, dict[str, np.ndarray]], np.ndarray],
+    slides: tuple[dict[str, dict[str, np.ndarray]], np.ndarray],
+) -> dict[str, dict[str, float]]:
+    """Return mean absolute errors by way and label, of readings with their labels (N, 6).
+
+    Sign and offset come from the known half of the taps.
+    """
+    (of_taps, tap_labels), (of_slides, slide_labels) = taps, slides
+    raw, after = (
+        {name: aligned_with(name, _of(of_taps[way], known_half), tap_labels[known_half]) for name in names}
+        for way in (AS_RECORDED, UNSHEARED)
+    )
+    return {
+        "tap": _errors(raw, _of(of_taps[AS_RECORDED], ~known_half), tap_labels[~known_half]),
+        "sheared": _errors(raw, of_slides[AS_RECORDED], slide_labels),
+        "unsheared": _errors(after, of_slides[UNSHEARED], slide_labels),
+        RAW_ZERO: _errors(raw, of_slides[UNSHEARED], slide_labels),
+    }
+
+
+def _count(known_half: np.ndarray, tap_read: np.ndarray, slide_read: np.ndarray) -> Counts:
+    return Counts(
+        known_taps=int((known_half & tap_read).sum()),
+        test_taps=int((~known_half & tap_read).sum()),
+        test_poses=int(slide_read.sum()),
+        unread_taps=int((~tap_read).sum()),
+        test_unsure=int((~slide_read).sum()),
+    )
 
 
 def _score_reader(

@@ -12,7 +12,6 @@ from jaxunshear.errors import UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_beside, check_new_file, check_new_folder
 from jaxunshear.results.applications import Streamed
-from jaxunshear.settings.registry import DISENTANGLED
 from jaxunshear.storage import os_error
 
 
@@ -25,12 +24,6 @@ def add_parser(commands: Commands) -> None:
     add_force(parser)
     parser.add_argument("--fps", metavar="N", type=float, help="play a folder or video at this rate, as a camera would")
     parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="(float32)")
-    parser.add_argument(
-        "--way",
-        choices=(DISENTANGLED, "code", "both"),
-        default=DISENTANGLED,
-        help="whose pose: PoseNet's of the unsheared image; the head's of the pose code, without a PoseNet; their mean (disentangled)",
-    )
     parser.add_argument("--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--images", metavar="DIR", type=Path, help="for unsheared images (default: within the lines)")
@@ -56,7 +49,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
     source = Path(arguments.source)
     like = arguments.like or (source if source.is_dir() else None)
     frame = frame_for(like, experiment) if like else None
-    robot = robot_of(folder, experiment, arguments.precision, arguments.way, frame, arguments.force)
+    robot = robot_of(folder, experiment, arguments.precision, frame, arguments.force)
     frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
     truth = truth_of(arguments.source, experiment)
     with _lines(arguments.lines) as lines:

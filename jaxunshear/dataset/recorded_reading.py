@@ -124,10 +124,16 @@ class RecordedSet:
 
     def slides(self, drag: Drag | None = None, images: bool = True) -> Reader:
         """Labelled slides alone: sheared, sheared_pins, sure, pose, move, pose_id, stimulus, number. Of training and validation slides
-        the settings' share; with `drag` simulated ones in their place, without `images` as pins alone."""
+        the settings' share; with `drag` simulated ones in their place, without `images` as pins alone. Where the settings say so,
+        the training split has the taps behind its slides."""
 
         def load(split: str) -> Batch:
-            return self._dragged(split, drag, images) if drag and split != "test" else _numbered(self._slides(split))
+            if drag and split != "test":
+                return self._dragged(split, drag, images)
+            slides = self._slides(split)
+            if split == "train" and self.settings.direct_taps == "recorded":
+                slides = _concatenated([slides, _slid_by_nothing(self.labelled_taps(split))])
+            return _numbered(slides)
 
         return Reader(load, self.size)
 
@@ -240,6 +246,13 @@ def _taken(rows: Batch, kept: np.ndarray | np.bool) -> Batch:
 
 def _concatenated(parts: list[Batch]) -> Batch:
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+
+
+def _slid_by_nothing(taps: Batch) -> Batch:
+    """Return taps in the form of slides."""
+    batch = {name: taps[name] for name in ("pose", "sure", "number", "pose_id", "stimulus")}
+    batch |= {"move": np.zeros_like(taps["pose"])}
+    return batch | {"sheared": taps["image"], "sheared_pins": taps["pins"]}
 
 
 def _numbered(rows: Batch) -> Batch:

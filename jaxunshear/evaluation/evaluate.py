@@ -188,8 +188,7 @@ def results_of(
             "ms_ssim": ms_ssim_name(scales),
             "image_px": size,
             "scales": scales,
-            "pose_mae": "mean absolute error of a PoseNet trained on taps (sheared_learnt: on slides; code_learnt: "
-            "of a head on the pose code; both_learnt: of the mean of its answer and the unsheared image's)",
+            "pose_mae": "mean absolute error of a PoseNet trained on taps (sheared_learnt: on slides)",
             "pose_smooth": WHAT,
             "pose_ratio": "error over the error on sheared images",
             "pose_recovery": "(sheared - unsheared) / (sheared - tap)",

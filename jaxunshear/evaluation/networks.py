@@ -9,12 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.errors import UserError
 from jaxunshear.evaluation.baselines import baseline_images
 from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, Outputs, image_scores, shown_kind
+from jaxunshear.evaluation.score import LEARNT_SHEARED, Outputs, image_scores
 from jaxunshear.image.dots import dots
-from jaxunshear.model import pinnets, pose_head, posenet, unshearnet
+from jaxunshear.model import pinnets, posenet
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.unshearing import unshear
@@ -44,11 +43,6 @@ def load(
     nets = {name: read_net(folder) for name, folder in folders.items()}
     variables = {name: load_best(folder) for name, folder in folders.items()}
     targets = {name: read_targets(folder) for name, folder in folders.items()}
-    for name, folder in folders.items():
-        if "head" in variables[name]["params"] and (pose_head.of(variables[name]) is None or not targets[name]):
-            raise UserError(
-                f"{folder} was trained with an earlier form of the head for poses: delete it to train again"
-            )
     if pins is not None:
         return partial(jax.jit(pin_run_of(nets, targets, pins)), variables)
     return partial(jax.jit(run_of(nets, targets, precision)), variables, taps)
@@ -81,12 +75,6 @@ def run_of(
         if POSENET_SHEARED in nets:
             answer = posenet.predict(nets[POSENET_SHEARED], variables[POSENET_SHEARED], sheared)
             poses[LEARNT_SHEARED] = posenet.pose_from_outputs(answer, targets[POSENET_SHEARED])
-        head = pose_head.of(variables.get(kind := shown_kind(nets), {"params": {}}))
-        if head is not None:
-            z_p = unshearnet.encode_pose(nets[kind], variables[kind], given)
-            poses[LEARNT_CODE] = posenet.pose_from_outputs(pose_head.predict(head, z_p), targets[kind])
-            if kind in poses:
-                poses[LEARNT_BOTH] = posenet.mean_pose(poses[LEARNT_CODE], poses[kind], targets[kind])
         return Outputs(images, cells, poses, {}), image_scores(images, cells)
 
     return run

@@ -15,12 +15,9 @@ from jaxunshear.settings.targets import Targets
 
 BASELINES = ("mean_tap", "nearest_tap", "translated")  # images made without a network
 LEARNT_SHEARED = "sheared_learnt"  # what a PoseNet that learnt from sheared images reads from them
-LEARNT_CODE = "code_learnt"  # what a head that learnt poses reads off the pose code of the network a run is about
-LEARNT_BOTH = "both_learnt"  # the mean of that and of what PoseNet reads off this network's image
-LEARNT = (LEARNT_SHEARED, LEARNT_CODE, LEARNT_BOTH)
 KINDS = ("tap", "sheared", *BASELINES, *UNSHEARING)
 PARTNER = "partner"  # of a recorded slide: what a perfect network would unshear it to
-POSE_KINDS = ("tap", PARTNER, "sheared", *LEARNT, *BASELINES, *UNSHEARING)
+POSE_KINDS = ("tap", PARTNER, "sheared", LEARNT_SHEARED, *BASELINES, *UNSHEARING)
 CELLS = ("DC(z_p)", "DC(z_s)", "DS(z_p,z_s)", "DS(z_p,z_p)")  # appendix D: which decoder is fed which codes
 CELL_METRICS = ("mse", "ssim", "ms_ssim")
 
@@ -79,7 +76,7 @@ def differences(scores: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     for name, score in scores.items():
         table, kind, *quantity = name.split("/")
         ours = scores.get("/".join([table, DISENTANGLED, *quantity]))
-        if ours is not None and kind in (*UNSHEARING, *LEARNT) and kind != DISENTANGLED:
+        if ours is not None and kind in (*UNSHEARING, LEARNT_SHEARED) and kind != DISENTANGLED:
             found["/".join(["difference", kind, *(quantity or [table])])] = ours - score
     return found
 

@@ -38,15 +38,16 @@ class Trunk(nn.Module):
 
 
 class Dense(nn.Module):
-    """A trunk with a linear output, which starts near zero."""
+    """A trunk with a linear output, which starts near zero. The trunk convolves where a grid (P, G) is given, too."""
 
     net: PinNet
     outputs: int
 
     @nn.compact
-    def __call__(self, x: Array) -> Array:
+    def __call__(self, x: Array, *grid: Array) -> Array:
         small = nn.initializers.variance_scaling(0.01, "fan_in", "truncated_normal")
-        return nn.Dense(self.outputs, kernel_init=small)(Trunk(self.net)(x))
+        trunk = GridTrunk(self.net) if grid else Trunk(self.net)
+        return nn.Dense(self.outputs, kernel_init=small)(trunk(x, *grid))
 
 
 class Codes(nn.Module):
@@ -90,7 +91,7 @@ def init(net: PinNet, rest: Float[ArrayLike, "P 2"], spread: float, key: Array, 
     given = outputs if isinstance(net, PinRenderer) else motions + (2 if net.turned else 0)
     constants = {"rest": jnp.asarray(rest, jnp.float32), "spread": jnp.asarray(spread, jnp.float32)}
     seen = [jnp.zeros((1, given))]
-    if isinstance(net, PinUnshear) and net.convolved:
+    if net.convolved and not isinstance(net, PinRenderer):
         constants["grid"] = jnp.asarray(grid_of(rest))
         seen.append(constants["grid"])
     return {"params": _module(net, motions, outputs).init(key, *seen)["params"], "batch_stats": constants}
@@ -156,11 +157,11 @@ def predict(
 ) -> Float[Array, "B K"]:
     """Pins px -> outputs, scaled as PoseNet's but not bounded. `radians`: by how much all of them were turned, for
     networks that learn from turned pins."""
-    motions = _motions(variables, pins)
+    motions, *grid = _seen(net, variables, pins)
     if net.turned:
         turn = jnp.stack([jnp.cos(radians), jnp.sin(radians)]).astype(motions.dtype)
         motions = jnp.concatenate([motions, jnp.broadcast_to(turn, (motions.shape[0], 2))], -1)
-    return _dense(net, variables, motions)
+    return _dense(net, variables, motions, *grid)
 
 
 def render(net: PinRenderer, variables: Variables, outputs: Float[Array, "B K"]) -> Float[Array, "B P 2"]:
@@ -186,9 +187,9 @@ def _module(net: PinNet, motions: int, outputs: int) -> nn.Module:
     return Dense(net, motions if isinstance(net, PinRenderer) else outputs)
 
 
-def _dense(net: PinNet, variables: Variables, x: Array) -> Array:
+def _dense(net: PinNet, variables: Variables, *seen: Array) -> Array:
     params = variables["params"]
-    return Dense(net, len(params["Dense_0"]["bias"])).apply({"params": params}, x)  # type: ignore[return-value]
+    return Dense(net, len(params["Dense_0"]["bias"])).apply({"params": params}, *seen)  # type: ignore[return-value]
 
 
 def _codes(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -> Any:
@@ -196,8 +197,8 @@ def _codes(net: PinUnshear, variables: Variables, method: str, *inputs: Array) -
     return module.apply({"params": variables["params"]}, *inputs, method=method)
 
 
-def _seen(net: PinUnshear, variables: Variables, pins: Array) -> tuple[Array, ...]:
-    """What E is given."""
+def _seen(net: PinNet, variables: Variables, pins: Array) -> tuple[Array, ...]:
+    """What E, or a PoseNet, is given."""
     motions = _motions(variables, pins)
     return (motions, variables["batch_stats"]["grid"]) if net.convolved else (motions,)
 

@@ -127,18 +127,3 @@ def pose_from_outputs(outputs: Float[Array, "B K"], targets: Targets) -> dict[st
             pose[target.name] = target.middle + target.reach * signed[:, column]
         column += target.outputs
     return pose
-
-
-def mean_pose(
-    one: dict[str, Float[Array, "B"]], other: dict[str, Float[Array, "B"]], targets: Targets
-) -> dict[str, Float[Array, "B"]]:
-    """The mean of two answers in the form of `pose_from_outputs`; of an angle on a full circle that of the unit vectors."""
-    mean = {}
-    for target in targets:
-        a, b = one[target.name], other[target.name]
-        if target.circle:
-            a, b = jnp.deg2rad(a), jnp.deg2rad(b)
-            mean[target.name] = jnp.rad2deg(jnp.arctan2(jnp.sin(a) + jnp.sin(b), jnp.cos(a) + jnp.cos(b)))
-        else:
-            mean[target.name] = (a + b) / 2
-    return mean

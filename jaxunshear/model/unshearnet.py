@@ -176,11 +176,6 @@ def encode(
     return _apply(net, variables, "encode", images)
 
 
-def encode_pose(net: UnshearNet, variables: Variables, images: Float[Array, "B S S 1"]) -> Float[Array, "B s s _"]:
-    """z_p alone; needs no variables of the shear code, which released weights do not hold."""
-    return _apply(net, variables, "encode_pose", images)
-
-
 def decode_canonical(net: UnshearNet, variables: Variables, z_p: Float[Array, "B s s _"]) -> Float[Array, "B S S 1"]:
     """DC: pose code -> logits of the canonical image."""
     return _apply(net, variables, "decode_canonical", z_p)
@@ -212,12 +207,6 @@ def reconstruct(
     codes should agree; `same_slide`, those of another pose after that other slide, whose shear code DS is given, too."""
     found, updates = Network(net).apply(variables, images, same_pose, same_slide, mutable=["batch_stats"])
     return found, updates["batch_stats"]
-
-
-def code_shape(net: UnshearNet) -> tuple[int, int, int]:
-    """Of z_p, without the batch: (s, s, channels)."""
-    side = 1 if net.apart else net.size // 2 ** len(net.widths)
-    return side, side, net.pose_channels if net.disentangled else net.widths[-1]
 
 
 def _with(images: Array, others: Array | None, run: Callable[[Array], Array]) -> tuple[Array, Array | None]:

@@ -47,6 +47,9 @@ def recordings(results: Results) -> Markup:
         facts.append(
             Markup("The poses of slides without a label are those that <code>posenet_sheared</code> reads off them.")
         )
+    if (taps := results.settings["paired"].get("direct_taps", "none")) != "none":
+        taught = Markup("<code>posenet_sheared</code> also learns from {} taps.").format(taps)
+        facts.append(taught)
     lead = (
         "Frames of a real sensor: networks learn from train, their best step is chosen on "
         f"validation, all figures are of test ({describe_test(results)})."

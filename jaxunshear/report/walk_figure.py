@@ -14,8 +14,6 @@ WORDS = {
     "sheared": "sheared images",
     **{name: f"unsheared, {REGISTRY[name].title}" for name in UNSHEARING},
     "learnt": "sheared, PoseNet that learnt slides",
-    "code": "pose code, its head",
-    "both": "head and unsheared image",
 }
 
 

@@ -10,8 +10,6 @@ KINDS = {
     "tap": "tap (no slide)",
     "sheared": "sheared, as felt",
     "sheared_learnt": "sheared, PoseNet that learnt slides",
-    "code_learnt": "sheared, head on the pose code",
-    "both_learnt": "mean of the head's and the unsheared image's",
     "mean_tap": "mean of the training taps",
     "nearest_tap": "training tap nearest to the sheared",
     "translated": "sheared, best translation (knows the tap)",

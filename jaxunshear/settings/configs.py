@@ -20,7 +20,10 @@ METADATA = "metadata.json"  # of a stored set: its settings, counts, frames and 
 MANIFEST = "shards.json"  # of a stored set: the SHA-256 of each shard, and the checksum of its metadata
 PAIRED_SET, POSE_SET, RECORDED_SET = "tactip_paired", "tactip_pose", "tactip_recorded"
 # of `Recorded`: where it lies, and what is made of it
-NOT_STORED = ("tap_folder", "slide_folder", "pairs", "pairing", "labelled", "unlabelled")
+NOT_STORED = (
+    *("tap_folder", "slide_folder", "pairs", "pairing"),
+    *("labelled", "unlabelled", "direct_taps"),
+)
 Settings = PairedData | PoseData | Recorded
 
 FITTED: Json = {"camera": FITTED_CAMERA, "friction": FITTED_FRICTION}  # what sets of the fitted sensor share

@@ -160,6 +160,9 @@ class Recorded:
     labelled: float = 1.0  # share of the training slides whose labels teach
     # training slides without a label; "read": posenet_sheared reads their poses
     unlabelled: Literal["left_out", "read"] = "left_out"
+    # taps that posenet_sheared, which learns poses of slides directly, learns from as well: the
+    # recorded ones, as slides of length zero; or over pins as many rendered ones as slides
+    direct_taps: Literal["none", "recorded", "rendered"] = "none"
     split: Split = "random"
     test: float = 0.1  # share of the poses kept out, where no folder is
     validation: float = 0.1  # likewise, for the choice of the best state
@@ -177,6 +180,11 @@ class Recorded:
             self.pairing != "simulated" or (self.labelled == 1 and self.unlabelled == "left_out"),
             "pairing",
             "simulated takes no recorded slide to learn from: leave labelled at 1 and unlabelled at left_out",
+        )
+        yield (
+            self.direct_taps == "none" or self.pairing != "simulated",
+            "direct_taps",
+            "adds taps to recorded slides: leave it at none with pairing simulated",
         )
         yield 0 < self.labelled <= 1, "labelled", "use a share above 0, at most 1"
         yield (

@@ -14,6 +14,8 @@ LATER: Json = {
     "other_tilts_deg": (),
     "apart": False,
     "convolved": (),
+    "direct_convolved": (),
+    "direct_taps": "none",
     "swap_weight": 0.0,
     "agreement_weight": 0.0,
     "slide_weight": 0.0,
@@ -29,6 +31,7 @@ GONE: Json = {  # files may still have these settings, which do nothing at these
     "both_sides": False,
     "mirror": False,
     "hidden_pins": 0.0,
+    "label_weight": 0.0,
 }
 
 MOVED = {  # modules that experiment files imported

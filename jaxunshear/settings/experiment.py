@@ -37,7 +37,6 @@ PAIR_LOSSES = (  # fields of `Training` that no PoseNet's training reads
     "alike_weight",
     "pose_weight",
     "pose_target",
-    "label_weight",
 )
 
 PINS = Training(
@@ -116,7 +115,13 @@ def trained(experiment: Experiment) -> tuple[str, ...]:
     training = experiment.train_pins if over_pins(experiment) else experiment.train
     taught = (TEACHER,) if training.pose_weight and unshears else ()
     drawn = over_pins(experiment) and set(OF_TAPS) & {*experiment.networks, *taught}  # learn from rendered taps, too
-    rendered = (RENDERER,) if recorded and (drawn or (recorded.pairing in RENDERED and unshears)) else ()
+    direct = (
+        recorded is not None
+        and recorded.direct_taps == "rendered"
+        and POSENET_SHEARED in (*reader, *experiment.networks)
+    )
+    partners = recorded is not None and recorded.pairing in RENDERED and unshears
+    rendered = (RENDERER,) if recorded and (drawn or direct or partners) else ()
     return tuple(dict.fromkeys((*rendered, *taught, *reader, *experiment.networks)))
 
 

@@ -75,6 +75,8 @@ class PinNet:
     layers: int = 3  # dense layers
     # channels of E's convolutions over a grid across the pins, then one dense layer; (): dense layers alone
     convolved: tuple[int, ...] = ()
+    # the same of posenet_sheared, which learns poses of slides directly; other PoseNets are dense
+    direct_convolved: tuple[int, ...] = ()
     noise_px: float = 0.08  # added to the pins of training examples: as much as finding them errs by
     # share of the examples that are turned about the sensor's axis: of recorded ones posenet_sheared's; of simulated ones all networks',
     # and these are dragged further or less, and seen by another camera, too
@@ -87,8 +89,11 @@ class PinNet:
     def rules(self) -> Iterator[Rule]:
         for field in ("hidden", "layers", "pose_code"):
             yield getattr(self, field) >= 1, field, "must be at least 1"
-        yield all(channels >= 1 for channels in self.convolved), "convolved", "list positive numbers, or none"
-        yield len(self.convolved) <= 4, "convolved", "list at most four: each after the first halves the grid's side"
+        for field in ("convolved", "direct_convolved"):
+            channels = getattr(self, field)
+            yield all(each >= 1 for each in channels), field, "list positive numbers, or none"
+            remedy = "list at most four: each after the first halves the grid's side"
+            yield len(channels) <= 4, field, remedy
         yield self.shear_code >= 0, "shear_code", "must not be below zero; 0 builds no shear code"
         yield self.noise_px >= 0, "noise_px", "must not be below zero"
         yield 0 <= self.turned <= 1, "turned", "use a share from 0 to 1"
@@ -98,6 +103,11 @@ def without_pin_codes(net: PinNet) -> PinNet:
     """`net` with what only PinUnshear reads at its default."""
     codes = ("convolved", "pose_code", "shear_code", "apart")
     return replace(net, **{field: getattr(PinNet, field) for field in codes})
+
+
+def without_direct(net: PinNet) -> PinNet:
+    """Return `net` with what only posenet_sheared reads at its default."""
+    return replace(net, direct_convolved=PinNet.direct_convolved)
 
 
 def without_turns(net: PinNet) -> PinNet:

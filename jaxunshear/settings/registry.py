@@ -49,7 +49,7 @@ REGISTRY = {
             _UNSHEARS,
             "disentangled",
             codes=True,
-            released=("E", "pose", "DC", "head", *CONSTANTS),
+            released=("E", "pose", "DC", *CONSTANTS),
         ),
         Kind(POSENET, "reads poses", "taps", ("paired", "unshear", "train", "train_teacher"), released=()),
         Kind(

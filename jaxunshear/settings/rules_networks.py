@@ -6,7 +6,7 @@ from jaxunshear.errors import UserError
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.experiment import PAIR_LOSSES, Experiment, over_pins, recorded_of, trained
 from jaxunshear.settings.image import Preprocess
-from jaxunshear.settings.registry import PIN_NETWORKS, POSENET_SHEARED, RENDERER, TEACHER, UNET
+from jaxunshear.settings.registry import PIN_NETWORKS, POSENET_SHEARED, RENDERER, TEACHER
 from jaxunshear.settings.targets import parsed
 from jaxunshear.settings.training import Training, exchanged
 from jaxunshear.settings.types import Rule
@@ -43,6 +43,17 @@ def network_rules(experiment: Experiment, paired: Preprocess, pose: Preprocess) 
         "pins.turned",
         "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
     )
+    yield (
+        not pins.direct_convolved
+        or (over_pins(experiment) and POSENET_SHEARED in trained(experiment)),
+        "pins.direct_convolved",
+        "is for posenet_sheared over pins, which this experiment does not train: leave it empty",
+    )
+    yield (
+        not (pins.direct_convolved and pins.turned) or recorded_of(experiment) is None,
+        "pins.direct_convolved",
+        "takes recorded pins as they are: leave pins.turned at 0",
+    )
     named = {text.partition(":")[0] for text in experiment.targets}
     yield (
         not pins.turned or recorded_of(experiment) is not None or (bool(named) and named <= TURNED),
@@ -66,11 +77,6 @@ def training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Ru
         f"must be 1 to the image's {experiment.unshear.size} px",
     )
     yield (
-        not experiment.train.label_weight or UNET not in experiment.networks,
-        "train.label_weight",
-        "asks for a code to read the pose off, and the network unet has none: leave one of the two out",
-    )
-    yield (
         not experiment.train_teacher.start,
         "train_teacher.start",
         "leave it empty: what marks a network must not teach it",
@@ -83,9 +89,8 @@ def training_rules(experiment: Experiment, pairs: int, taps: int) -> Iterator[Ru
         yield from _without_pair_losses(getattr(experiment, name), name)
     if over_pins(experiment) or RENDERER in trained(experiment):
         yield _batch(experiment.train_pins, "train_pins", min(pairs, taps))
-        for field in ("patch_weight", "label_weight"):
-            value = getattr(experiment.train_pins, field)
-            yield not value, f"train_pins.{field}", "is for networks over images: leave it at 0"
+        unused = not experiment.train_pins.patch_weight
+        yield unused, "train_pins.patch_weight", "is for networks over images: leave it at 0"
 
 
 def _batch(training: Training, group: str, examples: int) -> Rule:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from jaxunshear.settings.data import Recorded, RecordedTaps
-from jaxunshear.settings.experiment import Experiment, trained
+from jaxunshear.settings.experiment import Experiment, over_pins, trained
 from jaxunshear.settings.registry import POSENET_SHEARED
 from jaxunshear.settings.rules_networks import network_rules, target_rules, training_rules
 from jaxunshear.settings.rules_simulated import FURTHER
@@ -29,8 +29,23 @@ def recorded_rules(experiment: Experiment) -> Iterator[Rule]:
         "paired.pairing",
         f"simulated follows the one sensor that is fitted, of {TACTIP_331_FITTED.pins} pins; yours has {experiment.sensor.pins}",
     )
+    yield (
+        recorded.direct_taps == "none" or POSENET_SHEARED in trained(experiment),
+        "paired.direct_taps",
+        "is for posenet_sheared, which this experiment does not train: leave it at none",
+    )
+    yield (
+        recorded.direct_taps != "rendered" or over_pins(experiment),
+        "paired.direct_taps",
+        "rendered is for networks over pins: use recorded",
+    )
     yield from target_rules(experiment.targets, RECORDED | SLIDES)
     slides = slides_of(experiment.targets)
+    yield (
+        not slides or recorded.direct_taps != "rendered",
+        "paired.direct_taps",
+        f"rendered knows no {', '.join(slides)}: use recorded or none",
+    )
     yield (
         not slides or set(trained(experiment)) == {POSENET_SHEARED},
         "targets",

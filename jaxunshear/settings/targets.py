@@ -1,4 +1,4 @@
-"""What is predicted of a contact: one definition for PoseNet, the head on the pose code, tables, CSV and recoveries.
+"""What is predicted of a contact: one definition for PoseNet, tables, CSV and recoveries.
 
 >>> targets = of_ranges((), Ranges())                      # a simulated set's: x, yaw, edge distance, edge angle
 >>> targets = of_labels(("y_mm", "Rz_deg:circle"), poses, moves)  # of recorded training contacts, (N, 6) each

@@ -8,7 +8,7 @@ from jaxunshear.settings.types import Rule
 
 WEIGHTS = (  # of losses and of penalties
     *("patch_weight", "reconstruction_weight", "swap_weight", "agreement_weight", "slide_weight"),
-    *("tap_weight", "alike_weight", "pose_weight", "label_weight", "l1", "l2"),
+    *("tap_weight", "alike_weight", "pose_weight", "l1", "l2"),
 )
 
 
@@ -47,7 +47,6 @@ class Training:
     alike_weight: float = 0.0  # over pins: two slides to one pose, whether they have a tap or not, are unsheared alike
     pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
     pose_target: Literal["tap", "label"] = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
-    label_weight: float = 0.0  # of the pose that a head reads off z_p, against the true one; 0 builds no head
     precision: Literal["float32", "bfloat16"] = "float32"  # of the convolutions
     averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
     shift: float = 0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
@@ -89,4 +88,4 @@ def exchanged(training: Training) -> bool:
 
 def labelled(training: Training) -> bool:
     """Whether a network that unshears is given true poses."""
-    return training.label_weight > 0 or (training.pose_weight > 0 and training.pose_target == "label")
+    return training.pose_weight > 0 and training.pose_target == "label"

@@ -19,7 +19,7 @@ from jaxunshear.settings.data import Pairing, PoseData, Recorded
 from jaxunshear.settings.earlier import without_later
 from jaxunshear.settings.experiment import Experiment, needed, over_pins, recorded_of, without_pair_losses
 from jaxunshear.settings.fields import replaced, show
-from jaxunshear.settings.networks import without_codes, without_pin_codes, without_turns
+from jaxunshear.settings.networks import without_codes, without_direct, without_pin_codes, without_turns
 from jaxunshear.settings.registry import (
     ALL_NETWORKS,
     DISENTANGLED,
@@ -126,10 +126,20 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = dataclasses.replace(part, paired=alone)
     if network in OF_TAPS:
         part = dataclasses.replace(part, pins=without_turns(part.pins))
+    if POSENET_SHEARED not in needed(experiment, network):
+        part = _without_direct(part)
     if REGISTRY[network].does == "unshears" and not REGISTRY[network].codes:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))
     own = _digest({"experiment": without_later(to_json(part)), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
+
+
+def _without_direct(part: Experiment) -> Experiment:
+    """Return `part` with what only posenet_sheared reads at its default."""
+    part = dataclasses.replace(part, pins=without_direct(part.pins))
+    if isinstance(part.paired, Recorded):
+        part = dataclasses.replace(part, paired=dataclasses.replace(part.paired, direct_taps="none"))
+    return part
 
 
 def reference_of(sweep: Sweep, cells: list[Cell]) -> str | None:

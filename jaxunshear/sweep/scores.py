@@ -19,7 +19,7 @@ SCORES = "scores.npz"  # of an evaluation, beside scores-<test>.npz
 # of the paired data: names, how contacts appear, what is made of recorded ones
 NOT_CONTACTS = (
     *("config", "camera", "nuisance", "preprocess"),
-    *("pairing", "pairs", "labelled", "tap_folder", "slide_folder"),
+    *("pairing", "pairs", "labelled", "direct_taps", "tap_folder", "slide_folder"),
 )
 
 

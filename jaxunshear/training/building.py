@@ -23,6 +23,7 @@ from jaxunshear.settings.networks import (
     UNet,
     UnshearNet,
     without_codes,
+    without_direct,
     without_pin_codes,
     without_turns,
 )
@@ -76,16 +77,19 @@ def _over_pins(
     training, targets, labels = training_of(experiment, network), examples.targets, fields_of(examples.targets)
     field = "pins" if network in OF_TAPS else "sheared_pins"
     known = (targets, examples.pins.rest, spread_of(examples.reader, field, examples.pins.rest))
-    net = asdict(without_turns(experiment.pins))
-    plain = asdict(without_pin_codes(without_turns(experiment.pins)))
-    sure = ("sure",) if recorded_of(experiment) else ()  # simulated pins are all known
+    pins, recorded = without_direct(without_turns(experiment.pins)), recorded_of(experiment)
+    net, plain = asdict(pins), asdict(without_pin_codes(pins))
+    sure = ("sure",) if recorded else ()  # simulated pins are all known
     if network == RENDERER:
         return pin_tasks.renderer_task(PinRenderer(**plain), training, *known), ("pins", *sure, *labels)
     if network in POSENETS:
-        turned = experiment.pins.turned if network not in OF_TAPS and recorded_of(experiment) else 0.0
+        turned = experiment.pins.turned if network not in OF_TAPS and recorded else 0.0
         turns = _turns(examples) if turned else None
-        reader = PinPoseNet(**plain | {"turned": turned})
-        rendered = field == "pins" and RENDERER in trained(experiment)
+        convolved = () if network in OF_TAPS else experiment.pins.direct_convolved
+        reader = PinPoseNet(**plain | {"turned": turned, "convolved": convolved})
+        rendered = RENDERER in trained(experiment)
+        if network not in OF_TAPS:
+            rendered = recorded is not None and recorded.direct_taps == "rendered"
         render = partial(pinnets.render, *_of_taps(experiment, RENDERER, folder)) if rendered else None
         return pin_tasks.pin_posenet_task(reader, training, *known, turns, render), (field, *sure, *labels)
     codes = PinUnshear(**net if network == DISENTANGLED else net | {"shear_code": 0})

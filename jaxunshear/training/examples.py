@@ -60,6 +60,8 @@ def open_examples(experiment: Experiment, network: str, data_dir: Path, run_dir:
         reader, epoch = stored.taps(), stored.count("taps", "train")
     elif network == POSENET_SHEARED:
         reader = stored.slides(_drag(experiment, stored, data_dir), not over_pins(experiment))
+        if stored.settings.direct_taps == "recorded":
+            epoch += stored.count("taps", "train")
     else:
         reader = pairs_of(experiment, stored, targets, run_dir, data_dir)
     if stored.settings.pairing == "simulated":

@@ -28,6 +28,8 @@ def origin_of(experiment: Experiment, network: str) -> Json:
             described |= {"pairing": settings.pairing}
         if network not in POSENETS:
             described |= {"unlabelled": settings.unlabelled} if settings.unlabelled != "left_out" else {}
+        elif settings.direct_taps != "none":
+            described |= {"direct_taps": settings.direct_taps}
     return described
 
 

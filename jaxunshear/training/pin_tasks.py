@@ -95,8 +95,8 @@ def pin_posenet_task(
 ) -> Task:
     """Of PinPoseNet; batches {"pins"} (B, P, 2) px and the fields of the targets. `turns` are needed for `net.turned` alone.
 
-    `render`, outputs (B, K) -> pins (B, P, 2) px, is a renderer that learnt from the same taps: then as many rendered taps, at poses
-    drawn anew, teach as recorded ones. Unsheared pins are as smooth as these: a PoseNet of recorded taps alone reads them less well.
+    `render`, outputs (B, K) -> pins (B, P, 2) px, is a renderer that learnt from recorded taps: then as many rendered taps, at poses
+    drawn anew, teach as recorded contacts. Unsheared pins are as smooth as these: a PoseNet of recorded taps alone reads them less well.
     """
     weights = posenet.output_weights(targets)
 

@@ -17,7 +17,7 @@ class Start(NamedTuple):
 
 
 def started(fresh: Tree, start: Tree) -> Tree:
-    """`fresh` variables with those of `start` in the places of its own; modules of `start` that it lacks (a head) are left out, and parts
+    """`fresh` variables with those of `start` in the places of its own; modules of `start` that it lacks are left out, and parts
     that `start` lacks (released weights hold no shear code and no DS) stay fresh.
 
     Raises UserError where a shape differs, a module of its own has fewer layers than that of `start`, or nothing of `start` has a place.

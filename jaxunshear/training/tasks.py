@@ -11,7 +11,7 @@ from jax import Array
 
 from jaxunshear.dataset.factorial import OTHER_IMAGE, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
-from jaxunshear.model import pose_head, posenet, unet, unshearnet
+from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.decoded import Decoded
 from jaxunshear.model.layers import in_precision
 from jaxunshear.model.parts import Net, Tree
@@ -49,7 +49,7 @@ def unshear_task(
     """Of an entangled or disentangled UnshearNet, or a U-Net; batches {"canonical", "sheared"} uint8 (B, S, S, 1) of {0, 255}.
 
     `teacher` is a trained PoseNet, images (B, S, S, 1) in [0, 1] -> outputs (B, K), needed for `pose_weight` alone;
-    where labels teach (`label_weight`, `pose_target` "label") it takes the pose `targets`, the teacher's too, and their fields in the
+    where labels teach (`pose_target` "label") it takes the pose `targets`, the teacher's too, and their fields in the
     batches. A field {"weight"} (B,) weighs the examples. Of codes that are `apart`, `slides` are what z_s is taught, and need their fields;
     and where poses share slides partners come with the batches, {"other", "swapped"} uint8 as above, see `dataset.factorial`; where they
     don't, the pose code of a slide is to agree with its tap's.
@@ -62,7 +62,7 @@ def unshear_task(
     module.check(net)
     decoded = partial(_decoded, net, training)
     of_codes = partial(code_terms, fields=("sheared", SWAPPED_IMAGE), off=_off_image, slides=slides)
-    init, labelled = _head(net, targets) if training.label_weight else (partial(module.init, net), None)
+    init = partial(module.init, net)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
         batch = _as_floats(batch)
@@ -75,8 +75,6 @@ def unshear_task(
             named["patch"] = losses.patch(image, canonical, losses.coverage(corners, net.size, training.crop_px))
         if watch:
             named["pose"] = watch(image, canonical, batch)
-        if labelled and found.z_p is not None:
-            named["label"] = labelled(variables, found.z_p, batch)["label"]
         return weighed(named | of_codes(found, batch=batch), batch), batch_stats
 
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
@@ -91,8 +89,6 @@ def unshear_task(
             again = None if z_s is None else unshearnet.decode_sheared(net, variables, z_p, z_s)
             found = Decoded(unshearnet.decode_canonical(net, variables, z_p), z_p, again, z_s=z_s)
             image, named = jax.nn.sigmoid(found.canonical), of_codes(found, batch=batch)
-            if labelled:
-                named |= labelled(variables, z_p, batch)
         if watch:
             named["pose"] = watch(image, canonical, batch)
         return weighed({"supervised": losses.supervised(image, canonical)} | named, batch)
@@ -171,7 +167,6 @@ def weights_of(training: Training) -> dict[str, float]:
         "supervised": 1.0,
         "patch": training.patch_weight,
         "pose": training.pose_weight,
-        "label": training.label_weight,
         "reconstruction": training.reconstruction_weight,
         "swap": training.swap_weight,
         "agreement": training.agreement_weight,
@@ -209,32 +204,6 @@ def watcher(
         return loss(teacher(unsheared), wanted, weights)
 
     return watched
-
-
-def _head(
-    net: networks.UnshearNet | networks.UNet, targets: Targets
-) -> tuple[Callable[[Array], Tree], Callable[[Tree, Array, Batch], dict[str, Array]]]:
-    """How a network with a head on the pose code begins, and the head's loss and errors. Raises UserError where it can
-    have none."""
-    if isinstance(net, networks.UNet):
-        raise UserError("label_weight: a U-Net has no code to read the pose off: leave unet out, or use label_weight 0")
-    if not targets:
-        raise UserError("label_weight: no pose targets are known: give them, or use label_weight 0")
-    return partial(_init_with_head, net, posenet.outputs_of(targets)), partial(_labelled, targets)
-
-
-def _init_with_head(net: networks.UnshearNet, outputs: int, key: Array) -> Tree:
-    """Variables of the network, the very ones it has without a head, and the head's parameters beside them."""
-    variables = unshearnet.init(net, key)
-    head = pose_head.init(unshearnet.code_shape(net), outputs, jax.random.fold_in(key, 1))
-    return variables | {"params": variables["params"] | {"head": head}}
-
-
-def _labelled(targets: Targets, variables: Tree, code: Array, batch: Batch) -> dict[str, Array]:
-    """PoseNet's loss of what the head reads off the pose code, and the errors in mm and deg, each (B,)."""
-    outputs = pose_head.predict(variables["params"]["head"], code)
-    loss = losses.pose(outputs, posenet.pose_targets(batch, targets), posenet.output_weights(targets))
-    return {"label": loss} | pose_error_terms(outputs, batch, targets)
 
 
 def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from PIL import Image
 
 from jaxunshear.applications import servo
 from jaxunshear.applications.contour import outline
@@ -123,15 +122,6 @@ def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
     assert answer.code == 0, answer.err
     found = json.loads((tmp_path / "walks" / "reconstruct.json").read_text())["rows"]
     assert {(row["way"], row["unmatched"]) for row in found} == {("sheared", 0), ("disentangled", 0)}
-    code = command("servo", *words, "--ways", "code")
-    assert code.code == 2 and "no head" in code.err
-
-
-def test_a_stream_by_pins_has_no_head(command, model, tmp_path, seen):
-    for number in range(20):
-        Image.fromarray(seen[0][0]).save(tmp_path / f"{number}.png")
-    answer = command("stream", tmp_path, "--model", model, "--way", "code", "--no-images")
-    assert answer.code == 2 and "--way code" in answer.err
 
 
 def test_frames_are_the_same_however_many_are_rendered_at_once():

@@ -1,7 +1,6 @@
 """The adapter from networks on disk to outputs, and which codes each cell is fed."""
 
-import shutil
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -10,13 +9,12 @@ import pytest
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation import networks
 from jaxunshear.evaluation.cells import draw_cells
-from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_BOTH, LEARNT_CODE, LEARNT_SHEARED, PARTNER, POSE_KINDS
-from jaxunshear.model import pose_head, posenet, unshearnet
+from jaxunshear.evaluation.score import BASELINES, CELLS, LEARNT_SHEARED, PARTNER, POSE_KINDS
+from jaxunshear.model import unshearnet
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import ALL_NETWORKS, NETWORKS
 from jaxunshear.settings.targets import names_of, of_ranges
-from jaxunshear.training import checkpoint
 from jaxunshear.training.loop import run_once
 
 PAPER_KINDS = ("tap", "sheared", "entangled", "disentangled")
@@ -88,61 +86,12 @@ def test_rivals_and_baselines_join_in(trained):
     run = networks.load(trained, ALL_NETWORKS, taps=images(5))
     outputs, scores = run(images(), images()[::-1])
     assert set(outputs.images) == {*PAPER_KINDS, "entangled_large", "unet", *BASELINES}
-    assert set(outputs.poses) == {*POSE_KINDS} - {LEARNT_CODE, LEARNT_BOTH, PARTNER}  # no head was trained
+    assert set(outputs.poses) == {*POSE_KINDS} - {PARTNER}
     assert {name.split("/")[1] for name in scores if name.startswith("ms_ssim")} == {*outputs.images} - {"tap"}
     # a PoseNet that learnt from sheared images is given those, with ranges of its own
     same, _ = networks.load(trained, ("posenet", "posenet_sheared"))(images(), images())
     twice = np.asarray(same.poses[LEARNT_SHEARED]["x_mm"])
     np.testing.assert_allclose(twice, 2 * np.asarray(same.poses["sheared"]["x_mm"]), rtol=1e-5)
-
-
-def test_a_head_reads_the_code_and_both_answers_are_averaged(trained):
-    nets = {name: networks.read_net(trained / name) for name in ("disentangled", "posenet")}
-    variables = {name: networks.load_best(trained / name) for name in nets}
-    run = jax.jit(networks.run_of(nets, dict.fromkeys(nets, TARGETS)))
-    plain, _ = run(variables, None, images(), images()[::-1])
-    assert not {LEARNT_CODE, LEARNT_BOTH} & set(plain.poses)
-    net, own = nets["disentangled"], variables["disentangled"]
-    head = jax.tree.map(lambda x: 20 * x, pose_head.init(unshearnet.code_shape(net), 5, jax.random.key(2)))
-    learnt = own | {"params": own["params"] | {"head": head}}
-    outputs, _ = run(variables | {"disentangled": learnt}, None, images(), images()[::-1])
-    code, _ = unshearnet.encode(net, own, images()[::-1].astype(np.float32) / 255)
-    expected = posenet.pose_from_outputs(pose_head.predict(head, code), TARGETS)
-    for name, read in outputs.poses[LEARNT_CODE].items():
-        np.testing.assert_allclose(read, expected[name], rtol=1e-4, atol=1e-4)
-    other = outputs.poses["disentangled"]["x_mm"]
-    np.testing.assert_allclose(outputs.poses[LEARNT_BOTH]["x_mm"], (expected["x_mm"] + other) / 2, rtol=1e-4, atol=1e-5)
-    assert set(outputs.images) == set(plain.images)
-
-
-def test_a_head_of_another_form_is_refused(trained, tmp_path):
-    folder = tmp_path / "disentangled"
-    folder.mkdir()
-    shutil.copy(trained / "disentangled" / "model.json", folder)
-    own = networks.load_best(trained / "disentangled")
-    head = pose_head.init((8, 8, 3), 5, jax.random.key(2))
-    del head["norm"]
-    average = own | {"params": own["params"] | {"head": head}}
-    checkpoint.save(folder, 1, {"average": average}, {"best_step": 1, "history": []})
-    with pytest.raises(UserError, match=r"disentangled was trained with an earlier form of the head .*: delete it"):
-        networks.load(tmp_path, ("disentangled",))
-
-
-def test_a_head_that_gives_no_targets_is_refused(trained, tmp_path):
-    folder = tmp_path / "disentangled"
-    checkpoint.write_settings(folder, {"kind": "unshear", "net": asdict(networks.read_net(trained / "disentangled"))})
-    own = networks.load_best(trained / "disentangled")
-    average = own | {"params": own["params"] | {"head": pose_head.init((8, 8, 3), 5, jax.random.key(2))}}
-    checkpoint.save(folder, 1, {"average": average}, {"best_step": 1, "history": []})
-    with pytest.raises(UserError, match=r"disentangled was trained with an earlier form of the head .*: delete it"):
-        networks.load(tmp_path, ("disentangled",))
-
-
-def test_the_mean_of_two_directions_goes_the_short_way_round():
-    one, other = (
-        dict.fromkeys(QUANTITIES, np.zeros(2)) | {"edge_deg": np.array(x)} for x in ((170.0, 10.0), (-170.0, 30.0))
-    )
-    np.testing.assert_allclose(np.abs(posenet.mean_pose(one, other, TARGETS)["edge_deg"]), [180, 20], rtol=1e-4)
 
 
 def test_only_what_is_evaluated_is_read_and_run(trained, tmp_path):

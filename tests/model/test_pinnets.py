@@ -92,6 +92,19 @@ def test_an_encoder_that_convolves_has_no_dense_trunk_and_sees_every_pin():
     assert jnp.all(jnp.any(slopes != 0, axis=-1))
 
 
+def test_a_posenet_that_convolves_has_no_dense_trunk_and_sees_every_pin():
+    net, variables = made(PinPoseNet, 4, convolved=(4, 6))
+    assert set(variables["params"]) == {"GridTrunk_0", "Dense_0"}
+    pins = moved()
+    outputs = pinnets.predict(net, variables, pins)
+    assert outputs.shape == (3, 4)
+    np.testing.assert_allclose(pinnets.predict(net, variables, pins[1:2])[0], outputs[1], atol=1e-5)
+    slopes = jax.jit(jax.grad(lambda pins: jnp.sum(pinnets.predict(net, variables, pins))))(pins)
+    assert jnp.all(jnp.any(slopes != 0, axis=-1))
+    hidden, still = pins.at[:, 7].set(jnp.nan), pins.at[:, 7].set(REST[7])
+    np.testing.assert_array_equal(*(pinnets.predict(net, variables, each) for each in (hidden, still)))
+
+
 def test_distance_is_in_units_of_the_spread_and_skips_what_is_not_seen():
     _, variables = made(PinUnshear)
     target = moved()

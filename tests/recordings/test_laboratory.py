@@ -263,6 +263,37 @@ def test_weights_are_released_and_used_without_the_recordings(command, pins_run,
     np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
 
 
+def test_a_direct_posenet_that_convolves_serves_at_every_door(command, recording, slides, place, tmp_path):
+    """It also learns from rendered taps; nothing else reads its settings."""
+    pytest.importorskip("onnxruntime")
+    places = ("--out", tmp_path / "runs", "--data", place / "datasets")
+    short = (*SHORT[:2], "--train_pins.epochs", "3", *SHORT[4:-2], "--paired.validation", "0.2")
+    asked = ("--pins.direct_convolved", "4,6", "--paired.direct_taps", "rendered")
+    words = ("--name", "direct", "--networks", "posenet_sheared", *short, *asked)
+    answer = command("run", EXPERIMENT, "--recordings", recording, *places, *words)
+    assert answer.code == 0, answer.err
+    run = tmp_path / "runs" / "direct"
+    kept = json.loads((run / "posenet_sheared" / "model.json").read_text())
+    assert kept["net"]["convolved"] == [4, 6] and kept["net"]["direct_convolved"] == []
+    assert kept["origin"]["direct_taps"] == "rendered" and (run / "renderer").is_dir()
+    last = json.loads((run / "posenet_sheared" / "log.jsonl").read_text().splitlines()[-1])
+    assert last["train"]["rendered"] > 0 and "rendered" not in last["validation"]
+    assert "also learns from rendered taps" in (run / "report.html").read_text()
+    other = made.edge(tmp_path / "other", 20, 20, seed=53)
+    answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
+    assert answer.code == 0, answer.err
+    assert command("release", run, "--out", tmp_path / "ours").code == 0
+    both = [command("pose", slides, "--model", model) for model in (run, tmp_path / "ours")]
+    assert [answer.code for answer in both] == [0, 0], both[0].err
+    first, second = ([float(row["learnt_y_mm"]) for row in csv.DictReader(answer.out.splitlines())] for answer in both)
+    np.testing.assert_allclose(first, second, atol=0.05)  # kernels are stored as float16
+    assert np.ptp(first) > 0.1
+    answer = command("stream", slides, "--model", run, "--lines", tmp_path / "lines", "--no-images")
+    assert answer.code == 0, answer.err
+    answer = command("export", run, "--out", tmp_path / "direct.onnx")
+    assert answer.code == 0, answer.err
+
+
 @pytest.mark.long
 def test_fit_writes_an_experiment_that_runs_again(command, recording, place, tmp_path):
     """Here with slides that have no label, whose poses are read."""
@@ -395,6 +426,17 @@ REFUSED = [
     (("--paired.pairing", "simulated", "--paired.labelled", "0.5"), "simulated takes no recorded slide to learn from"),
     (("--paired.pairing", "simulated", "--unshear.input", "pins"), "yours has 127"),
     (("--networks", "unet", "--unshear.input", "pins"), "reads images alone"),
+    (("--pins.direct_convolved", "4"), "is for posenet_sheared over pins, which"),
+    (
+        ("--pins.direct_convolved", "4", "--pins.turned", "0.5", "--unshear.input", "pins"),
+        "leave pins.turned at 0",
+    ),
+    (("--paired.direct_taps", "rendered"), "rendered is for networks over pins: use recorded"),
+    (("--paired.direct_taps", "recorded", "--networks", "posenet"), "which this experiment does not train"),
+    (
+        ("--paired.direct_taps", "recorded", "--paired.pairing", "simulated"),
+        "adds taps to recorded slides",
+    ),
     (("--unseen", "flower"), "is a test of simulated touches"),
 ]
 

@@ -184,6 +184,22 @@ def test_fewer_labels_are_drawn_at_random_and_nested(opened, seed):
     assert np.ptp([angle[n] for n in drawn[1]]) > 250  # rows are sorted by angle: not the first ones
 
 
+def test_taps_join_the_training_slides_alone_as_slides_of_length_zero(opened):
+    fields = ("number", "sheared_pins", "pose", "move")
+    plain, joined = opened().slides(), opened(direct_taps="recorded").slides()
+    taps = opened().taps()
+    for split in ("validation", "test"):
+        assert joined.length(split) == plain.length(split)
+    count, more = plain.length("train"), taps.length("train")
+    rows = joined.take("train", np.arange(joined.length("train")), fields)
+    assert len(rows["number"]) == count + more
+    assert len(np.unique(rows["number"])) == count + more and np.all(rows["move"][count:] == 0)
+    own = taps.take("train", np.arange(more), ("number", "pins", "pose"))
+    for name, other in (("number", "number"), ("sheared_pins", "pins"), ("pose", "pose")):
+        np.testing.assert_array_equal(rows[name][count:], own[other])
+    assert joined.take("train", np.array([count]), ("sheared",))["sheared"].ndim == 4
+
+
 def test_slides_without_a_label_get_the_pose_that_is_read(opened):
     stored = opened(labelled=0.3, pairing="nearest")
     asked = []

@@ -53,19 +53,20 @@ def test_an_earlier_file_is_todays_experiment():
     assert "twist_deg" not in describe(NOW.paired, NOW.sensor)["settings"]["ranges"]
 
 
-def test_a_setting_that_went_may_stand_in_a_file_where_it_does_nothing(tmp_path):
+@pytest.mark.parametrize(("group", "name"), [("pins", "shear_noise"), ("train", "label_weight")])
+def test_a_setting_that_went_may_stand_in_a_file_where_it_does_nothing(tmp_path, group, name):
     assert not GONE.keys() & {field.name for group in groups(NOW) for field in group}
     earlier = to_json(NOW)
-    earlier["pins"]["shear_noise"] = 0.0
+    earlier[group][name] = 0.0
     assert from_json(earlier) == NOW and without_later(earlier) == without_later(to_json(NOW))
-    write_json(tmp_path / "model.json", {"net": earlier["pins"]})
-    write_settings(tmp_path, {"net": to_json(NOW)["pins"]})
-    earlier["pins"]["shear_noise"] = 0.1
-    with pytest.raises(UserError, match=r"pins\.shear_noise = 0\.1 is no setting; run"):
+    write_json(tmp_path / "model.json", {group: earlier[group]})
+    write_settings(tmp_path, {group: to_json(NOW)[group]})
+    earlier[group][name] = 0.1
+    with pytest.raises(UserError, match=rf"{group}\.{name} = 0\.1 is no setting; run"):
         from_json(earlier)
-    write_json(tmp_path / "model.json", {"net": earlier["pins"]})
-    with pytest.raises(UserError, match=r"net\.shear_noise = 0\.1, now None"):
-        write_settings(tmp_path, {"net": to_json(NOW)["pins"]})
+    write_json(tmp_path / "model.json", {group: earlier[group]})
+    with pytest.raises(UserError, match=rf"{group}\.{name} = 0\.1, now None"):
+        write_settings(tmp_path, {group: to_json(NOW)[group]})
 
 
 @pytest.mark.parametrize("name", ["epochs", "claim"])

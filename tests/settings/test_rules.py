@@ -25,7 +25,6 @@ def refusal(words: str) -> str:
         ("crop_px", "10", "20"),
         ("reconstruction_weight", "0.3", "1"),
         ("pose_weight", "1", "0"),
-        ("label_weight", "1", "0"),
         ("paired_share", "0.1", "1"),
     ],
 )
@@ -47,12 +46,6 @@ def test_a_poses_target_is_known_and_on_the_teachers_scale():
     words = ["--train.pose_weight", "0.1", "--train.pose_target", "label"]
     validate(override(PLAIN, words))
     assert "make paired.ranges and pose.ranges equal" in refusal(" ".join([*words, "--pose.ranges.yaw_deg 60"]))
-
-
-def test_labels_need_a_code_to_be_read_off():
-    words = ["--train.label_weight", "0.5", "--networks"]
-    assert refusal(" ".join([*words, "unet,posenet"])).startswith("--train.label_weight 0.5: ")
-    validate(override(PLAIN, [*words, "entangled,disentangled,posenet"]))
 
 
 def test_crops_need_not_fit_the_images_of_a_posenet_that_has_none():
@@ -150,6 +143,15 @@ def test_turned_touches_keep_distance_direction_and_depth_alone():
     assert "edge_deg, edge_mm" in refusal(" ".join([*words, "--targets", "edge_mm,yaw_deg"]))
     validate(override(PLAIN, [*words, "--targets", "edge_mm,edge_deg:circle,depth_mm"]))
     assert refusal("--pins.turned 1 --targets edge_mm").startswith("--pins.turned ")
+
+
+def test_a_direct_posenet_that_convolves_reads_pins():
+    pins = "--unshear.input pins --pins.direct_convolved"
+    validate(override(PLAIN, f"{pins} 4,6 --networks posenet_sheared".split()))
+    assert "does not train" in refusal(f"{pins} 4,6 --networks posenet")
+    assert "does not train" in refusal("--pins.direct_convolved 4 --networks posenet_sheared")
+    assert "list positive numbers" in refusal(f"{pins} 4,0 --networks posenet_sheared")
+    assert "list at most four" in refusal(f"{pins} 4,4,4,4,4 --networks posenet_sheared")
 
 
 @pytest.mark.parametrize("field", ["swap_weight", "agreement_weight", "slide_weight"])

@@ -258,13 +258,6 @@ def test_errors_of_lengths_do_not_wrap():
     assert float(pose_error_terms(outputs, {"pose": np.full((1, 6), 190, np.float32)}, targets)["x_mm"][0]) == 380
 
 
-def test_the_mean_of_two_answers_goes_round_only_for_a_circle():
-    one, other = {"yaw_deg": np.array([170.0])}, {"yaw_deg": np.array([-170.0])}
-    circle, plain = (of_ranges((f"yaw_deg:{kind}",), Ranges(yaw_deg=180)) for kind in (CIRCLE, RANGE))
-    assert abs(float(posenet.mean_pose(one, other, circle)["yaw_deg"][0])) == pytest.approx(180, abs=1e-3)
-    assert float(posenet.mean_pose(one, other, plain)["yaw_deg"][0]) == 0
-
-
 @pytest.mark.parametrize("targets", [USUAL, of_ranges(SEVERAL, Ranges()), of_labels((), recorded()), ()])
 def test_targets_come_back_from_json(targets):
     assert from_json(json.loads(json.dumps(to_json(targets))), "model.json") == targets

@@ -236,6 +236,7 @@ CHANGES = {  # of recordings: which trainings each concerns
     "labelled": ({"labelled": 0.1}, {"posenet_sheared", "disentangled"}),
     "unlabelled": ({"unlabelled": "read"}, {"disentangled"}),
     "pairing": ({"pairing": "nearest"}, {"disentangled"}),
+    "direct_taps": ({"direct_taps": "recorded"}, {"posenet_sheared"}),
 }
 
 
@@ -248,6 +249,17 @@ def test_recorded_taps_teach_the_same_whatever_is_made_of_slides(change):
         same = network not in concerned
         assert (training_part(base, network) == training_part(other, network)) == same, network
         assert (origin_of(base, network) == origin_of(other, network)) == same, network
+
+
+@pytest.mark.parametrize(("unlabelled", "concerned"), [("left_out", set()), ("read", {"disentangled"})])
+def test_what_the_direct_posenet_is_concerns_it_and_who_learns_from_it(unlabelled, concerned):
+    recorded = replace(RECORDED.paired, unlabelled=unlabelled)
+    base = replace(RECORDED, unshear=replace(RECORDED.unshear, input="pins"), paired=recorded)
+    pins, paired = replace(base.pins, direct_convolved=(8,)), replace(recorded, direct_taps="rendered")
+    names = (RENDERER, TEACHER, "posenet", "posenet_sheared", "disentangled")
+    for other in (replace(base, pins=pins), replace(base, paired=paired)):
+        changed = {n for n in names if training_part(base, n) != training_part(other, n)}
+        assert changed == {"posenet_sheared"} | concerned
 
 
 def test_turned_pins_concern_those_that_read_slides():

@@ -1,4 +1,4 @@
-"""The losses that read a pose: off the unsheared image, and off the pose code."""
+"""The losses that read a pose off the unsheared image."""
 
 import sys
 from dataclasses import replace
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.model import pose_head, posenet, unet, unshearnet
+from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.networks import UNet
@@ -134,9 +134,6 @@ def test_a_teacher_without_targets_is_refused(teacher, training):
         unshear_task(small.NET, training, teacher)
 
 
-LABELLED = replace(small.TRAINING, label_weight=0.5)
-
-
 @pytest.mark.parametrize(
     ("training", "reported"),
     [
@@ -144,67 +141,10 @@ LABELLED = replace(small.TRAINING, label_weight=0.5)
         (WATCHED, False),
         (AGAINST_LABELS, True),
         (replace(AGAINST_LABELS, pose_weight=0.0), False),
-        (LABELLED, True),
     ],
 )
 def test_labels_are_read_only_where_a_loss_asks_for_them(training, reported):
     assert labelled(training) == reported
-
-
-@pytest.mark.parametrize(
-    "net",
-    [small.NET, pytest.param(replace(small.NET, disentangled=False), marks=pytest.mark.long)],
-    ids=["disentangled", "entangled"],
-)
-def test_labels_teach_what_makes_the_pose_code_and_nothing_else(net):
-    task, batch = unshear_task(net, LABELLED, targets=small.TARGETS), with_poses(small.pair(3, 4))
-    gradient = gradient_of(task, jax.jit(task.init)(jax.random.key(0)), batch, "label")
-    largest = {
-        name: max(float(jnp.abs(leaf).max()) for leaf in jax.tree.leaves(part)) for name, part in gradient.items()
-    }
-    reached = {name for name in largest if largest[name] > 0}
-    assert reached == {"E", "pose", "head"} & set(gradient)
-    assert task.weights["label"] == 0.5
-
-
-def test_the_label_term_is_posenets_loss_of_what_the_head_reads():
-    task, batch = unshear_task(small.NET, LABELLED, targets=small.TARGETS), with_poses(small.pair(3, 4))
-    variables = jax.jit(task.init)(jax.random.key(0))
-    named = jax.jit(task.validate)(variables, batch)
-    z_p, _ = jax.jit(unshearnet.encode, static_argnums=0)(
-        small.NET, variables, jnp.asarray(batch["sheared"], jnp.float32) / 255
-    )
-    assert z_p.shape[1:] == unshearnet.code_shape(small.NET)
-    outputs = pose_head.predict(variables["params"]["head"], z_p)
-    targets = posenet.pose_targets(batch, small.TARGETS)
-    np.testing.assert_allclose(named["label"], losses.pose(outputs, targets, WEIGHTS), rtol=1e-5)
-    read = posenet.pose_from_outputs(outputs, small.TARGETS)
-    np.testing.assert_allclose(named["x_mm"], jnp.abs(read["x_mm"] - batch["pose"][:, 0]), rtol=1e-4, atol=1e-5)
-    assert float(named["edge_deg"].max()) <= 180
-
-
-def test_a_head_changes_nothing_of_the_network_it_starts_beside():
-    plain, labelled = (
-        jax.jit(unshear_task(small.NET, t, targets=small.TARGETS).init)(jax.random.key(0))
-        for t in (small.TRAINING, LABELLED)
-    )
-    assert set(labelled["params"]) == {*plain["params"], "head"}
-    kept = {name: labelled["params"][name] for name in plain["params"]}
-    jax.tree.map(np.testing.assert_array_equal, kept, plain["params"])
-
-
-def test_without_weight_there_is_no_head_and_no_label_is_read():
-    task = unshear_task(small.NET, small.TRAINING, targets=small.TARGETS)
-    variables = jax.jit(task.init)(jax.random.key(0))
-    assert "label" not in jax.eval_shape(task.terms, variables, small.pair(3, 4), jax.random.key(2))[0]
-    assert "label" not in jax.eval_shape(task.validate, variables, small.pair(3, 4))
-
-
-def test_labels_without_a_code_or_without_targets_are_refused():
-    with pytest.raises(UserError, match="label_weight: a U-Net has no code"):
-        unshear_task(UNET, LABELLED, targets=small.TARGETS)
-    with pytest.raises(UserError, match="label_weight: no pose targets are known"):
-        unshear_task(small.NET, LABELLED)
 
 
 def test_codes_that_are_apart_learn_from_partners_and_from_the_slide():

@@ -25,7 +25,9 @@ def unshear(graph: Graph, net: UnshearNet | PinUnshear, variables: Variables, se
     if isinstance(net, PinUnshear):
         motions = _motions(graph, variables, seen)
         encoder = (
-            _grid_trunk(graph, net, variables, motions) if net.convolved else _trunk(graph, net, params["E"], motions)
+            _grid_trunk(graph, net, variables, params["E"], motions)
+            if net.convolved
+            else _trunk(graph, net, params["E"], motions)
         )
         z_p = _dense(graph, params["pose"], encoder)
         return _places(graph, variables, _trunk_dense(graph, net, params["DC"], z_p))
@@ -45,7 +47,11 @@ def predict(graph: Graph, net: PoseNet | PinPoseNet, variables: Variables, seen:
     """Images or pins -> outputs (B, K), see `posenet`."""
     params = variables["params"]
     if isinstance(net, PinPoseNet):
-        return _trunk_dense(graph, net, params, _motions(graph, variables, seen))
+        motions = _motions(graph, variables, seen)
+        if not net.convolved:
+            return _trunk_dense(graph, net, params, motions)
+        trunk = _grid_trunk(graph, net, variables, params["GridTrunk_0"], motions)
+        return _dense(graph, params["Dense_0"], trunk)
     layers = _Layers(graph, variables)
     x = layers.convolution(layers.convolution(seen, ("First_0",), **QUARTER), ("Down_0",), **QUARTER)
     for names in (("Same_1", "Same_0"), ("Same_2",)):  # Flax counts an outer call before the inner one
@@ -130,9 +136,11 @@ def _trunk(graph: Graph, net: PinUnshear | PinPoseNet, params: Variables, x: str
     return x
 
 
-def _grid_trunk(graph: Graph, net: PinUnshear, variables: Variables, motions: str) -> str:
+def _grid_trunk(
+    graph: Graph, net: PinUnshear | PinPoseNet, variables: Variables, params: Variables, motions: str
+) -> str:
     """`pin_grid.GridTrunk`, channels first but where they are normalised."""
-    params, grid = variables["params"]["E"], _single(variables["batch_stats"]["grid"])
+    grid = _single(variables["batch_stats"]["grid"])
     side = math.isqrt(grid.shape[1])
     by_axis = graph.add("Transpose", graph.add("Reshape", motions, np.array([-1, len(grid), 2])), perm=(0, 2, 1))
     laid = graph.add("Reshape", graph.add("MatMul", by_axis, grid), np.array([-1, 2, side, side]))

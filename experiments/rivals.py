@@ -1,0 +1,66 @@
+"""Claim: like for like, it decides which is better over recorded pins: to unshear slides, or to learn
+their poses directly.
+
+    jaxunshear sweep experiments/rivals.py --recordings DIR
+
+Each row trains a network that unshears and a PoseNet that learns poses of slides directly, of the
+same make, on the same contacts. One PoseNet of taps reads all unsheared slides of a seed. It learns
+from recorded and rendered taps, and it is dense in every row.
+
+What differs between rows:
+
+* dense: both encoders have dense layers alone.
+* convolving: both convolve over the same grid across the pins, with as many channels.
+* direct from rendered taps, too: half of the examples of the direct PoseNet are taps that the
+  renderer draws. The taps then teach it, as they teach unshearing.
+* no pose labels in the loss: the loss of the network that unshears has no pose in it. Labels still
+  say where the renderer draws the tap of each slide.
+
+Rows share the trainings that are equal. Checkpoints are chosen by the loss on validation contacts.
+One row by itself, of seed 0 (`--seed 1` for another):
+
+    jaxunshear run experiments/recorded.py --recordings DIR --unshear.input pins --name ROW OPTIONS
+
+OPTIONS are the first or second of these lines, and the third or fourth where a row's name says so:
+
+    dense                       --pins.convolved=
+    convolving                  --pins.direct_convolved 24,48,96
+    direct from rendered taps   --paired.direct_taps rendered
+    no pose labels              --train_pins.pose_weight 0
+
+`jaxunshear evaluate runs/ROW --recordings OTHER` scores it on other recordings; a row's folder in
+`runs/sweeps/rivals/rows` is a run, too.
+
+Expected: the figures are still to be measured.
+"""
+
+from dataclasses import replace
+
+from jaxunshear.fit import BASE
+from jaxunshear.settings.networks import PinNet
+from jaxunshear.settings.sweep import Sweep
+
+CHANNELS = BASE.pins.convolved
+CONVOLVING = (("pins.convolved", "pins.direct_convolved"), (CHANNELS, CHANNELS))
+RENDERED = ("paired.direct_taps", "rendered")
+ROWS = {
+    "dense": (),
+    "dense, direct from rendered taps, too": (RENDERED,),
+    "convolving": (CONVOLVING,),
+    "convolving, direct from rendered taps, too": (CONVOLVING, RENDERED),
+    "convolving, no pose labels in the loss": (CONVOLVING, ("train_pins.pose_weight", 0.0)),
+}
+
+sweep = Sweep(
+    name="rivals",
+    claim="Unsheared and directly learnt poses of slides, by networks of the same make.",
+    base=replace(
+        BASE,
+        name="rivals",
+        unshear=replace(BASE.unshear, input="pins"),
+        pins=PinNet(),
+    ),
+    rows=tuple(ROWS.values()),
+    labels=tuple(ROWS),
+    seeds=(0, 1, 2),
+)
