@@ -76,18 +76,7 @@ def score_transfer(
     )
     if UNSHEARED not in of_slides:
         raise UserError(f"{model} holds no network that unshears and PoseNet beside it: train both")
-    labels = taps.pose[known_half]
-    names = scored(_of(of_taps[AS_RECORDED], known_half), labels)
-    raw, after = (
-        {name: aligned_with(name, _of(of_taps[way], known_half), labels) for name in names}
-        for way in (AS_RECORDED, UNSHEARED)
-    )
-    mae = {
-        "tap": _errors(raw, _of(of_taps[AS_RECORDED], ~known_half), taps.pose[~known_half]),
-        "sheared": _errors(raw, of_slides[AS_RECORDED], slides.pose),
-        "unsheared": _errors(after, of_slides[UNSHEARED], slides.pose),
-        RAW_ZERO: _errors(raw, of_slides[UNSHEARED], slides.pose),
-    }
+    mae = _score_own(known_half, (taps.pose, of_taps), (slides.pose, of_slides))
     unread = [int(np.isnan(next(iter(of[AS_RECORDED].values()))).sum()) for of in (of_taps, of_slides)]
     results = Results(
         experiment=experiment.name,
@@ -100,10 +89,10 @@ def score_transfer(
         },
         settings=asdict(experiment),
         pin_error={},
-        targets=tuple(Target(name, *RECORDED[name]) for name in names),
+        targets=tuple(Target(name, *RECORDED[name]) for name in mae["tap"]),
         pose_mae=mae,
         pose_recovery={"unsheared": _recovery(mae)},
-        readers=_score_reader(names, known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
+        readers=_score_reader(tuple(mae["tap"]), known_half, (taps.pose, tap_pins), (slides.pose, slide_pins)),
         counts=Counts(
             known_taps=int(known_half.sum()),
             test_taps=int((~known_half).sum()),
@@ -117,6 +106,27 @@ def score_transfer(
         command=command,
     )
     return rounded(results)
+
+
+def _score_own(
+    known: np.ndarray,
+    taps: tuple[np.ndarray, dict[str, dict[str, np.ndarray]]],
+    slides: tuple[np.ndarray, dict[str, dict[str, np.ndarray]]],
+) -> dict[str, dict[str, float]]:
+    """Errors by way of the networks' own PoseNet, aligned by the taps `known` (T,); of taps and slides labels (N, 6) and poses by
+    way. Raises UserError where the labels are not of an edge."""
+    (tap_pose, of_taps), (slide_pose, of_slides) = taps, slides
+    names = scored(_of(of_taps[AS_RECORDED], known), tap_pose[known])
+    raw, after = (
+        {name: aligned_with(name, _of(of_taps[way], known), tap_pose[known]) for name in names}
+        for way in (AS_RECORDED, UNSHEARED)
+    )
+    return {
+        "tap": _errors(raw, _of(of_taps[AS_RECORDED], ~known), tap_pose[~known]),
+        "sheared": _errors(raw, of_slides[AS_RECORDED], slide_pose),
+        "unsheared": _errors(after, of_slides[UNSHEARED], slide_pose),
+        RAW_ZERO: _errors(raw, of_slides[UNSHEARED], slide_pose),
+    }
 
 
 def _score_reader(
