@@ -559,28 +559,13 @@ SLIDE = ("slide_x_mm, all", "slide_y_mm, all")
 LEAKS = ("slide from z_p", "pose from z_s")
 
 
-def _leaks(cell: CellResult, own: tuple[str, ...] = ()) -> list[str]:
-    """Return R2 and shares of the ceiling of both leaks, and of `own` contents the shares."""
+def _leaks(cell: CellResult) -> list[str]:
+    """Return R2 and shares of the ceiling of both leaks."""
     cells = []
     for name in LEAKS:
         for field in ("r2", "share", "largest share"):
             cells.append(with_range(list(cell.ablation[f"{name}/{field}"].per_seed.values()), 2))
-    for name in own:
-        cells.append(f"{cell.ablation[f'{name}/share'].mean:.2f}")
     return cells
-
-
-def parted() -> str:
-    """What each code of simulated slides holds, by what is left out of the losses; and the standard scores."""
-    head = [f"{leak}: {field}" for leak in LEAKS for field in ("R2", "share of ceiling", "largest share")]
-    own = ("pose from z_p", "slide from z_s")
-    scores = ("MIG", "SAP", "DCI disentanglement")
-    lines = [f"| simulated, pins | {' | '.join([*head, *(f'{name}: share' for name in own), *scores])} |"]
-    lines.append("|---|" + "---|" * (len(head) + len(own) + len(scores)))
-    for cell in swept("parted"):
-        figures = [f"{cell.ablation[f'standard scores/{name}'].mean:.2f}" for name in scores]
-        lines.append(as_line(cell.label, [*_leaks(cell, own), *figures]))
-    return "\n".join(lines)
 
 
 def parted_pins() -> str:
@@ -783,11 +768,12 @@ def _locked(name: str) -> dict[str, float]:
 
 TABLES = {
     "README.md": (real_skin, demo, standard_first),
-    "docs/your-own-recordings.md": (pairings, other_recordings, few_labels, simulated_slides, transfer),
+    "docs/your-own-recordings.md": (pairings, other_recordings, few_labels, simulated_slides),
+    "docs/skin.md": (transfer,),
     "docs/calibration.md": (*simulator_tables.CALIBRATION, refit),
     "docs/simulator.md": simulator_tables.SIMULATOR,
     "docs/applications.md": (found_pins, geometry, servo, servo_pins, objects, perception),
-    "docs/codes.md": (parted_skin, parted_skin_errors, parted, parted_pins, end_to_end, end_to_end_exchanged),
+    "docs/codes.md": (parted_skin, parted_skin_errors, parted_pins, end_to_end, end_to_end_exchanged),
     "docs/slides.md": (slide_read, joint),
     "docs/experiments.md": (
         standard,
