@@ -163,6 +163,8 @@ class Recorded:
     # taps that posenet_sheared, which learns poses of slides directly, learns from as well: the
     # recorded ones, as slides of length zero; or over pins as many rendered ones as slides
     direct_taps: Literal["none", "recorded", "rendered"] = "none"
+    # what validation and test keep out: poses drawn at random; a block of poses, which has no near
+    # neighbours in training; or "folder", folders called *val* and *test* alone
     split: Split = "random"
     test: float = 0.1  # share of the poses kept out, where no folder is
     validation: float = 0.1  # likewise, for the choice of the best state

@@ -101,10 +101,11 @@ def make_run(folder, networks=BOTH, pairing="rendered", over=False):
         settings=settings,
         metadata={"counts": counts, "pins": {"sure": 0.9927}, "notes": ["labels <b>lack</b> Rx"]},
     )
-    gap = np.full((30, 6), 0.42)
-    reader = SimpleNamespace(length=lambda split: 30, take=lambda split, rows, names: {"gap": gap})
+    gap = np.full((COUNT, 6), 0.42)
+    reader = SimpleNamespace(length=lambda split: COUNT, take=lambda split, rows, names: {"gap": gap})
     targets = of_labels((), poses(np.random.default_rng(2), 200))
-    test = recorded.Test(reader if slides else None, None, bool(slides and pairing), "same session")
+    readers = (reader if slides else None, reader if taps else None)
+    test = recorded.Test(*readers, bool(slides and pairing), "same session")
     results = rounded(
         plain(recorded.results_of(experiment, stored, targets, slides, taps, test))
         | {
@@ -182,7 +183,7 @@ def test_the_recordings_are_reported(tmp_path, read_page):
         "labels <b>lack</b> Rx",
         "Rz over the full circle",
         "whose pose is nearest",
-        "test 30 0.42 (0.42) 0.42 (0.42) 0.42 (0.42)",
+        "test 24 0.42 (0.42) 0.42 (0.42) 0.42 (0.42)",
     ):
         assert words in text, words
     low, high = (float(part) for part in text.split("in training: y ")[1].split(" mm")[0].split(" to "))
@@ -304,7 +305,8 @@ def test_the_terminal_is_reported_in_a_few_lines(tmp_path, capsys):
     rows = {line.split()[0]: line.split()[1:] for line in lines}
     assert rows["unsheared"] == [f"{value:.3f}" for value in results["pose_mae"]["unsheared"].values()]
     assert rows["recovery"] == [f"{value:.2f}" for value in results["pose_recovery"]["unsheared"].values()]
-    assert lines[-3] == "test, same session, random split: 24 taps, 24 slides, 0 of them with unsure pins"
+    tested = "test, same session, random split: 24 taps, 24 slides"
+    assert lines[-3] == f"{tested}; left out: 0 taps and 0 slides were not understood"
     assert "0.683 as felt, 0.979 unsheared" in lines[-2] and lines[-1] == f"results: {tmp_path / 'results.json'}"
     print_summary(record_of(make_run_of_taps(tmp_path), Results, "it", "again"), tmp_path)
     assert len(capsys.readouterr().out.splitlines()) == 4
