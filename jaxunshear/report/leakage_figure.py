@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 BARS = {
     "r2": "code",
     "untrained": "code of an untrained network",
-    "ceiling": "ceiling: the input's pins",
+    "ceiling": "ceiling: what the input shows",
     "shuffled": "shuffled labels",
 }
 
