@@ -342,41 +342,37 @@ def exported_speed() -> str:
 
 
 def transfer() -> str:
-    """Errors on recordings, which no choice has seen, of the weights that learnt in simulation alone, by their own PoseNet and by a
-    ridge that learnt from recorded taps."""
-    part, block, anew = (
-        {name: row["value"] for name, row in runs_of("skin", begins)[0].items()}
-        for begins in ("skin, other half", "skin, block", "anew, seed 0, other half")
+    """Errors on recordings of the weights that learnt in simulation alone, by their own PoseNet and by a ridge that learnt recorded taps:
+    means of the trainings, each with its least and most; and of the released weights on other recordings."""
+    runs, dense = (
+        [{name: row["value"] for name, row in run.items()} for run in runs_of("skin", begins)]
+        for begins in ("skin", "dense")
     )
     locked = _locked("skin")
-    readers, quantities = ("pose_mae", "readers.pins"), (("y_mm", 2), ("z_mm", 2), ("Rz_deg", 1))
+    columns = [(reader, q, d) for reader in ("pose_mae", "readers.pins") for q, d in COLUMNS]
+    titles = {"pose_mae": "its PoseNet", "readers.pins": "a ridge on recorded taps"}
+    head = [f"{titles[reader]}: {q.replace('_', ', ')}: same session | {OTHER}" for reader, q, _ in columns]
+    lines = [as_line("learnt in simulation; reads recorded", head), "|---|" + "---|---|" * len(columns)]
     kinds = {"taps": "tap", "slides as recorded": "sheared", "**slides unsheared**": "unsheared"}
+    for shown, kind in kinds.items():
+        keys = [(f"{reader}.{kind}.{q}", d) for reader, q, d in columns]
+        lines.append(as_line(shown, [f"{with_range(_each(runs, key), d)} | {locked[key]:.{d}f}" for key, d in keys]))
+    undone = []
+    for reader, q, _ in columns:
+        keys = [f"{reader}.{kind}.{q}" for kind in kinds.values()]
+        own = with_range([_undone(*(run[key] for key in keys)) for run in runs], 2)
+        undone.append(f"{own} | {_undone(*(locked[key] for key in keys)):.2f}")
+    lines.append(as_line("recovery: the share of the slide's damage undone", undone))
+    others = [f"{with_range(_each(dense, f'{reader}.unsheared.{q}'), d)} | " for reader, q, d in columns]
+    return "\n".join([*lines, as_line("for comparison: unsheared by dense layers", others)])
 
-    def line(shown: str, kind: str, run: dict[str, float]) -> str:
-        values = [(run.get(f"{reader}.{kind}.{q}"), digits) for reader in readers for q, digits in quantities]
-        return as_line(shown, ["" if value is None else f"{value:.{digits}f}" for value, digits in values])
 
-    def undone(shown: str, run: dict[str, float]) -> str:
-        found = []
-        for reader in readers:
-            for q, _ in quantities:
-                tap, sheared, after = (run[f"{reader}.{kind}.{q}"] for kind in kinds.values())
-                found.append(f"{(sheared - after) / (sheared - tap):.2f}")
-        return as_line(shown, found)
+def _each(runs: list[dict[str, float]], key: str) -> list[float]:
+    return [run[key] for run in runs]
 
-    return "\n".join(
-        [
-            "| | its PoseNet: y, mm | z, mm | Rz, deg | a ridge on recorded taps: y, mm | z, mm | Rz, deg |",
-            "|---|---|---|---|---|---|---|",
-            *(line(shown, kind, part) for shown, kind in kinds.items()),
-            undone("recovery: the share of the slide's damage undone", part),
-            line("slides unsheared, read with the zero of taps as recorded", "unsheared_raw_zero", part),
-            *(line(f"block: {shown}", kind, block) for shown, kind in [*kinds.items()][1:]),
-            undone("block: recovery", block),
-            *(line(f"other recordings (locked), version 0.2.0: {shown}", kind, locked) for shown, kind in kinds.items()),
-            line("trained anew without the factor, not released: slides unsheared", "unsheared", anew),
-        ]
-    )
+
+def _undone(tap: float, sheared: float, unsheared: float) -> float:
+    return (sheared - unsheared) / (sheared - tap)
 
 
 def refit() -> str:
@@ -592,7 +588,7 @@ def parted_pins() -> str:
 
 
 def parted_skin() -> str:
-    """What each code of recorded slides holds: R2 of the strongest probe, and its share of the ceiling."""
+    """Print R2 of the strongest probe for both leaks of recorded slides, and its share of the ceiling."""
     head = [f"{leak}: {field}" for leak in LEAKS for field in ("R2", "share of ceiling", "largest share")]
     lines = [f"| recorded, pins | {' | '.join(head)} |", "|---|" + "---|" * len(head)]
     lines += [as_line(cell.label, _leaks(cell)) for cell in swept("parted_skin")]
@@ -600,7 +596,7 @@ def parted_skin() -> str:
 
 
 def parted_skin_errors() -> str:
-    """What disentangling costs on recorded slides, and the standard scores of the codes."""
+    """Print errors of unsheared recorded slides, and the standard scores of the codes."""
     scores = ("MIG", "SAP", "DCI disentanglement")
     lines = [
         f"| recorded, pins | unsheared: y, mm | z, mm | Rz, deg | slide x, mm | slide y, mm | {' | '.join(scores)} |",
