@@ -29,6 +29,7 @@ from jaxunshear.settings.experiment import Experiment
 from jaxunshear.storage import read_json, write_json
 from jaxunshear.sweep import tasks
 from jaxunshear.training.checkpoint import load_best
+from tests.golden import make_runs
 
 ROOT = Path(__file__).resolve().parents[1]
 TINY = ROOT / "experiments" / "tiny.py"
@@ -75,6 +76,20 @@ def test_results_bear_the_names_that_others_rely_on(finished):
     assert set(found["trained_by"]) == {"entangled", "disentangled", "posenet"}
     assert measured["source"] == found["source"] == found["trained_by"]["posenet"]
     assert {"name", "value", "unit", "bar", "ok"} <= set(measured["rows"][0])
+
+
+def test_golden_figures_of_a_run_over_images(finished):
+    found = make_runs.collect_run(finished / "runs" / "tiny", finished / "datasets")
+    make_runs.hold("run over simulated images", found)
+
+
+def test_golden_figures_of_a_run_over_pins(finished, command):
+    folders = ("--out", finished / "runs", "--data", finished / "datasets")
+    pins = ("--unshear.input", "pins", "--networks", "disentangled,posenet")
+    answer = command("run", TINY, *folders, "--name", "pins", *pins, "--train_pins.batch", 6, "--train_pins.epochs", 2)
+    assert answer.code == 0, answer.err
+    found = make_runs.collect_run(finished / "runs" / "pins", finished / "datasets")
+    make_runs.hold("run over simulated pins", found)
 
 
 def test_a_run_ends_with_what_fits_a_screen(finished):

@@ -16,6 +16,7 @@ from jaxunshear.scene.stimuli import TRAINING
 from jaxunshear.settings.reach import deepest_mm
 from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED
 from jaxunshear.verification.paper import NAMES, paper_scenes
+from tests.golden import make_runs
 
 REST = pin_tips(TACTIP_331)
 
@@ -51,6 +52,17 @@ def test_contacts_say_how_good_they_are(contacts):
     assert np.all(contacts.stuck + contacts.slipping <= contacts.nodes)
     assert np.all(contacts.force_n[:, 2] > 0)
     assert not contacts.retried.any()
+
+
+def test_golden_pins_of_contacts(contacts):
+    moved = contacts.pins.astype(np.float64) - REST
+    found = {
+        "motion of all pins, mm": make_runs.summarise([moved]),
+        "rms motion of each contact's pins, mm": np.sqrt(np.mean(np.sum(moved**2, -1), -1)).tolist(),
+        "motion of a pin in each contact, mm": moved[:, 40].tolist(),
+        "forces, N": contacts.force_n.astype(np.float64).tolist(),
+    }
+    make_runs.hold("contacts with the paper's shapes", found)
 
 
 def test_order_and_company_do_not_matter(contacts):

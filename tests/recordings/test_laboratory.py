@@ -17,6 +17,7 @@ from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.storage import write_json
+from tests.golden import make_runs
 
 sys.path.insert(0, str(Path(__file__).parent))
 from conftest import ROOT, SHORT
@@ -53,6 +54,10 @@ def test_a_run_gives_errors_under_the_names_that_other_tools_rely_on(pins_run):
     short, _, long = results["pose_by_slide"].values()
     assert short["pose_mae"]["sheared"]["y_mm"] < long["pose_mae"]["sheared"]["y_mm"]
     assert (pins_run / "report.html").stat().st_size > 10_000
+
+
+def test_golden_figures_of_a_run_over_recordings(pins_run, place):
+    make_runs.hold("run over recorded pins", make_runs.collect_run(pins_run, place / "datasets"))
 
 
 def test_the_network_has_learnt(pins_run):

@@ -1,5 +1,6 @@
 """Closed forms, orders and laws: the cheap checks here, all of them in the test that is marked long."""
 
+import functools
 import math
 
 import numpy as np
@@ -9,11 +10,18 @@ from jaxunshear.verification import elements, laws, normal, periodic, shear
 from jaxunshear.verification.half_space import HalfSpace, half_space
 from jaxunshear.verification.tables import Row, as_dict, compare, fit_order, table, vanishes
 from jaxunshear.verification.verify import CHECKS, INCOMPRESSIBLE, verify
+from tests.golden import make_runs
 
 
 @pytest.fixture(scope="module")
 def body() -> HalfSpace:
     return half_space(INCOMPRESSIBLE)
+
+
+@pytest.fixture(scope="module")
+def rows_of(body):
+    """`rows_of(check)`: what a check of the half-space finds, computed once."""
+    return functools.cache(lambda check: check(body))
 
 
 def missed(rows: list[Row]) -> str:
@@ -32,10 +40,21 @@ CHEAP = (
 
 
 @pytest.mark.parametrize("check", CHEAP, ids=lambda check: check.__name__)
-def test_half_space(check, body):
-    rows = check(body)
+def test_half_space(check, rows_of):
+    rows = rows_of(check)
     assert not missed(rows)
     assert any(row.bar is not None for row in rows)
+
+
+def test_golden_rows_of_the_half_space(rows_of):
+    checks = {
+        "pressed by a sphere (Hertz)": normal.hertz,
+        "pressed and slid (Cattaneo and Mindlin)": shear.cattaneo_mindlin,
+        "there and back": laws.closed_loop,
+        "in more increments": laws.of_increments,
+    }
+    found = {name: [row.measured for row in rows_of(check)] for name, check in checks.items()}
+    make_runs.hold("verification on a half-space", found)
 
 
 def test_without_tamaas_a_row_says_so(body, absent):
