@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 READY := .venv/.ready
 
-.PHONY: demo test check check-long faults tables docs clean
+.PHONY: demo test check check-long verify stability bench faults tables docs clean
 
 demo: $(READY)
 	$(BIN)/jaxunshear run experiments/demo.py
@@ -18,6 +18,14 @@ check: $(READY)
 # Compiled as users have it; `make test` saves XLA's time.
 check-long: $(READY)
 	XLA_FLAGS= $(BIN)/python -m pytest -m long
+
+# The simulator against closed forms and other solvers; contacts, networks and trainings at their extremes.
+verify stability: $(READY)
+	$(BIN)/python -m verification $@
+
+# Error against run time: make bench NAME=sim; python -m benchmarks --help lists the names.
+bench: $(READY)
+	$(BIN)/python -m benchmarks $(NAME)
 
 # Hours at its full size; needs a C compiler, and the right to mount for the rows of full and read-only file systems.
 faults: $(READY)
@@ -35,7 +43,7 @@ docs: $(READY)
 # Results (runs/) and data sets (datasets/) are kept.
 clean:
 	rm -rf .venv build dist site .pytest_cache .ruff_cache .mypy_cache *.egg-info
-	find jaxunshear data_specs tests experiments -name __pycache__ -type d -prune -exec rm -rf {} +
+	find jaxunshear verification benchmarks data_specs tests experiments -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The stamp is written last: an install that was interrupted is done again.
 $(READY): pyproject.toml constraints.txt

@@ -2,7 +2,7 @@
 has changed since.
 
 A result depends on what its command imports of COMPUTING. Of that code a definition (a function,
-class or constant at the top of a module) has changed if no module of the package has it today.
+class or constant at the top of a module) has changed if no module of ours has it today.
 Comments, docstrings and layout do not count, nor does a definition that moved or was added: what
 did not exist cannot have made a result. Settings do not count either, since a result keeps its own.
 A change that alters no figure is listed in stale.toml as `same`: the
@@ -29,11 +29,13 @@ from jaxunshear.storage import Json
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
-PACKAGE = "jaxunshear"
+PACKAGES = PACKAGE, *TOOLS = ("jaxunshear", "verification", "benchmarks")
 NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder")  # settings that decide no figure
-COMPUTING = (
-    *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
-    *("sweep", "calibration", "verification", "applications", "benchmarks"),
+COMPUTING = frozenset(
+    (
+        *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
+        *("sweep", "calibration", "verification", "applications", "benchmarks"),
+    )
 )
 PROGRAMS = {  # the modules that a command starts from
     "run": ("run",),
@@ -46,15 +48,21 @@ PROGRAMS = {  # the modules that a command starts from
     **{name: (f"cli.{name}",) for name in ("geometry", "servo", "reconstruct", "pins", "stream")},
     "unshear": ("infer",),
     "pose": ("infer",),
-    "check plan": ("verification.show_plan",),
-    "check verify": ("verification.verify",),
-    "check stability": ("verification.stability",),
-    "check identify": ("calibration.identify",),
-    **{f"check bench {name}": ("benchmarks.bench_networks",) for name in ("train", "infer", "stream")},
-    **{f"check bench {name}": (f"benchmarks.bench_{name}",) for name in ("sim", "needs", "pins", "data", "input")},
-    "check bench pinnets": ("benchmarks.bench_pin_networks",),
-    "check bench explore": ("benchmarks.bench_explore",),
-    "check bench strangers": ("benchmarks.confidence",),
+}
+TOOL_PROGRAMS = {  # the same, of `python -m`
+    "verification verify": ("verification.verify",),
+    "verification stability": ("verification.stability",),
+    "verification plan": ("verification.show_plan",),
+    **{f"benchmarks {name}": ("benchmarks.bench_networks",) for name in ("train", "infer", "stream")},
+    **{f"benchmarks {name}": (f"benchmarks.bench_{name}",) for name in ("sim", "needs", "pins", "data", "input")},
+    "benchmarks pinnets": ("benchmarks.bench_pin_networks",),
+    "benchmarks explore": ("benchmarks.bench_explore",),
+    "benchmarks strangers": ("benchmarks.confidence",),
+}
+MOVED = {  # how commands of earlier versions begin, and where each is today; the first that fits
+    "jaxunshear check identify": "docs/notebooks/identify.ipynb",
+    "jaxunshear check bench": "python -m benchmarks",
+    "jaxunshear check": "python -m verification",
 }
 
 
@@ -148,12 +156,22 @@ def _version(held: Json) -> str:
 
 
 def _moved(command: str) -> str:
-    """Say where the experiment file of a command is today, if it has moved."""
+    """Say where a command or its experiment file is today, if it has moved."""
+    if (today := command_today(command)) != command:
+        return f" (now `{today.partition(' --')[0]}`)"
     for word in shlex.split(command):
         if word.endswith(".py") and not (ROOT / word).exists():
             today = Path(_today(word))
             return f" (now {today.relative_to(ROOT)})" if today.is_absolute() else " (a file that is gone)"
     return ""
+
+
+def command_today(command: str) -> str:
+    """Return a command of an earlier version as it is written today."""
+    for before, today in MOVED.items():
+        if command.startswith(f"{before} "):
+            return today + command.removeprefix(before)
+    return command
 
 
 def differences(name: str) -> dict[str, tuple[object, object]]:
@@ -219,7 +237,7 @@ def lost(
     A line is the module, the name, the definition's key and that of its successor, as stale.toml
     takes it for `same`. Only definitions of COMPUTING count.
     """
-    used = [module for module in imports(then, starts) if module.split(".")[1:2] and module.split(".")[1] in COMPUTING]
+    used = [module for module in imports(then, starts) if not COMPUTING.isdisjoint(module.split(".")[:2])]
     keys = {module: definitions(text) for module, text in today.items()}
     alive = {key for found in keys.values() for key in found.values()}
     for earlier, later in reversed([*same]):  # the latest change stands last
@@ -234,22 +252,25 @@ def lost(
 
 def programs(command: str) -> list[str]:
     """Return the modules that a command of ours starts from. Raises LookupError."""
-    first, *words = command.split()
-    if first != PACKAGE:
+    words = command_today(command).split()
+    if words[0] == PACKAGE:
+        found = [f"{PACKAGE}.{module}" for module in PROGRAMS.get(words[1], ())]
+    elif words[:2] == ["python", "-m"] and words[2] in TOOLS:
+        found = [*TOOL_PROGRAMS.get(" ".join(words[2:4]), ())]
+    else:
         return []
-    named = [name for name in PROGRAMS if words[: len(name.split())] == name.split()]
-    if not named:
-        raise LookupError(f"PROGRAMS lacks the modules of `{command}`")
-    return [f"{PACKAGE}.{module}" for module in PROGRAMS[named[0]]]
+    if not found:
+        raise LookupError(f"PROGRAMS and TOOL_PROGRAMS lack the modules of `{command}`")
+    return found
 
 
 @cache
 def read_modules(root: Path, commit: str | None = None) -> Mapping[str, str]:
-    """Return the package's modules as text, of today or of a commit. Raises LookupError."""
+    """Return our modules as text, of today or of a commit. Raises LookupError."""
     if commit is None:
-        paths = {path.relative_to(root).as_posix(): path for path in (root / PACKAGE).rglob("*.py")}
-        return {_module(name): path.read_text() for name, path in paths.items()}
-    listed = git(root, "ls-tree", "-r", commit, "--", PACKAGE).decode().splitlines()
+        paths = [path for folder in PACKAGES for path in (root / folder).rglob("*.py")]
+        return {_module(path.relative_to(root).as_posix()): path.read_text() for path in paths}
+    listed = git(root, "ls-tree", "-r", commit, "--", *PACKAGES).decode().splitlines()
     blobs = {line.partition("\t")[2]: line.split()[2] for line in listed if line.endswith(".py")}
     held = git(root, "cat-file", "--batch", given="\n".join(blobs.values()).encode())
     found = {}

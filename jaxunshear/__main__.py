@@ -2,17 +2,18 @@
 
 import os
 import sys
+from importlib import import_module
 
 from jaxunshear.memory import restart_with_large_pages
 
 INTERRUPTED = 130
 
 
-def run() -> int:
-    """One command, in a process of its own."""
+def run(program: str = "jaxunshear.cli") -> int:
+    """Run the `main` of a program, in a process of its own."""
     restart_with_large_pages()
     try:
-        from jaxunshear.cli import main
+        main = import_module(program).main
     except MemoryError:
         print("jaxunshear: error: out of memory before there was anything to do", file=sys.stderr)
         return 2

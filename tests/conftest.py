@@ -58,6 +58,7 @@ STRICT = {
     "test_drawing.py",
     "test_dots.py",
     "test_camera.py",
+    "test_large_strain.py",
 }
 
 
@@ -105,10 +106,8 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fresh, "KNOWN", 12)
 
 
-@pytest.fixture
-def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
-    """`command("run", "x.py")` calls the command line in this process."""
-    from jaxunshear.cli import main
+def call_with(main: Callable[[list[str]], int], capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
+    """Return a function that calls a command line in this process."""
 
     def call(*argv: object) -> Answer:
         capsys.readouterr()
@@ -116,3 +115,27 @@ def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
         return Answer(code, *capsys.readouterr())
 
     return call
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
+    """`command("run", "x.py")`: `jaxunshear run x.py`."""
+    from jaxunshear.cli import main
+
+    return call_with(main, capsys)
+
+
+@pytest.fixture
+def verification(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
+    """`verification("plan")`: `python -m verification plan`."""
+    from verification.commands import main
+
+    return call_with(main, capsys)
+
+
+@pytest.fixture
+def benchmarks(capsys: pytest.CaptureFixture[str]) -> Callable[..., Answer]:
+    """`benchmarks("sim")`: `python -m benchmarks sim`."""
+    from benchmarks.commands import main
+
+    return call_with(main, capsys)

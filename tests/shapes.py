@@ -16,11 +16,13 @@ CHECKED = ("metrics", "scene", "contact", "model")
 # without what follows pins: checks would take a third of its time
 CHECKED += ("image.camera", "image.dots", "image.grey", "image.lattice", "image.png", "image.preprocess")
 CHECKED += ("training.losses", "training.turning", "training.drawing")
+MODULES = [f"jaxunshear.{name}" for name in CHECKED]
+MODULES += ["verification.hyperelastic", "verification.large_strain"]
 
 
 def check_all() -> None:
     """Before any of them is imported. Processes that a test starts run without."""
-    install_import_hook([f"jaxunshear.{name}" for name in CHECKED], f"{__name__}.checked")
+    install_import_hook(MODULES, f"{__name__}.checked")
 
 
 def checked(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear import cli
+from jaxunshear.cli.program import AGAIN
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.settings.stored import to_json
 from jaxunshear.settings.sweep import load_sweep
@@ -238,13 +239,10 @@ def test_an_interrupt_says_how_to_go_on(run_with):
     assert (answer.code, answer.err) == (130, "stopped; run the same command to continue\n")
 
 
-@pytest.mark.parametrize(
-    ("name", "module"), [("identify", "calibration.identify.run"), ("verify", "verification.verify.verify")]
-)
-def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, command, name, module):
-    monkeypatch.setattr(f"jaxunshear.{module}", fails_with(KeyboardInterrupt()))
-    answer = command("check", name)
-    assert (answer.code, answer.err) == (130, f"stopped; {cli.AGAIN}\n")
+def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, command):
+    monkeypatch.setattr("jaxunshear.calibration.calibrate.calibrate", fails_with(KeyboardInterrupt()))
+    answer = command("calibrate", "recordings")
+    assert (answer.code, answer.err) == (130, f"stopped; {AGAIN}\n")
 
 
 @pytest.mark.parametrize(
@@ -252,7 +250,7 @@ def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, comman
     [
         ("pins", "IMAGE", "--out", "/proc/new"),
         ("pins", "IMAGE", "--json", "/proc/new/a.json"),
-        ("check", "identify", "--out", "/proc/new"),
+        ("calibrate", "recordings", "--out", "/proc/new"),
         ("servo", "--out", "/proc/new"),
         ("stream", "IMAGE", "--images", "/proc/new"),
         ("stream", "IMAGE", "--lines", "/proc/new/a"),
@@ -380,11 +378,3 @@ def test_help_names_each_command_once(command):
     for module in cli.MODULES:
         for name in module.COMMANDS:
             assert len(re.findall(rf"^  {name} ", shown, re.M)) == 1, name
-    for name in cli.checks.COMMANDS:
-        assert f"  check {name} " in shown and f"  {name} " in command("check", "--help").out
-
-
-def test_a_check_without_its_word_is_refused_with_it(command):
-    answer = command("verify")
-    is_one_line(answer)
-    assert "write `jaxunshear check verify`" in answer.err

@@ -6,11 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import commands as benchmarks
 from docs.make_tables import TABLES, placed, with_notes
 from docs.provenance import NOTE
 from jaxunshear import __version__
 from jaxunshear.cli import main
 from jaxunshear.settings.rules import validate
+from verification import commands as verification
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted(
@@ -59,9 +61,14 @@ def test_links_lead_somewhere(page):
 def test_commands_exist(page, capsys):
     with contextlib.suppress(SystemExit):
         main(["--help"])
-    known = set(re.findall(r"^  (check [a-z]+|[a-z]+) ", capsys.readouterr().out, re.MULTILINE))
-    named = set(re.findall(r"(?:^    |`)jaxunshear (check [a-z]+|[a-z]+)", (ROOT / page).read_text(), re.MULTILINE))
+    lines = (ROOT / page).read_text().splitlines()
+    text = "\n".join(line for line in lines if not line.startswith(NOTE))  # notes have commands as they were typed
+    known = set(re.findall(r"^  ([a-z]+) ", capsys.readouterr().out, re.MULTILINE))
+    named = set(re.findall(r"(?:^    |`)jaxunshear ([a-z]+)", text, re.MULTILINE))
     assert named <= known, f"{page}: {named - known}"
+    for tool in (verification, benchmarks):
+        named = set(re.findall(rf"python -m {tool.__package__} ([a-z]+)", text))
+        assert named <= tool.COMMANDS.keys(), f"{page}: {named - tool.COMMANDS.keys()}"
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -87,7 +94,10 @@ def test_one_version():
 
 
 UNPLAIN = r"\b(look|told|begun|whole|tell|tells|mended)\b"  # words that said too many things
-PLACES = ("jaxunshear/**/*.py", "data_specs/**/*.py", "experiments/**/*.py", "docs/*.md", "docs/*.py", "*.md")
+PLACES = (
+    *(f"{folder}/**/*.py" for folder in ("jaxunshear", "verification", "benchmarks", "data_specs", "experiments")),
+    *("docs/*.md", "docs/*.py", "*.md"),
+)
 
 
 @pytest.mark.parametrize("place", PLACES)

@@ -24,5 +24,5 @@ def test_a_notebook_runs(path, monkeypatch, tmp_path):
     assert stored == results(notebook), "store it as it ran"
 
 
-def test_there_are_three():
-    assert {path.stem for path in NOTEBOOKS} == {"contact", "sweep", "unshear"}
+def test_there_are_four():
+    assert {path.stem for path in NOTEBOOKS} == {"contact", "identify", "sweep", "unshear"}

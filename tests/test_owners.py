@@ -41,7 +41,7 @@ def test_owners_are_known_by_what_they_hold(tmp_path, run):
     [
         ("evaluate", "RUN", "--json", "RUN/results.json"),
         ("ablate", "RUN", "--json", "RUN/new/rows.json"),
-        ("check", "verify", "--json", "RUN/experiment.json"),
+        ("calibrate", "recordings", "--json", "RUN/experiment.json"),
         ("stream", "RUN", "--lines", "RUN/times.json"),
         ("stream", "camera:9", "--images", "RUN"),
         ("unshear", "RUN", "--out", "RUN"),

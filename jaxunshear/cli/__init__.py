@@ -3,12 +3,9 @@
 import argparse
 import shlex
 import sys
-import warnings
 from collections.abc import Sequence
-from pathlib import Path
 from textwrap import wrap
 from types import ModuleType
-from typing import Any, NoReturn
 
 from jaxunshear import __version__
 from jaxunshear.cli import (
@@ -16,7 +13,6 @@ from jaxunshear.cli import (
     applications,
     calibration,
     catalogue,
-    checks,
     compare,
     doctor,
     explore,
@@ -29,16 +25,13 @@ from jaxunshear.cli import (
     unshear,
 )
 from jaxunshear.cli.fields import help_on, split_question
-from jaxunshear.environment import check_environment, check_links, settle
-from jaxunshear.errors import Note, UserError
+from jaxunshear.cli.program import Parser, check_json, parse, report_errors
+from jaxunshear.environment import check_environment, check_links
 from jaxunshear.owners import check_apart
-from jaxunshear.places import check_new_file, check_new_folder
+from jaxunshear.places import check_new_folder
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.source import read_source
-from jaxunshear.storage import disk_is_full
 
-_usual = warnings.formatwarning
-# of all commands but `check`'s
 MODULES: tuple[ModuleType, ...] = (
     stages,
     report,
@@ -62,9 +55,7 @@ GROUPS = {  # of `jaxunshear --help`
     ),
     "study": ("sweep", "compare", "logs", "ablate", "validate", "calibrate"),
 }
-CHECK = "check"  # the word before `checks`' commands
 CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
-AGAIN = "the same command begins anew"
 FIELDS_HELP = """
 fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover, --train.drops 40:0.2,80:0.1;
 --help-fields train (or another group) says what each takes and means, with its value in FILE:
@@ -72,50 +63,13 @@ fields of the experiment, such as --train.epochs 5, --paired.stimuli disk,clover
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can fix (one line); 130 when interrupted."""
+    """Run one command and return its exit code: 2 after an error that the user can fix (one line), 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
-    warnings.formatwarning = _noted
-    settle()
-    try:
-        return _run(argv)
-    except UserError as error:
-        return _complain(str(error))
-    except KeyboardInterrupt:
-        goes_on = bool(argv) and argv[0] in CONTINUED
-        print(f"stopped; {'run the same command to continue' if goes_on else AGAIN}", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        sys.stdout = None  # whoever read us has gone: nothing more can be said there
-        return 141
-    except Exception as error:
-        if disk_is_full(error):
-            return _complain("the disk is full; free some space, then run the same command")
-        if isinstance(error, OSError) and error.filename is not None:
-            return _complain(f"{error.filename}: {error.strerror}")
-        if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
-            return _complain("out of memory; use a smaller --train.batch or smaller images")
-        raise
+    return report_errors(lambda: _run(argv), continued=bool(argv) and argv[0] in CONTINUED)
 
 
-def _noted(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None) -> str:
-    if issubclass(category, Note):
-        return f"jaxunshear: note: {' '.join(str(message).split())}\n"
-    return _usual(message, category, filename, lineno, line)
-
-
-def _complain(text: str) -> int:
-    print(f"jaxunshear: error: {' '.join(text.split())}", file=sys.stderr)
-    return 2
-
-
-class _Parser(argparse.ArgumentParser):
-    """Refuses in one line, like everything else."""
-
-    def __init__(self, **settings: Any) -> None:
-        super().__init__(allow_abbrev=False, **settings)
-
-    def error(self, message: str) -> NoReturn:
-        raise UserError(f"{message}; see `{self.prog} --help`")
+class _Parser(Parser):
+    """Names the fields of an experiment, for commands that take one."""
 
     def format_help(self) -> str:
         if not self.get_default("takes_fields"):
@@ -142,11 +96,7 @@ class _Commands(_Parser):
 
     def format_help(self) -> str:
         texts = {choice.dest: choice.help or "" for choice in _commands(self)._choices_actions}
-        if self.prog.endswith(CHECK):
-            groups = {"commands": texts}
-        else:
-            groups = {group: {name: texts[name] for name in names} for group, names in GROUPS.items()}
-            groups[CHECK] = {f"{CHECK} {name}": text for name, text in checks.COMMANDS.items()}
+        groups = {group: {name: texts[name] for name in names} for group, names in GROUPS.items()}
         lines = [f"usage: {self.prog} COMMAND ...", "", self.description or "", "`COMMAND --help` says more."]
         for group, rows in groups.items():
             lines += ["", group]
@@ -155,15 +105,11 @@ class _Commands(_Parser):
         return "\n".join(lines) + "\n"
 
 
-def _parser(check: bool) -> _Parser:
-    """Of the commands behind `jaxunshear check`, or of the others."""
-    parser = _Commands(
-        prog=f"jaxunshear {CHECK}" if check else "jaxunshear",
-        description="Examines the simulator and the networks." if check else "Takes the shear out of touch.",
-    )
+def _parser() -> _Parser:
+    parser = _Commands(prog="jaxunshear", description="Takes the shear out of touch.")
     parser.add_argument("--version", action="version", version=f"jaxunshear {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True, parser_class=_Parser)
-    for module in (checks,) if check else MODULES:
+    for module in MODULES:
         module.add_parsers(commands)
     return parser
 
@@ -187,7 +133,7 @@ def _split(parser: _Parser, argv: Sequence[str]) -> tuple[list[str], list[str]]:
 
 def read_base(argv: Sequence[str]) -> Experiment:
     """Return the experiment that a command is about, before it is checked or finds recordings."""
-    parser = _parser(False)
+    parser = _parser()
     words, fields = _split(parser, argv)
     module = stages if argv[0] in stages.COMMANDS else sweep
     return module.read_base(parser.parse_args(words), fields)
@@ -196,38 +142,30 @@ def read_base(argv: Sequence[str]) -> Experiment:
 def _run(argv: list[str]) -> int:
     fields: list[str] = []
     words = argv
-    check = argv[:1] == [CHECK]
-    parser = _parser(check)
+    parser = _parser()
     if argv and argv[0] in (*stages.COMMANDS, *sweep.COMMANDS):
         question = split_question(argv)
         words, fields = _split(parser, question[1] if question else argv)
         if question:
             print(help_on(question[0], read_base(question[1]) if len(words) > 1 else None))
             return 0
-    if words and words[0] in checks.COMMANDS:
-        raise UserError(f"write `jaxunshear {CHECK} {words[0]}`")
-    try:
-        arguments = parser.parse_args(checks.joined(words[1:]) if check else words)
-    except SystemExit as leaving:  # --help and --version have printed
-        return int(leaving.code or 0)
+    arguments = parse(parser, words)
+    if arguments is None:
+        return 0
     check_links(vars(arguments).values())
     _check_places(arguments)
     if arguments.command not in (*catalogue.COMMANDS, *report.COMMANDS):
         check_environment()
         read_source()  # as the code is now; it may be changed while this works
     arguments.fields = fields
-    (module,) = (module for module in (*MODULES, checks) if arguments.command in module.COMMANDS)
+    (module,) = (module for module in MODULES if arguments.command in module.COMMANDS)
     return module.run(arguments, shlex.join(["jaxunshear", *argv]))
 
 
 def _check_places(arguments: argparse.Namespace) -> None:
     """Refuses, before any work, places for results where these cannot be written or would replace what others live on."""
-    json, out = getattr(arguments, "json", None), getattr(arguments, "out", None)
-    check_apart(json, "--json")
-    check_new_file(json)
-    for option, value in vars(arguments).items():
-        if json is not None and option != "json" and isinstance(value, Path) and value.resolve() == json.resolve():
-            raise UserError(f"--json {json} is also what this command reads or writes: name another file")
+    check_json(arguments)
+    out = getattr(arguments, "out", None)
     if arguments.command not in catalogue.COMMANDS:
         check_new_folder(out)
     if arguments.command not in (

@@ -97,7 +97,7 @@ def test_taps_and_slides_of_each_layout(tmp_path, columns, images, count, layout
         )
     ]
     for command in works(diagnosis):
-        _parser(check=False).parse_args(shlex.split(command)[1:])
+        _parser().parse_args(shlex.split(command)[1:])
 
 
 def test_too_few_images_to_give_where_pins_stand(tmp_path):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxunshear.benchmarks.bench_data import COLUMNS, bench_data
+from benchmarks.bench_data import COLUMNS, bench_data
 
 
 @pytest.mark.long

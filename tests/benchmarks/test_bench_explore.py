@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxunshear.benchmarks.bench_explore import COLUMNS, bench_explore
+from benchmarks.bench_explore import COLUMNS, bench_explore
 
 
 @pytest.mark.long

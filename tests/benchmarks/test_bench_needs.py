@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxunshear.benchmarks import bench_needs
+from benchmarks import bench_needs
 from jaxunshear.errors import UserError
 
 

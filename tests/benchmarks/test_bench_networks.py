@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxunshear.benchmarks import bench_networks
-from jaxunshear.benchmarks.multiplications import multiplications, pose_multiplications
+from benchmarks import bench_networks
+from benchmarks.multiplications import multiplications, pose_multiplications
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.settings.networks import PoseNet, UnshearNet
@@ -90,7 +90,7 @@ def test_what_cannot_be_measured_is_refused(size, batch):
 @pytest.mark.parametrize("net", [SMALL, dataclasses.replace(SMALL, disentangled=False)])
 def test_the_twin_computes_the_same(net):
     torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
-    from jaxunshear.benchmarks import torch_twin
+    from benchmarks import torch_twin
 
     variables = unshearnet.init(net, jax.random.key(0))
     twin = torch_twin.Twin(net)
@@ -128,7 +128,7 @@ def test_the_twin_computes_the_same(net):
 
 def test_posenet_s_twin_computes_the_same():
     torch = pytest.importorskip("torch", reason="the extra `torch` is not installed")
-    from jaxunshear.benchmarks import torch_twin
+    from benchmarks import torch_twin
 
     variables = posenet.init(POSENET, 5, jax.random.key(0))
     images = np.random.default_rng(0).random((3, 32, 32, 1)).astype(np.float32)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxunshear.benchmarks.bench_pin_networks import BATCHES, COLUMNS, NETS, bench_pin_networks
+from benchmarks.bench_pin_networks import BATCHES, COLUMNS, NETS, bench_pin_networks
 from jaxunshear.settings.experiment import PINS
 
 

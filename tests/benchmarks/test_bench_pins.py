@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from jaxunshear.benchmarks import bench_pins
+from benchmarks import bench_pins
 from tests.image.test_measuring import LATTICE, picture, slid
 
 

@@ -5,17 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from jaxunshear.benchmarks import bench_figure, bench_sim, rivals
-from jaxunshear.benchmarks.bench_sim import Effort, Setting
-from jaxunshear.benchmarks.bench_sim import bench_sim as bench
+from benchmarks import bench_figure, bench_sim, rivals
+from benchmarks.bench_sim import Effort, Setting
+from benchmarks.bench_sim import bench_sim as bench
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
 from jaxunshear.settings.reach import ring_spacing, spaced
-from jaxunshear.verification.cases import HALF_SIZE
-from jaxunshear.verification.clock import laps
-from jaxunshear.verification.paper import NAMES, paper_scenes
-from jaxunshear.verification.px import pin_error
+from verification.cases import HALF_SIZE
+from verification.clock import laps
+from verification.paper import NAMES, paper_scenes
+from verification.px import pin_error
 
 FIELDS = {
     *(

@@ -3,8 +3,8 @@ import json
 import numpy as np
 import pytest
 
-from jaxunshear.benchmarks import confidence
-from jaxunshear.benchmarks.confidence import Group, Observed, auc, calibrate, measure, recorded, wilson
+from benchmarks import confidence
+from benchmarks.confidence import Group, Observed, auc, calibrate, measure, recorded, wilson
 from jaxunshear.image.understood import ALLOWED, Expected, Seen, verdict
 
 EXPECTED = Expected(331, 0.04, 0.375, (0.5, 0.5), 0.98)
@@ -42,14 +42,14 @@ def test_rows(observed):
 
 
 @pytest.mark.long
-def test_the_command_keeps_its_rows(command, monkeypatch, tmp_path):
+def test_the_command_keeps_its_rows(benchmarks, monkeypatch, tmp_path):
     monkeypatch.setattr(confidence, "COUNT", 4)
-    answer = command("check", "bench", "strangers", "--seed", "3", "--json", tmp_path / "rows.json")
+    answer = benchmarks("strangers", "--seed", "3", "--json", tmp_path / "rows.json")
     assert answer.code == 0, answer.err
     rows = {row["name"]: row for row in json.loads((tmp_path / "rows.json").read_text())["rows"]}
     assert rows["simulated, tactip331"]["images"] == rows["white noise"]["images"] / 2 == 4
     assert rows["all known"]["refused"] == 0 and rows["white noise"]["accepted"] == 0 and "white noise" in answer.out
-    assert command("check", "bench", "strangers", "--size", "128").code == 2
+    assert benchmarks("strangers", "--size", "128").code == 2
 
 
 def test_auc():

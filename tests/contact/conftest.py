@@ -2,9 +2,9 @@
 
 import pytest
 
-from jaxunshear.verification.half_space import HalfSpace
-from jaxunshear.verification.half_space import half_space as made
-from jaxunshear.verification.verify import INCOMPRESSIBLE
+from verification.half_space import HalfSpace
+from verification.half_space import half_space as made
+from verification.verify import INCOMPRESSIBLE
 
 
 @pytest.fixture(scope="session")

@@ -17,9 +17,9 @@ from jaxunshear.contact.friction import (
 )
 from jaxunshear.contact.obstacle import Obstacles
 from jaxunshear.contact.state import contact_state
-from jaxunshear.verification.half_space import HalfSpace, press, trace
-from jaxunshear.verification.normal import SPHERE_MM, depth
-from jaxunshear.verification.shear import FRICTION, slip_distance
+from verification.half_space import HalfSpace, press, trace
+from verification.normal import SPHERE_MM, depth
+from verification.shear import FRICTION, slip_distance
 
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))
 RADIUS_MM = 0.45

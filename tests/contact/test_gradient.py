@@ -17,9 +17,9 @@ from jaxunshear.contact.simulate import follow
 from jaxunshear.errors import UserError
 from jaxunshear.scene.paths import Paths
 from jaxunshear.settings.sensor import Sensor
-from jaxunshear.verification.normal import SPHERE_MM, depth, load
-from jaxunshear.verification.shear import FRICTION as MU
-from jaxunshear.verification.shear import slip_distance
+from verification.normal import SPHERE_MM, depth, load
+from verification.shear import FRICTION as MU
+from verification.shear import slip_distance
 
 SMALL = Sensor(name="small", rings=2, pin_spacing_mm=2.0, dome_radius_mm=8.0)  # a dome in a second
 FLAT = Obstacles(jnp.full((1, 5, 5), -10.0))

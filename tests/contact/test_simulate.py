@@ -15,8 +15,8 @@ from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, make_scenes
 from jaxunshear.scene.stimuli import TRAINING
 from jaxunshear.settings.reach import deepest_mm
 from jaxunshear.settings.sensor import TACTIP_331, TACTIP_331_FITTED
-from jaxunshear.verification.paper import NAMES, paper_scenes
 from tests.golden import make_runs
+from verification.paper import NAMES, paper_scenes
 
 REST = pin_tips(TACTIP_331)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from jaxunshear.benchmarks.strangers import STRANGERS, touched, varied
+from benchmarks.strangers import STRANGERS, touched, varied
 from jaxunshear.image.camera import frame
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.framing import undeformed

@@ -4,12 +4,12 @@ import jax
 import numpy as np
 import pytest
 
-from jaxunshear.contact.hyperelastic import neo_hookean
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.image import Camera
 from jaxunshear.settings.sensor import TACTIP_331
-from jaxunshear.verification.model_error import logarithmic, model_error
-from jaxunshear.verification.px import pin_error, px_apart
+from verification.hyperelastic import neo_hookean
+from verification.model_error import logarithmic, model_error
+from verification.px import pin_error, px_apart
 
 REST = pin_tips(TACTIP_331)
 

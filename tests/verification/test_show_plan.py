@@ -7,10 +7,10 @@ import pytest
 from jaxunshear.contact.level import OMISSIONS
 from jaxunshear.errors import UserError
 from jaxunshear.scene.scene import Scenes
-from jaxunshear.verification import show_plan as module
-from jaxunshear.verification.cases import HALF_SIZE
-from jaxunshear.verification.paper import paper_scenes
-from jaxunshear.verification.show_plan import show_grouping, show_plan
+from verification import show_plan as module
+from verification.cases import HALF_SIZE
+from verification.paper import paper_scenes
+from verification.show_plan import show_grouping, show_plan
 
 SMALL = replace(HALF_SIZE, name="small")
 

@@ -7,7 +7,7 @@ import pytest
 
 from jaxunshear.contact.skins import Contacts
 from jaxunshear.errors import UserError
-from jaxunshear.verification import cases, stability
+from verification import cases, stability
 
 SHALLOW = cases.motion(0.5, slide=(0.3, 0.0))
 

@@ -13,10 +13,10 @@ from jaxunshear.metrics import images as metrics
 from jaxunshear.settings.load import load_experiment
 from jaxunshear.training import checkpoint, losses
 from jaxunshear.training.guard import check_state
-from jaxunshear.verification import network_steps, network_trainings, network_values, stability
-from jaxunshear.verification import stability_networks as judge
-from jaxunshear.verification.network_images import KINDS, as_floats, pairs, poses, spoilt, with_nan
-from jaxunshear.verification.network_trainings import SHALLOW, steps_case
+from verification import network_steps, network_trainings, network_values, stability
+from verification import stability_networks as judge
+from verification.network_images import KINDS, as_floats, pairs, poses, spoilt, with_nan
+from verification.network_trainings import SHALLOW, steps_case
 
 FINE = judge.Found({"values": np.ones(3)})
 LINE = "training x stopped: supervised not finite at step 7, of batch 6; the checkpoint of step 4 is kept"
@@ -255,8 +255,8 @@ def test_images_are_what_their_names_say():
 
 
 @pytest.mark.parametrize(("found", "code"), [(FINE, 0), (judge.Found({"a": np.nan}), 1)])
-def test_the_command_ends_with_1_where_a_promise_is_broken(monkeypatch, command, found, code):
+def test_the_command_ends_with_1_where_a_promise_is_broken(monkeypatch, verification, found, code):
     row = judge.examine(made_up(lambda folder: found))
     monkeypatch.setattr(stability, "stability", lambda only: [row])
-    answer = command("check", "stability", "--only", "network made up")
+    answer = verification("stability", "--only", "network made up")
     assert answer.code == code and "network made up" in answer.out

@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 
-from jaxunshear.verification import elements, laws, normal, periodic, shear
-from jaxunshear.verification.half_space import HalfSpace, half_space
-from jaxunshear.verification.tables import Row, as_dict, compare, fit_order, table, vanishes
-from jaxunshear.verification.verify import CHECKS, INCOMPRESSIBLE, verify
 from tests.golden import make_runs
+from verification import elements, laws, normal, periodic, shear
+from verification.half_space import HalfSpace, half_space
+from verification.tables import Row, as_dict, compare, fit_order, table, vanishes
+from verification.verify import CHECKS, INCOMPRESSIBLE, verify
 
 
 @pytest.fixture(scope="module")

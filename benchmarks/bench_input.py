@@ -1,0 +1,123 @@
+"""Whether a step of training ever waits for its examples: steps whose batches are drawn and read as in training, and steps whose batch is
+there already.
+
+    rows = bench_input()
+
+Both ways take turns, some steps at a time. Examples are noise, of which a training set's worth lies in memory, as a stored set does.
+"""
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from scipy.stats import bootstrap
+
+from benchmarks.steps import dots, step_of
+from jaxunshear.dataset.chunks import pack
+from jaxunshear.dataset.reading import Batch, Reader
+from jaxunshear.memory import keep_freed_memory
+from jaxunshear.progress import Progress
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.networks import PinUnshear, UnshearNet
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
+from jaxunshear.training.ahead import ahead
+from jaxunshear.training.pin_tasks import pin_unshear_task
+from jaxunshear.training.tasks import Task, unshear_task
+from verification.clock import seconds
+
+SECONDS = 60.0  # of each way
+LEAST_ROUNDS = 2
+EXAMPLES, SLIDES = 2000, 4  # slides, and how many share a pose
+COLUMNS = ("name", "batch", "ms_there", "ms_drawn", "ratio", "ratio_low", "ratio_high", "ratio_p95", "compile_s")
+
+
+class Case(NamedTuple):
+    name: str
+    task: Task
+    training: Training
+    stored: Batch  # all training examples, as a set holds them
+    size: int  # px
+    steps: int  # a turn: a third of a second of two cores
+
+
+def bench_input(of_each: float = SECONDS, widths: tuple[int, ...] = UnshearNet().widths) -> list[Json]:
+    """A row a kind of network, of turns of `of_each` s in all a way: ms a step with a batch that is there and with one that is
+    drawn; their ratio, median with its 95 % bootstrap interval, and 95 % of turns."""
+    keep_freed_memory()
+    cases = [_images(widths), _pins()]
+    with Progress("bench input", len(cases), unit="cases") as progress:
+        rows = []
+        for case in cases:
+            rows.append(_measured(case, of_each))
+            progress.advance(1)
+    return rows
+
+
+def _images(widths: tuple[int, ...]) -> Case:
+    net, training = UnshearNet(size=128, widths=widths), Training(batch=16)
+    canonical, sheared = dots(EXAMPLES, net.size)[..., 0]
+    stored = {"canonical": pack(canonical), "sheared": pack(sheared)}
+    return Case("images", unshear_task(net, training), training, stored | _poses(), net.size, 2)
+
+
+def _pins() -> Case:
+    training = replace(PINS, pose_weight=0.0)
+    pins = np.random.default_rng(0).normal(64, 20, (2, EXAMPLES, TACTIP_331.pins, 2)).astype(np.float32)
+    task = pin_unshear_task(PinUnshear(), training, of_ranges((), Ranges()), pins[0].mean(axis=0), 20.0)
+    stored = {"canonical_pins": pins[0], "sheared_pins": pins[1]}
+    return Case("pins", task, training, stored | _poses(), 128, 40)
+
+
+def _poses() -> Batch:
+    return {"stimulus": np.zeros(EXAMPLES, int), "pose_id": np.arange(EXAMPLES) // SLIDES}
+
+
+def _measured(case: Case, of_each: float) -> Json:
+    training = case.training
+    fields = tuple(name for name in case.stored if name not in ("stimulus", "pose_id"))
+    reader = Reader(lambda split: case.stored, case.size)
+    stream = ahead(reader.train_batches(training.batch, 0, training.shift, fields)(0), jax.device_put)
+    there = next(stream)
+    step, first = step_of(case.task, training)
+    state = [first]
+    lowered = jax.jit(step, donate_argnums=0).lower(state[0], there)
+    programs: list[jax.stages.Compiled] = []
+    compile_s = seconds(lambda: programs.append(lowered.compile()))
+
+    def turn(batches: Iterator[Mapping[str, jax.Array]]) -> None:
+        """As training does it: steps are waited for one behind."""
+        batch, before = next(batches), None
+        for _ in range(case.steps):
+            state[0], metrics = programs[0](state[0], batch)
+            batch = next(batches)
+            jax.block_until_ready(before)
+            before = metrics
+        jax.block_until_ready(before)
+
+    turn(stream)
+    turn(itertools.repeat(there))
+    rounds = max(LEAST_ROUNDS, round(of_each / seconds(lambda: turn(itertools.repeat(there)))))
+    spent = np.array(
+        [[seconds(lambda: turn(itertools.repeat(there))), seconds(lambda: turn(stream))] for _ in range(rounds)]
+    )
+    ratio = spent[:, 1] / spent[:, 0]
+    spread = bootstrap((ratio,), np.median, method="percentile", rng=0).confidence_interval
+    ms_there, ms_drawn = 1e3 * np.median(spent, axis=0) / case.steps
+    return {
+        "name": case.name,
+        "batch": training.batch,
+        "ms_there": float(ms_there),
+        "ms_drawn": float(ms_drawn),
+        "ratio": float(np.median(ratio)),
+        "ratio_low": float(spread.low),
+        "ratio_high": float(spread.high),
+        "ratio_p95": float(np.percentile(ratio, 95)),
+        "compile_s": compile_s,
+    }

@@ -1,0 +1,110 @@
+"""Networks over pins: milliseconds a step of training, a frame by itself and a frame of a batch, with plain layers and with fast ones.
+
+    rows = bench_pin_networks()
+
+Where E is dense, and where it convolves (`pins.convolved`). A frame goes from sheared pins to unsheared ones and to the pose read off
+these. Pins are noise about the TacTip's; plain and fast layers take turns.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from benchmarks.steps import step_of
+from jaxunshear.image.framing import undeformed
+from jaxunshear.memory import keep_freed_memory
+from jaxunshear.model import kernels, pinnets
+from jaxunshear.progress import Progress
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.experiment import PINS
+from jaxunshear.settings.image import Camera, Preprocess
+from jaxunshear.settings.networks import PinPoseNet, PinUnshear
+from jaxunshear.settings.sensor import TACTIP_331
+from jaxunshear.settings.targets import of_ranges
+from jaxunshear.storage import Json
+from jaxunshear.training.pin_tasks import pin_unshear_task
+from verification.clock import seconds
+
+NETS = {"dense": PinUnshear(), "convolves": PinUnshear(convolved=(24, 48, 96))}  # as the weights `skin`
+BATCHES = (1, 64)
+ROUNDS, TURN_S = 60, 0.1
+SPREAD = 2.0  # px
+POSE = 3  # numbers that PoseNet reads
+COLUMNS = ("name", "what", "batch", "ms", "ms_p95", "plain_ms", "plain_over_fast", "compile_s", "plain_compile_s")
+Work = Callable[[], object]
+
+
+def bench_pin_networks(rounds: int = ROUNDS, turn_s: float = TURN_S) -> list[Json]:
+    """A row a network and a use: median and 95th percentile of `rounds` turns of `turn_s` s; compile time apart."""
+    keep_freed_memory()
+    rest = undeformed(TACTIP_331, Camera(), Preprocess()).place
+    rows = []
+    with Progress("bench pinnets", 3 * len(NETS), unit="rows") as progress:
+        for name, net in NETS.items():
+            for what, batch in (("training step", PINS.batch), *(("a frame", batch) for batch in BATCHES)):
+                made = {way: _made(net, rest, what, batch, way) for way in (kernels.FAST, kernels.PLAIN)}
+                rows.append({"name": name, "what": what, "batch": batch, **_measured(made, rounds, turn_s)})
+                progress.advance()
+    return rows
+
+
+def _made(net: PinUnshear, rest: np.ndarray, what: str, batch: int, way: str) -> tuple[Work, float]:
+    """Something to time, and the seconds that compiling it took."""
+    with kernels.using(way):
+        pins = jnp.asarray(
+            rest[None] + SPREAD * np.random.default_rng(0).normal(size=(batch, *rest.shape)), jnp.float32
+        )
+        build = _step if what == "training step" else _frame
+        began = time.perf_counter()
+        return build(net, rest, pins), time.perf_counter() - began
+
+
+def _frame(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
+    reader = PinPoseNet()
+    weights = pinnets.init(net, rest, SPREAD, jax.random.key(0))
+    pose_weights = pinnets.init(reader, rest, SPREAD, jax.random.key(1), POSE)
+
+    def read(pins: Array) -> tuple[Array, Array]:
+        unsheared = pinnets.unshear(net, weights, pins)
+        return unsheared, pinnets.predict(reader, pose_weights, unsheared)
+
+    run = jax.jit(read).lower(pins).compile()
+    return lambda: jax.block_until_ready(run(pins))
+
+
+def _step(net: PinUnshear, rest: np.ndarray, pins: Array) -> Work:
+    training = replace(PINS, pose_weight=0.0)
+    task = pin_unshear_task(net, training, of_ranges((), Ranges()), rest, SPREAD)
+    step, first = step_of(task, training)
+    state = [first]
+    batch = {"canonical_pins": pins, "sheared_pins": pins}
+    program = jax.jit(step, donate_argnums=0).lower(state[0], batch).compile()
+
+    def work() -> None:
+        state[0], metrics = program(state[0], batch)
+        jax.block_until_ready(metrics)
+
+    return work
+
+
+def _measured(made: dict[str, tuple[Work, float]], rounds: int, turn_s: float) -> Json:
+    works = {way: work for way, (work, _) in made.items()}
+    times = max(1, round(turn_s / min(seconds(work) for work in works.values() for _ in range(3))))
+
+    def turn(way: str) -> float:
+        return 1e3 * seconds(lambda: [works[way]() for _ in range(times)]) / times
+
+    fast, plain = np.array([[turn(kernels.FAST), turn(kernels.PLAIN)] for _ in range(rounds)]).T
+    return {
+        "ms": float(np.median(fast)),
+        "ms_p95": float(np.percentile(fast, 95)),
+        "plain_ms": float(np.median(plain)),
+        "plain_over_fast": float(np.median(plain / fast)),
+        "compile_s": made[kernels.FAST][1],
+        "plain_compile_s": made[kernels.PLAIN][1],
+    }

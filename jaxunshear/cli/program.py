@@ -1,0 +1,126 @@
+"""What all command lines of this repository share: errors in one line, exit codes, files of rows.
+
+`jaxunshear` uses it, and so do `python -m verification` and `python -m benchmarks`.
+"""
+
+import argparse
+import shlex
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from jaxunshear.environment import check_environment, check_links, settle
+from jaxunshear.errors import Note, UserError
+from jaxunshear.owners import check_apart
+from jaxunshear.places import check_new_file, check_new_folder
+from jaxunshear.source import read_source
+from jaxunshear.storage import Json, disk_is_full
+
+AGAIN = "the same command begins anew"
+Keep = Callable[[list[Json]], None]
+_usual = warnings.formatwarning
+
+
+class Parser(argparse.ArgumentParser):
+    """Refuses in one line, like everything else."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(allow_abbrev=False, **settings)
+
+    def error(self, message: str) -> NoReturn:
+        raise UserError(f"{message}; see `{self.prog} --help`")
+
+
+def report_errors(work: Callable[[], int], continued: bool = False) -> int:
+    """Run a program and report its errors.
+
+    Returns what `work` returns: 0, or 1 where a check does not hold. Returns 2 after an error that
+    the user can fix (one line), 130 when interrupted. `continued`: the command goes on where it
+    was stopped.
+    """
+    warnings.formatwarning = _noted
+    settle()
+    try:
+        return work()
+    except UserError as error:
+        return _complain(str(error))
+    except KeyboardInterrupt:
+        print(f"stopped; {'run the same command to continue' if continued else AGAIN}", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stdout = None  # whoever read us has gone: nothing more can be said there
+        return 141
+    except Exception as error:
+        if disk_is_full(error):
+            return _complain("the disk is full; free some space, then run the same command")
+        if isinstance(error, OSError) and error.filename is not None:
+            return _complain(f"{error.filename}: {error.strerror}")
+        if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
+            return _complain("out of memory; use a smaller --train.batch or smaller images")
+        raise
+
+
+def _noted(message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None) -> str:
+    if issubclass(category, Note):
+        return f"jaxunshear: note: {' '.join(str(message).split())}\n"
+    return _usual(message, category, filename, lineno, line)
+
+
+def _complain(text: str) -> int:
+    print(f"jaxunshear: error: {' '.join(text.split())}", file=sys.stderr)
+    return 2
+
+
+def parse(parser: Parser, words: Sequence[str]) -> argparse.Namespace | None:
+    """Return the arguments; None after --help or --version. Raises UserError."""
+    try:
+        return parser.parse_args(words)
+    except SystemExit:
+        return None
+
+
+def check_json(arguments: argparse.Namespace) -> None:
+    """Refuse, before any work, a file for results that would replace what others live on."""
+    json = arguments.json if "json" in arguments else None
+    check_apart(json, "--json")
+    check_new_file(json)
+    for option, value in vars(arguments).items():
+        if json is not None and option != "json" and isinstance(value, Path) and value.resolve() == json.resolve():
+            raise UserError(f"--json {json} is also what this command reads or writes: name another file")
+
+
+def run_tool(
+    parser: Parser,
+    words: Sequence[str],
+    run: Callable[[argparse.Namespace, Keep], int],
+    packages: Sequence[str] = (),
+) -> int:
+    """Parse the words after `python -m NAME`, check what they name, and run.
+
+    `run` is given a function that keeps rows in the file of --json, with the versions of
+    `packages` beside ours. Raises UserError.
+    """
+    arguments = parse(parser, words)
+    if arguments is None:
+        return 0
+    check_links(vars(arguments).values())
+    check_json(arguments)
+    if "out" in arguments:
+        check_new_folder(arguments.out)
+        check_apart(arguments.out, "--out")
+    check_environment()
+    read_source()  # as the code is now; it may be changed while this works
+    command = shlex.join([*parser.prog.split(), *words])
+    return run(arguments, lambda rows: _write_rows(arguments.json, rows, command, packages))
+
+
+def _write_rows(file: Path | None, rows: list[Json], command: str, packages: Sequence[str]) -> None:
+    """Write rows into `file`, if there is one, in the place of those written before."""
+    if file is None:
+        return
+    from jaxunshear.metrics.machine import provenance
+    from jaxunshear.storage import write_json
+
+    write_json(file, provenance(command, *packages) | {"rows": rows})

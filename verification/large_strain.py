@@ -1,0 +1,227 @@
+"""The dome at large strain, pressed by a flat plate without friction. A reference for the linear dome, not the simulator.
+
+    made = press(TACTIP_331, (1.0, 3.0, 6.0))
+    made.force_n[made.converged], made.pins  # (D,) N, (D, 331, 3) mm
+
+Equilibrium is a stationary point of energy - sum_c l_c gap_c with l_c >= 0, gap_c >= 0, l_c gap_c = 0 at two points c of each
+surface edge. The plate pushes along z only, so skin slides on it. Displacement and active set are found together by a
+semismooth Newton method (Hueber & Wohlmuth 2005, CMAME 194, 3147), each increment of depth starting from the line through the
+last two. Newton's steps are cut where they would squeeze an element; where that does not help, the increment is halved.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from jaxtyping import Bool, Float
+from scipy.sparse.linalg import splu
+
+from jaxunshear.contact.elasticity import lame
+from jaxunshear.contact.mesh import Mesh, dome_mesh, edge_shapes, inner_face
+from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
+from jaxunshear.scene.pins import pin_lattice, pin_tips
+from jaxunshear.settings.sensor import Sensor
+from verification.hyperelastic import Body, Density, deformation, forces, make_body, neo_hookean, tangent
+
+STEP_MM = 0.25  # largest increment of depth
+SMALLEST_STEP_MM = STEP_MM / 32
+ITERATIONS = 20
+TOLERANCE = 1e-9  # unbalanced force over the largest nodal force
+GAP_MM = 1e-9  # by which a touching point may miss the plate
+SMALLEST_VOLUME = 0.5  # of its own to which an iterate may squeeze matter
+SMALLEST_SHARE = 1 / 8  # of a Newton step: below it a smaller increment of depth is worth more
+LARGE_STRAIN = 0.2
+
+_EDGE_GAUSS = np.array([-1, 1]) / np.sqrt(3)
+
+
+class LargeStrain(NamedTuple):
+    """D depths (numpy). Where `converged` is false there is no equilibrium to show: the physical fields are NaN."""
+
+    depth_mm: np.ndarray  # (D,)
+    force_n: np.ndarray  # (D,) along z, on the sensor
+    contact_radius_mm: np.ndarray  # (D,) on the plate
+    pins: np.ndarray  # (D, P, 3) mm, displaced pin tips in the sensor frame
+    max_stretch: np.ndarray  # (D,) largest principal stretch anywhere
+    strained: np.ndarray  # (D,) share of the gel's volume with a principal strain (stretch - 1) beyond LARGE_STRAIN
+    residual: np.ndarray  # (D,) largest unbalanced nodal force over the largest nodal force
+    converged: np.ndarray  # (D,) bool
+    iterations: np.ndarray  # (D,) of Newton's method since the depth before
+
+
+class Face(NamedTuple):
+    """Points of the surface where the plate may press: rows (C, V) give their displacement, place (C, 2) is at rest."""
+
+    rows: sp.csr_matrix
+    place: np.ndarray
+
+
+class State(NamedTuple):
+    moved: np.ndarray  # (V, 2) mm
+    push: np.ndarray  # (C,) N at the points of the face
+    residual: float
+    iterations: int
+    converged: bool
+
+
+def press(
+    sensor: Sensor,
+    depths_mm: Sequence[float],
+    mesh_mm: float = 1.0,
+    density: Density = neo_hookean,
+    progress: Progress | None = None,
+) -> LargeStrain:
+    """The dome pressed to each of D depths (mm, rows in the order given); `density` as `hyperelastic.neo_hookean`."""
+    depths = np.asarray(depths_mm, float)
+    if depths.ndim != 1 or not len(depths) or not np.all(np.isfinite(depths) & (depths < sensor.dome_radius_mm / 2)):
+        raise UserError(
+            f"depths_mm = {depths.tolist()}: give a list of finite depths below half the dome's radius, {sensor.dome_radius_mm / 2:g} mm"
+        )
+    body = dome_body(sensor, mesh_mm, density)
+    face = make_face(body.mesh)
+    order = np.argsort(depths, kind="stable")
+    rows = [
+        _row(sensor, body, face, state, depth)
+        for state, depth in zip(follow(body, face, depths[order], progress), depths[order], strict=True)
+    ]
+    fields = (np.array(field)[np.argsort(order)] for field in zip(*rows, strict=True))
+    return LargeStrain(*fields)
+
+
+def dome_body(sensor: Sensor, mesh_mm: float, density: Density = neo_hookean) -> Body:
+    """The sensor's gel under its skin."""
+    mesh = dome_mesh(sensor.dome_radius_mm, sensor.skin_mm, mesh_mm)
+    skin, gel = lame(sensor.skin_modulus_mpa, sensor.skin_poisson), lame(sensor.gel_modulus_mpa, sensor.gel_poisson)
+    shear, first = np.where(mesh.skin[:, None], skin, gel).T
+    return make_body(mesh, shear, first, density)
+
+
+def make_face(mesh: Mesh) -> Face:
+    """Two points an edge: as many as the nodes that an edge adds, so that pressures are neither loose nor overtight."""
+    line, _ = edge_shapes(_EDGE_GAUSS)
+    columns = np.repeat(mesh.surface, len(line), axis=0)
+    rows = np.repeat(np.arange(len(columns)), 3)
+    entries = np.tile(line, (len(mesh.surface), 1)).ravel()
+    matrix = sp.csr_matrix((entries, (rows, columns.ravel())), shape=(len(columns), len(mesh.nodes)))
+    return Face(matrix, matrix @ mesh.nodes)
+
+
+def follow(body: Body, face: Face, depths: Float[np.ndarray, "D"], progress: Progress | None = None) -> list[State]:
+    """States at rising `depths` (mm of the plate's z); after one that fails, all fail."""
+    state = State(np.zeros_like(body.mesh.nodes), np.zeros(len(face.place)), 0.0, 0, True)
+    moving, pushing = np.zeros_like(state.moved), np.zeros_like(state.push)  # per mm of depth
+    at, step, states = min(float(depths[0]), 0.0), STEP_MM, []
+    for end in depths:
+        spent, first = 0, True
+        while state.converged and (at < end or first):
+            there = min(at + step, end)
+            guess = State(state.moved + (there - at) * moving, state.push + (there - at) * pushing, 0.0, 0, False)
+            found = equilibrium(body, face, there, guess, body.held)
+            spent, first = spent + found.iterations, False
+            if found.converged:
+                if there > at:
+                    moving, pushing = (
+                        (now - before) / (there - at) for now, before in zip(found[:2], state[:2], strict=True)
+                    )
+                state, at, step = found, there, min(2 * step, STEP_MM)
+            elif (step := step / 2) < SMALLEST_STEP_MM:
+                state = found
+        states.append(state._replace(iterations=spent))
+        if progress is not None:
+            progress.advance(1)
+    return states
+
+
+def equilibrium(body: Body, face: Face, depth: float, start: State, held: np.ndarray) -> State:
+    """Newton's method from `start` with the plate at z = `depth` mm; the unknowns `held` keep the displacement they have."""
+    free = np.setdiff1d(np.arange(2 * len(body.mesh.nodes)), held)
+    normal = sp.kron(face.rows, sp.csr_matrix([[0.0, 1.0]])).tocsr()  # (C, 2V)
+    stiff = float(np.median(body.shear) * np.ptp(body.mesh.nodes[:, 0]))  # N/mm, weighs a gap against a push
+    moved, push = start.moved, start.push
+    for count in range(ITERATIONS + 1):
+        inner = forces(body, moved)
+        gap = face.place[:, 1] + face.rows @ moved[:, 1] - depth
+        active = push - stiff * gap > 0
+        residual = np.abs((inner - normal.T @ push)[free]).max() / max(np.abs(inner).max(), stiff * GAP_MM)
+        wrong = np.where(active, np.abs(gap), np.abs(push) / stiff).max(initial=0.0)
+        if residual < TOLERANCE and wrong < GAP_MM:
+            return State(moved, push, float(residual), count, True)
+        if count == ITERATIONS or not np.isfinite(residual):
+            break
+        touching = normal[active][:, free]
+        matrix = sp.bmat([[tangent(body, moved)[free][:, free], -touching.T], [-touching, None]], format="csc")
+        try:
+            answer = splu(matrix, permc_spec="COLAMD").solve(np.concatenate([-inner[free], gap[active]]))
+        except RuntimeError:  # singular
+            break
+        step, goal = np.zeros(moved.size), np.zeros_like(push)
+        step[free], goal[active] = answer[: len(free)], answer[len(free) :]
+        share = _share(body, moved, step.reshape(moved.shape))
+        if share < SMALLEST_SHARE:
+            break
+        moved, push = moved + share * step.reshape(moved.shape), push + share * (goal - push)
+    return State(moved, push, float(residual), count, False)
+
+
+def _share(body: Body, moved: np.ndarray, step: np.ndarray) -> float:
+    """Of a Newton step, the largest 1, 1/2, 1/4 ... that squeezes nothing below SMALLEST_VOLUME."""
+    share = 1.0
+    while share >= SMALLEST_SHARE and deformation(body, moved + share * step)[1].min() < SMALLEST_VOLUME:
+        share /= 2
+    return share
+
+
+def _row(sensor: Sensor, body: Body, face: Face, state: State, depth: float) -> tuple:
+    """The fields of `LargeStrain` at one depth."""
+    quality = (state.residual, state.converged, state.iterations)
+    if not state.converged:
+        return (depth, np.nan, np.nan, np.full((sensor.pins, 3), np.nan), np.nan, np.nan, *quality)
+    stretches, _ = deformation(body, state.moved)
+    volume = body.volume[~body.mesh.skin]
+    beyond = np.any(np.abs(stretches[~body.mesh.skin] - 1) > LARGE_STRAIN, axis=-1)
+    place = face.place + face.rows @ state.moved
+    radius = contact_radius(place[:, 0], place[:, 1] - depth, state.push > 0)
+    pins = pins_at(sensor, body.mesh, state.moved)
+    strained = np.sum(volume * beyond) / np.sum(volume)
+    return (depth, state.push.sum(), radius, pins, stretches.max(), strained, *quality)
+
+
+def contact_radius(
+    radius: Float[np.ndarray, "C"], gap: Float[np.ndarray, "C"], touching: Bool[np.ndarray, "C"]
+) -> float:
+    """Where the gap closes, mm, from points in rising radius: past the rim it opens as (r - a)^1.5 (Johnson 1985,
+    Contact Mechanics, sec. 4.2), so its power 2/3 is a line through the first two points that do not touch."""
+    if not touching.any():
+        return 0.0
+    last = np.flatnonzero(touching)[-1]
+    if last + 2 >= len(radius):
+        return float(radius[last])
+    near, far = np.maximum(gap[last + 1 : last + 3], 0.0) ** (2 / 3)
+    inner, outer = radius[last + 1 : last + 3]
+    rim = inner - near * (outer - inner) / (far - near) if far > near else inner
+    return float(np.clip(rim, radius[last], inner))
+
+
+def pins_at(sensor: Sensor, mesh: Mesh, moved: Float[np.ndarray, "V 2"]) -> Float[np.ndarray, "P 3"]:
+    """Displaced pin tips in mm: rigid levers that stand on the skin's inner face and turn with it."""
+    flat = pin_lattice(sensor)
+    arc = np.linalg.norm(flat, axis=-1)
+    arcs, which = np.unique(np.round(arc, 9), return_inverse=True)
+    change = (_tips(sensor, mesh, mesh.nodes + moved, arcs) - _tips(sensor, mesh, mesh.nodes, arcs))[which.ravel()]
+    around = np.divide(flat, arc[:, None], out=np.zeros_like(flat), where=arc[:, None] > 0)
+    return pin_tips(sensor) + np.concatenate([change[:, :1] * around, change[:, 1:]], -1)
+
+
+def _tips(sensor: Sensor, mesh: Mesh, nodes: np.ndarray, arcs: np.ndarray) -> np.ndarray:
+    """Tips (A, 2) of pins at `arcs` (A,) mm of arc on the outer surface, with the mesh's nodes at `nodes`."""
+    edges = inner_face(mesh)
+    rest = mesh.nodes[edges]
+    angles = np.arctan2(rest[..., 0], sensor.dome_radius_mm - rest[..., 1])  # (S, 3), evenly spaced on each edge
+    angle = arcs / sensor.dome_radius_mm
+    edge = np.clip(np.searchsorted(angles[:, 0], angle, side="right") - 1, 0, len(edges) - 1)
+    shapes = edge_shapes(2 * (angle - angles[edge, 0]) / (angles[edge, 2] - angles[edge, 0]) - 1)
+    base, along = (np.einsum("an,anx->ax", shape, nodes[edges[edge]]) for shape in shapes)
+    inward = np.stack([-along[:, 1], along[:, 0]], -1) / np.linalg.norm(along, axis=-1, keepdims=True)
+    return base + sensor.pin_length_mm * inward

@@ -1,0 +1,103 @@
+"""The simulator's own model error: its linear dome against the large-strain reference, under a flat plate without friction.
+
+    for row in model_error(TACTIP_331):
+        print(row.depth_mm, row.rms_px, row.motion_px)
+
+Errors are of the pins, over all pins. Px are those of the default camera's 256-px frame.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.contact.simulate import follow
+from jaxunshear.contact.skins import Contacts, Skins
+from jaxunshear.contact.systems import dome
+from jaxunshear.progress import Progress
+from jaxunshear.scene.paths import path_of
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.scene import Scenes
+from jaxunshear.settings.sensor import Sensor
+from verification.large_strain import contact_radius, press
+from verification.px import pin_error
+
+DEPTHS_MM = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+INSIDE_MM = 25.0  # of the edge of the disk, so far that no contact reaches it
+TINY = 1e-16  # squared difference of squared stretches, below which their directions do not matter
+
+
+class ModelError(NamedTuple):
+    """One depth. Where `converged` is false, of either model, the figures are NaN."""
+
+    depth_mm: float
+    converged: bool
+    motion_px: float  # rms by which the reference's pins move
+    rms_px: float
+    p95_px: float
+    max_px: float
+    material_px: float  # rms that exact kinematics with a linear law (of logarithmic strain) would leave
+    force_ratio: float  # linear over reference
+    radius_ratio: float  # of the contact
+    strained: float  # share of the gel's volume beyond 20 % of principal strain, in the reference
+
+
+def model_error(
+    sensor: Sensor, depths: Sequence[float] = DEPTHS_MM, mesh_mm: float = 1.0, level: str = "reference"
+) -> list[ModelError]:
+    """Rows, a depth each. `level` "reference" keeps the solver's own error out of the model's."""
+    with Progress("large strain", 2 * len(depths), unit="presses") as progress:
+        exact = press(sensor, depths, mesh_mm, progress=progress)
+        straight = press(sensor, depths, mesh_mm, logarithmic, progress)
+    contacts, skins = _linear(sensor, depths, level)
+    radii = _linear_radii(sensor, skins)
+    rows = []
+    for i, depth in enumerate(depths):
+        converged = bool(exact.converged[i] and straight.converged[i] and contacts.converged[i])
+        figures = (
+            pin_error(sensor, exact.pins[i], pin_tips(sensor)).rms_px,
+            *pin_error(sensor, contacts.pins[i], exact.pins[i])[:3],
+            pin_error(sensor, straight.pins[i], exact.pins[i]).rms_px,
+            _ratio(contacts.force_n[i, 2], exact.force_n[i]),
+            _ratio(radii[i], exact.contact_radius_mm[i]),
+            float(exact.strained[i]),
+        )
+        shown = figures if converged else [np.nan] * len(figures)
+        rows.append(ModelError._make([float(depth), converged, *shown]))
+    return rows
+
+
+def logarithmic(gradient: jax.Array, shear: jax.Array, first: jax.Array) -> jax.Array:
+    """mu |log U|^2 + lambda/2 (ln J)^2 in MPa (Hencky 1928) of an axisymmetric deformation gradient (3, 3): exact rotations
+    and stretches, stress linear in the strain, so that what it has apart from `neo_hookean` is the law of the material."""
+    plane = gradient[::2, ::2]
+    squared = plane.T @ plane
+    mean = jnp.trace(squared) / 2
+    spread = jnp.sqrt(((squared[0, 0] - squared[1, 1]) / 2) ** 2 + squared[0, 1] ** 2 + TINY)
+    strains = jnp.stack([jnp.log(mean + spread) / 2, jnp.log(mean - spread) / 2, jnp.log(gradient[1, 1])])
+    return shear * jnp.sum(strains**2) + first / 2 * jnp.sum(strains) ** 2
+
+
+def _ratio(value: float, reference: float) -> float:
+    return float(value / reference) if reference else np.nan
+
+
+def _linear(sensor: Sensor, depths: Sequence[float], level: str) -> tuple[Contacts, Skins]:
+    """Pressed by the linear dome."""
+    zeros = np.zeros(len(depths))
+    pose = np.stack([zeros - INSIDE_MM, zeros, zeros, np.asarray(depths, float)], -1)
+    paths = path_of(Scenes(zeros.astype(int), pose, np.zeros((len(depths), 2)), zeros))
+    return follow(sensor, ("disk",), paths, level)
+
+
+def _linear_radii(sensor: Sensor, skins: Skins) -> np.ndarray:
+    """(B,) mm, from the nodes along +x, one of each ring."""
+    full = dome(sensor)
+    along = np.flatnonzero((np.abs(full.nodes[:, 1]) < 1e-9) & (full.nodes[:, 0] > -1e-9))
+    radii = []
+    for force, point in zip(skins.force_n, skins.point, strict=True):
+        place = full.nodes[along] + (full.w @ force.ravel()).reshape(-1, 3)[along]
+        radii.append(contact_radius(place[:, 0], place[:, 2] - point[3], force[along, 2] > 0))
+    return np.array(radii)

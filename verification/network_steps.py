@@ -1,0 +1,137 @@
+"""Training steps without the loop about them, so that networks of one shape are compiled once for all that is tried on them.
+
+    found = walk(net, training, make, folder)     # some steps, each inspected, saved, and used
+
+Steps, inspections and checkpoints are the loop's own; learning rate and patch weight are arguments of the compiled step.
+"""
+
+import functools
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from jaxunshear.model import posenet, unet, unshearnet
+from jaxunshear.model.parts import Variables
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.training import Training
+from jaxunshear.storage import Json
+from jaxunshear.training import checkpoint
+from jaxunshear.training.guard import check_state, check_terms
+from jaxunshear.training.loop import first_state
+from jaxunshear.training.step import State, make_step, optimiser_of
+from jaxunshear.training.tasks import Task, posenet_task, unshear_task
+from verification.network_images import Batch
+from verification.stability_networks import Found
+
+STEPS, SAVED_EVERY = 8, 4
+TARGETS = of_ranges((), Ranges())
+Net = UnshearNet | UNet | PoseNet
+Guards = tuple[Callable[..., dict[str, float]], Callable[..., None]]
+
+
+class Programs(NamedTuple):
+    """Of one network: its first state, (state, batch, learning rate, patch weight) -> (state, terms), and `infer`."""
+
+    state: State
+    step: Callable[..., tuple[State, dict[str, jax.Array]]]
+    infer: Callable[..., dict[str, jax.Array]]
+
+
+def task_of(net: Net, training: Training) -> Task:
+    return posenet_task(net, training, TARGETS) if isinstance(net, PoseNet) else unshear_task(net, training)
+
+
+def programs(net: Net, training: Training) -> Programs:
+    """Those of `net`; trainings that differ in learning rate and (positive) patch weight share them. Raises `UserError`."""
+    same: Json = {
+        "learning_rate": 1.0,
+        "patch_weight": float(training.patch_weight > 0),
+        "schedule": "steps",
+        "drops": (),
+    }
+    return _programs(net, replace(training, **same))
+
+
+@functools.cache
+def _programs(net: Net, training: Training) -> Programs:
+    task = task_of(net, training)
+
+    def step(state: State, batch: Batch, rate: float, weight: float) -> tuple[State, dict[str, jax.Array]]:
+        weighed = replace(task, weights=task.weights | {"patch": weight})
+        optimiser = optimiser_of(replace(training, learning_rate=rate), STEPS, 1)
+        return make_step(weighed, training, optimiser, jax.random.key(1))(state, batch)
+
+    optimiser = optimiser_of(training, STEPS, 1)
+    infer_ = jax.jit(lambda variables, images: infer(net, variables, images))
+    return Programs(first_state(task, optimiser, jax.random.key(0)), jax.jit(step), infer_)
+
+
+def walk(
+    net: Net,
+    training: Training,
+    make: Callable[[int], Batch],
+    folder: Path,
+    steps: int = STEPS,
+    guards: Guards = (check_terms, check_state),
+) -> Found:
+    """`steps` training steps of float batches `make(step)`, then inference with the kept network on `make(-1)`. The learning
+    rate stays, and is that of `training` or of its last drop. Raises `UserError` where the loop would,
+    by `guards` of each step's terms and of a state to be saved."""
+    state, step, use = programs(net, training)
+    drops = dict(training.drops)
+    for done in range(1, steps + 1):
+        batch = make(done - 1)
+        rate = training.learning_rate * drops.get(done - 1, 1.0)
+        state, terms = step(state, batch, np.float32(rate), np.float32(training.patch_weight))
+        last = guards[0](done, terms, batch, folder)
+        if done % SAVED_EVERY == 0:
+            guards[1](state, done, batch, folder)
+            checkpoint.save(folder, done, state, {"best_step": done, "history": []})
+    variables = checkpoint.load_best(folder)
+    arrays = {"terms": last, "variables": variables, "outputs": dict(use(variables, images_of(make(-1))))}
+    return found_of(net, arrays, variables, steps, last)
+
+
+def found_of(net: Net, arrays: Json, variables: Variables, steps: int, last: dict[str, float]) -> Found:
+    loss = last["pose" if isinstance(net, PoseNet) else "supervised"]
+    note = "" if last["gradient"] else "the gradient is 0: all is saturated, and nothing more is learnt"
+    if last["regularisation"] > loss:
+        note = f"l1 and l2 weigh {last['regularisation'] / loss:.2g} times the loss: kernels shrink first"
+    wrong = _parts(net, variables)
+    return Found(arrays, wrong=wrong, note=note, steps=steps, loss=loss, gradient=last["gradient"])
+
+
+def images_of(batch: Batch) -> np.ndarray:
+    """The images that a network is given: taps for PoseNet, sheared images for the others."""
+    return batch["image" if "image" in batch else "sheared"]
+
+
+def infer(net: Net, variables: Variables, images: jax.Array) -> dict[str, jax.Array]:
+    """Images (B, S, S, 1) in [0, 1] -> all that the network infers from them, each (B, ...)."""
+    if isinstance(net, PoseNet):
+        outputs = posenet.predict(net, variables, images)
+        return {"outputs": outputs, **posenet.pose_from_outputs(outputs, TARGETS)}
+    if isinstance(net, UNet):
+        return {"unsheared": unet.unshear(net, variables, images)}
+    z_p, z_s = unshearnet.encode(net, variables, images)
+    reported = {"unsheared": jax.nn.sigmoid(unshearnet.decode_canonical(net, variables, z_p)), "z_p": z_p}
+    if z_s is not None:
+        reported |= {"z_s": z_s, "sheared": jax.nn.sigmoid(unshearnet.decode_sheared(net, variables, z_p, z_s))}
+    return reported
+
+
+def _parts(net: Net, variables: Variables) -> str:
+    """What is built though it should not be, or the other way round."""
+    if not isinstance(net, UnshearNet):
+        return ""
+    wanted = {"E", "DC"}
+    if net.disentangled:
+        wanted |= {"pose"} | ({"shear", "DS"} if net.shear_channels else set())
+    built = set(variables["params"])
+    return "" if built == wanted else f"built {sorted(built)}, not {sorted(wanted)}"

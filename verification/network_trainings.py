@@ -1,0 +1,212 @@
+"""Trainings at their extremes: settings, images and labels that could make a network's numbers infinite.
+
+Most are steps without the loop (`network_steps.py`), some a full training as a user would run it. Where images are spoilt, every
+second batch is: a network that has only ever seen one constant learns nothing that could break.
+"""
+
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from jaxunshear.settings.networks import PoseNet, UNet, UnshearNet
+from jaxunshear.settings.registry import ENTANGLED
+from jaxunshear.settings.training import Training
+from jaxunshear.training import checkpoint
+from jaxunshear.training.loop import train as train_network
+from verification.network_images import KINDS, Batch, as_floats, pairs, poses, spoilt, with_nan
+from verification.network_steps import (
+    SAVED_EVERY,
+    STEPS,
+    Net,
+    found_of,
+    images_of,
+    programs,
+    task_of,
+    walk,
+)
+from verification.stability_networks import FINITE, REFUSED, SAYS_WHERE, STOPPED, Found, NetworkCase
+
+NET = UnshearNet(size=64, widths=(6, 8, 8), pose_channels=8, shear_channels=8)
+SHALLOW = UnshearNet(size=32, widths=(4, 6), pose_channels=8, shear_channels=8)  # quick to compile
+UNET = UNet(size=32, widths=(4, 6))
+POSENET = PoseNet(size=64, widths=(4, 4, 6, 6, 8), hidden=16)
+TRAINING = Training(epochs=STEPS, batch=4, crops=20, crop_px=8, validate_every=SAVED_EVERY)
+PAPER_NET = UnshearNet(size=256, widths=(32, 64, 64, 64, 64), pose_channels=64, shear_channels=64)
+PAPER_POSENET = PoseNet(size=256)
+PAPER = Training(learning_rate=1e-4, l1=1e-3, l2=1e-3, kernels="mean", averaging=0.0)
+DECAYS = (1e-3, 1e3)
+RATES = (1e-8, 1e-4, 1e-1, 1.0, 10.0)
+PATCH_WEIGHTS = (0.0, 1e-2, 1.0, 1e2, 1e4)
+BROKEN_FROM = 6  # steps before what breaks a training: more than to its first checkpoint, fewer than to its second
+VALIDATION = -1  # the step whose batch is validated and used: odd, so spoilt where every second one is
+KEPT = f"the checkpoint of step {SAVED_EVERY} is kept"
+REMEDY = "the data, then run the same command"
+Change = Callable[[int, Batch], Batch]  # of the float batch that follows so many steps
+
+
+def training_cases() -> Iterator[NetworkCase]:
+    """All of them; names are unique and begin with "network"."""
+    yield from _settings()
+    yield from _starts()
+    for net in (SHALLOW, POSENET):
+        yield from _decays(net)
+    for net in (NET, POSENET):
+        yield from _rates(net)
+        yield from _images(net)
+        yield from _batches(net)
+    for trained in (SHALLOW, POSENET, UNET):
+        yield from _entire(trained)
+
+
+def steps_case(
+    name: str,
+    net: Net,
+    training: Training = TRAINING,
+    change: Change = lambda step, batch: batch,
+    expects: tuple[str, ...] = (FINITE,),
+    words: tuple[str, ...] = SAYS_WHERE,
+    steps: int = STEPS,
+) -> NetworkCase:
+    def make(step: int) -> Batch:
+        count = training.batch if step != VALIDATION else 4
+        return change(step, spoilt(as_floats, batch_of(net, step, count)))
+
+    run = partial(walk, net, training, make, steps=steps)
+    return NetworkCase(f"network {kind_of(net)}, {name}", run, f"{net}, {training}", expects, words)
+
+
+def kind_of(net: Net) -> str:
+    return type(net).__name__
+
+
+def batch_of(net: Net, step: int, count: int) -> Batch:
+    return (poses if isinstance(net, PoseNet) else pairs)(step % 1000, count, net.size)
+
+
+def every_second(kind: Callable[[np.ndarray], np.ndarray]) -> Change:
+    return lambda step, batch: spoilt(kind, batch) if step % 2 else batch
+
+
+def _settings() -> Iterator[NetworkCase]:
+    for weight in PATCH_WEIGHTS:
+        yield steps_case(f"patch weight {weight:g}", NET if weight else SHALLOW, replace(TRAINING, patch_weight=weight))
+    for pose, shear in ((64, 64), (128, 0)):
+        yield steps_case(f"codes {pose}:{shear}", replace(SHALLOW, pose_channels=pose, shear_channels=shear))
+    for pose, shear, field in ((0, 128, "pose_channels"), (128, -1, "shear_channels")):
+        net = replace(SHALLOW, pose_channels=pose, shear_channels=shear)
+        yield steps_case(f"codes {pose}:{shear}", net, expects=(REFUSED,), words=(field,))
+    for training, field in ((replace(TRAINING, crops=0), "crops"), (replace(TRAINING, crop_px=65), "crop_px")):
+        yield steps_case(f"{field} that cannot be", SHALLOW, training, expects=(REFUSED,), words=(field,))
+    yield steps_case(ENTANGLED, replace(SHALLOW, disentangled=False))
+    yield steps_case("of the usual 128 px and widths", UnshearNet(), replace(TRAINING, batch=2), steps=SAVED_EVERY)
+    for rounded in (SHALLOW, POSENET):
+        yield steps_case("in bfloat16", rounded, replace(TRAINING, precision="bfloat16"))
+
+
+def _decays(net: Net) -> Iterator[NetworkCase]:
+    """Weights on kernels: the paper's, and such as leave nothing else to learn."""
+    for weight in DECAYS:
+        yield steps_case(f"l1 {weight:g}", net, replace(TRAINING, l1=weight))
+        yield steps_case(f"l2 {weight:g}", net, replace(TRAINING, l2=weight))
+
+
+def _starts() -> Iterator[NetworkCase]:
+    """The first steps of experiments/paper.py, in smaller batches, by what its weights on kernels can mean."""
+    nets: tuple[Net, ...] = (PAPER_NET, PAPER_POSENET)
+    ways: tuple[Literal["sum", "mean"], ...] = ("sum", "mean")
+    for net, kernels in itertools.product(nets, ways):
+        name, training = f"the paper's start, l1 and l2 per {kernels}", replace(PAPER, batch=2, kernels=kernels)
+        yield steps_case(name, net, training, steps=SAVED_EVERY)
+
+
+def _rates(net: Net) -> Iterator[NetworkCase]:
+    for rate in RATES:
+        name, training = f"learning rate {rate:g}", replace(TRAINING, learning_rate=rate)
+        yield steps_case(name, net, training, expects=(FINITE, STOPPED))
+    # finite terms, and an update that throws the weights away, in the step before a checkpoint
+    training = replace(TRAINING, drops=((STEPS - 1, math.inf),))
+    words = (*SAYS_WHERE, "params", f"step {STEPS}", f"batch {STEPS - 1}", KEPT)
+    yield steps_case("learning rate inf", net, training, expects=(STOPPED,), words=words)
+
+
+def _images(net: Net) -> Iterator[NetworkCase]:
+    for name, kind in KINDS.items():
+        yield steps_case(f"images {name}", net, change=every_second(kind))
+    yield steps_case("images with a NaN", net, change=_nan, expects=(STOPPED,), words=_words("of examples 1;", REMEDY))
+    words = _words("to 1e+25;", "learning_rate")
+    yield steps_case("images of 1e25", net, change=_huge, expects=(STOPPED,), words=words)
+    if isinstance(net, PoseNet):
+        words = _words("pose not finite", "in pose of examples 0, 1, 2, 3;", REMEDY)
+        yield steps_case("infinite labels", net, change=_unknown, expects=(STOPPED,), words=words)
+
+
+def _words(*more: str) -> tuple[str, ...]:
+    """What the line must hold of a training that breaks after `BROKEN_FROM` steps."""
+    return (*SAYS_WHERE, f"step {BROKEN_FROM + 1}", f"batch {BROKEN_FROM}", KEPT, *more)
+
+
+def _nan(step: int, batch: Batch) -> Batch:
+    return spoilt(with_nan, batch) if step == BROKEN_FROM else batch
+
+
+def _huge(step: int, batch: Batch) -> Batch:
+    """Whose variance overflows."""
+    return spoilt(lambda images: images * np.float32(1e25), batch) if step == BROKEN_FROM else batch
+
+
+def _unknown(step: int, batch: Batch) -> Batch:
+    return batch | {"pose": np.full_like(batch["pose"], np.inf)} if step == BROKEN_FROM else batch
+
+
+def _batches(net: Net) -> Iterator[NetworkCase]:
+    single, alone = replace(TRAINING, batch=1), net if isinstance(net, PoseNet) else SHALLOW
+    yield steps_case("batches of one image", alone, single)
+    # so small that a channel of the last convolution is one number, which normalisation makes zero
+    narrow = replace(alone, size=16 if isinstance(net, PoseNet) else 4)
+    yield steps_case("batches of one image, codes of one pixel", narrow, replace(single, crop_px=4))
+
+    one = spoilt(as_floats, batch_of(net, 0, 1))
+
+    def one_pose(step: int, batch: Batch) -> Batch:
+        return {name: np.repeat(values, len(batch[name]), 0) for name, values in one.items()}
+
+    yield steps_case("one pose only", net, change=one_pose)
+
+
+def _entire(net: Net) -> Iterator[NetworkCase]:
+    """Through the loop: as usual, and with a learning rate that throws the weights away after a good start."""
+    diverging = replace(TRAINING, schedule="steps", drops=((float(BROKEN_FROM), 1e30),))
+    words = (*SAYS_WHERE, KEPT, "whose numbers are", "learning_rate")
+    tried = [("a training", TRAINING, FINITE), ("a diverging training", diverging, STOPPED)]
+    for name, training, expects in tried[: 1 if isinstance(net, UNet) else 2]:
+        run = partial(train, net, training)
+        yield NetworkCase(f"network {kind_of(net)}, {name}", run, f"{net}, {training}", (expects,), words)
+
+
+def train(net: Net, training: Training, folder: Path) -> Found:
+    """A training in `folder`, then the kept network at work on the validation batch."""
+
+    def batches(start: int) -> Iterator[Batch]:
+        return (batch_of(net, step, training.batch) for step in itertools.count(start))
+
+    checked = batch_of(net, VALIDATION, 4)
+    task = task_of(net, training)
+    summary = train_network(task, training, batches, lambda: iter([checked]), 0, folder, epoch_images=training.batch)
+    log = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    terms = [{part: _numbers(line[part]) for part in ("train", "validation")} for line in log]
+    variables = checkpoint.load_best(folder)
+    outputs = dict(programs(net, TRAINING).infer(variables, as_floats(images_of(checked))))
+    arrays = {"log": terms, "best loss": summary.best_loss, "variables": variables, "outputs": outputs}
+    return found_of(net, arrays, variables, summary.steps, terms[-1]["train"])
+
+
+def _numbers(terms: dict[str, float | None]) -> dict[str, float]:
+    """A log's terms, where JSON has null for what was not finite."""
+    return {name: np.nan if value is None else value for name, value in terms.items()}

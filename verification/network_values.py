@@ -1,0 +1,207 @@
+"""Losses, metrics and inference at their extremes: values and gradients finite, NaN never hidden, narrow numbers near wide ones.
+
+Inference is that of networks trained for `LEARNT` steps: fresh ones make nearly the same of every image.
+"""
+
+import functools
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from jaxunshear.metrics import images as metrics
+from jaxunshear.model import posenet
+from jaxunshear.model.parts import Variables
+from jaxunshear.settings.networks import PoseNet
+from jaxunshear.training import checkpoint, losses
+from verification.network_images import KINDS, as_floats, pairs, spoilt, with_nan
+from verification.network_steps import TARGETS, Net, images_of, infer, programs, walk
+from verification.network_trainings import NET, POSENET, TRAINING, batch_of, kind_of
+from verification.stability_networks import Found, NetworkCase
+
+LEARNT, UNSEEN = 60, 500  # steps, and the step whose batch is none of theirs
+SATURATED = 1e4  # a logit whose sigmoid is 0 or 1 to the last bit
+BFLOAT16_RMS = 0.005  # allowed of outputs in [0, 1]: about one unit of bfloat16's last place
+FLOAT64_MOST = 1e-5  # by which any output in [0, 1] may differ between float32 and float64
+EQUAL_SLOPE = 1e-6  # allowed of a gradient that is zero by definition, an image's similarity to itself
+VALUE, CAST = "value and gradient", "parameters, statistics and images cast"
+SIZES = {"ms_ssim": 128, "ssim": 64}
+Metric = Callable[..., jax.Array]
+
+
+def value_cases() -> Iterator[NetworkCase]:
+    """All of them; names are unique and begin with "network"."""
+    yield from _losses()
+    yield from _metrics()
+    for net in (NET, POSENET):
+        yield from _inference(net)
+
+
+def _case(name: str, line: str, find: Callable[..., Found], *given: object, **more: object) -> NetworkCase:
+    return NetworkCase(f"network {name}", lambda folder: find(*given, **more), line)
+
+
+# Losses: of logits, as the trainings take them.
+
+
+def _losses() -> Iterator[NetworkCase]:
+    dots, usual = (pairs(step, 4, 64)["canonical"] for step in (0, 1))
+    sharp = SATURATED * (2 * as_floats(dots) - 1)
+    for logit in (SATURATED, -SATURATED):
+        yield _case(f"losses, logits {logit:g}", VALUE, _loss, np.full_like(sharp, logit), as_floats(usual))
+    for name, kind in KINDS.items():
+        yield _case(f"losses, images {name}", VALUE, _loss, sharp, kind(as_floats(usual)))
+    yield _case("losses, equal images", VALUE, _loss, sharp, as_floats(dots), equal=True)
+    for net in (NET, POSENET):
+        yield _case(f"{kind_of(net)}, saturated outputs", "a training step", _saturated, net)
+
+
+def _loss(logits: np.ndarray, images: np.ndarray, equal: bool = False) -> Found:
+    """All losses of images and of poses that come out of a sigmoid, and their slopes by its logits."""
+    side, target = logits.shape[1], jnp.asarray(images)
+    counts = losses.coverage(losses.random_corners(jax.random.key(0), len(logits), 20, side, 10), side, 10)
+    terms: dict[str, Callable[[jax.Array], jax.Array]] = {
+        "supervised": lambda x: losses.supervised(x, target),
+        "reconstruction": lambda x: losses.reconstruction(x, target),
+        "patch": lambda x: losses.patch(x, target, counts),
+        "pose": lambda x: losses.pose(x[:, :5, 0, 0], target[:, :5, 0, 0], posenet.output_weights(TARGETS)),
+    }
+    arrays = {}
+    for name, term in terms.items():
+        arrays[name] = jax.value_and_grad(lambda x: jnp.sum(term(jax.nn.sigmoid(x))))(jnp.asarray(logits))  # noqa: B023
+    largest = max(float(np.max(np.abs(slope))) for _, slope in arrays.values())
+    most = max(float(value) for value, _ in arrays.values())
+    if equal:
+        return Found(arrays, error=max(most, largest), bar=0.0)
+    return Found(arrays, loss=most, gradient=largest)
+
+
+def _saturated(net: Net) -> Found:
+    """A network whose last layers shout: every output is 0 or 1, and a training step must live with it."""
+    start, step, use = programs(net, TRAINING)
+    params = dict(learnt(net)["params"])
+    if isinstance(net, PoseNet):
+        params["Dense_1"] = _loud(params["Dense_1"])
+    else:
+        params |= {decoder: params[decoder] | {"Last_0": _loud(params[decoder]["Last_0"])} for decoder in ("DC", "DS")}
+    variables = {"params": params, "batch_stats": learnt(net)["batch_stats"]}
+    state, batch = start._replace(**variables, average=variables), _floats(net, 1)
+    after, terms = step(state, batch, np.float32(TRAINING.learning_rate), np.float32(TRAINING.patch_weight))
+    reported = dict(use(variables, images_of(batch)))
+    outputs = np.asarray(reported["outputs" if isinstance(net, PoseNet) else "unsheared"])
+    wrong = "" if np.isin(outputs, (0, 1)).mean() > 0.9 else "the outputs are not saturated: nothing was tried"
+    loss, gradient = (float(terms[name]) for name in ("pose" if isinstance(net, PoseNet) else "supervised", "gradient"))
+    return Found({"terms": terms, "state": after, "answers": reported}, wrong=wrong, loss=loss, gradient=gradient)
+
+
+def _loud(layer: Variables) -> Variables:
+    return jax.tree.map(lambda leaf: 1e8 * leaf, layer)
+
+
+# Metrics.
+
+
+def _metrics() -> Iterator[NetworkCase]:
+    for name, size in SIZES.items():
+        metric = metric_of(name)
+        dots, other = (as_floats(pairs(step, 2, size)["canonical"]) for step in (0, 1))
+        black, white, grey = (np.full_like(dots, value) for value in (0.0, 1.0, 0.5))
+        near = dots.copy()
+        near[:, size // 2, size // 2] = 1 - near[:, size // 2, size // 2]
+        for title, a, b in (
+            ("black against white", black, white),
+            ("white against black", white, black),
+            ("inverted", dots, 1 - dots),
+            ("black against dots", black, dots),
+            ("grey against dots", grey, dots),
+            ("other dots", dots, other),
+            ("one pixel apart", dots, near),
+        ):
+            yield _case(f"{name}, {title}", VALUE, _score, metric, a, b)
+        for title, a in (("black", black), ("white", white), ("grey", grey), ("dots", dots)):
+            yield _case(f"{name}, {title} against itself", VALUE, _score, metric, a, a, equal=True)
+        yield _case(f"{name}, a NaN", VALUE, _score_nan, metric, dots, other)
+
+
+def metric_of(name: str) -> Metric:
+    if name == "ssim":
+        return metrics.ssim
+    return functools.partial(metrics.ms_ssim, scales=metrics.scales_that_fit(SIZES[name]))
+
+
+def _score(metric: Metric, a: np.ndarray, b: np.ndarray, equal: bool = False) -> Found:
+    values, slopes = np.asarray(metric(a, b)), np.asarray(jax.grad(lambda x: jnp.sum(metric(x, b)))(jnp.asarray(a)))
+    largest = float(np.max(np.abs(slopes)))
+    outside = "" if (np.abs(values) <= 1 + 1e-5).all() else f"{values.tolist()} is beyond 1"
+    if equal:
+        off = np.abs(values - 1).max()
+        outside = outside or ("" if off < 1e-5 else f"{values.tolist()} of equal images")
+        return Found({"values": values, "slopes": slopes}, error=largest, bar=EQUAL_SLOPE, wrong=outside)
+    return Found({"values": values, "slopes": slopes}, gradient=largest, loss=float(values[0]), wrong=outside)
+
+
+def _score_nan(metric: Metric, a: np.ndarray, b: np.ndarray) -> Found:
+    """A NaN in the second image is seen in its score, and in no other."""
+    spoilt = a.copy()
+    spoilt[1, 20, 20] = np.nan
+    clean, scores = np.asarray(metric(a, b)), np.asarray(metric(spoilt, b))
+    return Found({"others": scores[0]}, {"score": scores[1]}, error=float(abs(scores[0] - clean[0])), bar=0.0)
+
+
+# Inference.
+
+
+@functools.cache
+def learnt(net: Net) -> Variables:
+    """Variables of a short training."""
+    with tempfile.TemporaryDirectory() as folder:
+        walk(net, replace(TRAINING, learning_rate=1e-2), lambda step: _floats(net, step), Path(folder), LEARNT)
+        return jax.device_get(checkpoint.load_best(Path(folder)))
+
+
+def _floats(net: Net, step: int) -> dict[str, np.ndarray]:
+    return spoilt(as_floats, batch_of(net, step, 4))
+
+
+def _inference(net: Net) -> Iterator[NetworkCase]:
+    name = f"{kind_of(net)}, inference"
+    yield _case(f"{name}, one image with a NaN", "outputs image by image", _nan_inference, net)
+    yield _case(f"{name} in bfloat16", CAST, _precision, net, jnp.bfloat16, BFLOAT16_RMS)
+    yield _case(f"{name} in float64", CAST, _precision, net, jnp.float64, FLOAT64_MOST)
+
+
+def _nan_inference(net: Net) -> Found:
+    """A NaN in the second image reaches what is inferred from it, and from no other image."""
+    run, images = programs(net, TRAINING).infer, images_of(batch_of(net, UNSEEN, 4))
+    clean, broken = (jax.device_get(run(learnt(net), given)) for given in (as_floats(images), with_nan(images)))
+    others = {name: np.delete(values, 1, 0) for name, values in broken.items()}
+    apart = max(float(np.max(np.abs(np.delete(clean[name], 1, 0) - others[name]))) for name in others)
+    return Found(others, {name: values[1] for name, values in broken.items()}, error=apart, bar=0.0)
+
+
+def _precision(net: Net, kind: type, bar: float) -> Found:
+    names = ("outputs",) if isinstance(net, PoseNet) else ("unsheared", "sheared")
+    return precision(functools.partial(infer, net), (learnt(net), images_of(_floats(net, UNSEEN))), names, kind, bar)
+
+
+def precision(run: Callable[..., dict], given: tuple, names: Sequence[str], kind: type, bar: float) -> Found:
+    """`run` of arrays, `given` as float32 against `kind`, over all of its outputs `names`, in [0, 1]: root mean square for bfloat16, the
+    largest for float64."""
+
+    def reported(kind: type) -> dict[str, np.ndarray]:
+        found = jax.jit(run)(*jax.tree.map(lambda leaf: jnp.asarray(leaf, kind), given))
+        return {name: np.asarray(found[name], np.float64) for name in names}
+
+    usual = reported(jnp.float32)
+    with jax.enable_x64(kind == jnp.float64):
+        other = reported(kind)
+    difference = np.concatenate([(usual[name] - other[name]).ravel() for name in names])
+    error = np.abs(difference).max() if kind == jnp.float64 else np.sqrt(np.mean(difference**2))
+    spread = min(float(values.std(0).max()) for values in usual.values())
+    wrong = "" if spread > 0.02 else "the network gives the same for every image: nothing was compared"
+    wrong = wrong or ("" if error > 0 else "not one number differs: nothing was cast")
+    return Found({"float32": usual, "other": other}, error=float(error), bar=bar, wrong=wrong)

@@ -1,0 +1,113 @@
+"""Normal contact against tamaas (Frerot et al. 2020, JOSS 5(51), 2121): an independent solver, on FFTs, of a periodic half-space.
+
+Ours is not periodic. Both are given the same total force; the copies of the load, with the even load that balances them in a
+period, then only lift the entire contact, by 3.900265 P / (pi E* L) for a square period L (the constant is that of the
+square Wigner lattice: Bonsall and Maradudin 1977, Phys. Rev. B 15, 1959); their curvature falls with (a / L)^3.
+"""
+
+from collections.abc import Callable
+from types import ModuleType
+
+import numpy as np
+
+from verification.half_space import SPACING_MM, HalfSpace, press, trace
+from verification.tables import Row, compare, fit_order, vanishes
+
+GROUP = "normal contact against tamaas"
+PERIOD_MM, CELLS = 12.0, 480  # of its square grid
+LATTICE = 3.900265
+
+
+def sphere(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """(...) mm by which the surface stands back from the plane of its highest point."""
+    return (x**2 + y**2) / 100.0
+
+
+def two_spheres(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Of unlike radius and height, off the axis."""
+    first = ((x + 0.5) ** 2 + y**2) / 60.0
+    second = ((x - 0.52) ** 2 + (y - 0.15) ** 2) / 40.0 + 0.002
+    return np.minimum(first, second)
+
+
+def rippled(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return sphere(x, y) + 0.002 * (1 - np.cos(2 * np.pi * x / 1.2))
+
+
+PROFILES = {"sphere": (sphere, 0.0196), "two spheres": (two_spheres, 0.011), "rippled sphere": (rippled, 0.0185)}
+SCALES = np.array([0.5, 0.7, 1.0])  # of the profile, on the same nodes: smaller is coarser
+
+
+def against_tamaas(body: HalfSpace) -> list[Row]:
+    try:
+        import tamaas
+    except ImportError:
+        note = "tamaas is not installed: pip install 'tamaas>=2.8'"
+        return [Row(GROUP, "left out", None, float("nan"), float("nan"), note=note)]
+    tamaas.set_log_level(tamaas.LogLevel.error)
+    rows = []
+    for name, (profile, depth) in PROFILES.items():
+        forces, settled = [], True
+        for scale in SCALES:
+            height = scale * profile(*body.nodes[:, :2].T / scale)
+            made = trace(body, height, press(np.array([scale * depth]), 0), 0.0, tolerance=1e-6)
+            forces.append(made.force[-1, 0, :, 2])
+            settled &= made.settled
+        total = forces[-1].sum()
+        exact_depth, line, pressure = _tamaas(tamaas, body, profile, total)
+        apart, shapes = [], []
+        for scale, force in zip(SCALES, forces, strict=True):
+            shapes.append(_on_grid(force / force.sum() / body.node_area, scale * line))
+            theirs = pressure / (scale**2 * total)
+            apart.append(np.abs(shapes[-1] - theirs).sum() / 2 * (scale * (line[1] - line[0])) ** 2)
+        order = fit_order(1 / SCALES, apart)
+        words = f"{name}: share of the force at another place"
+        rows += [
+            compare(GROUP, f"{name}: depth at the same force, mm", exact_depth, depth, 0.01, settled=settled),
+            vanishes(GROUP, words, apart[-1], 1.0, 0.05, order=order, least_order=1.0, settled=settled),
+        ]
+        for axis, ours, exact in zip("xy", _spread(shapes[-1], line), _spread(pressure, line), strict=True):
+            rows.append(
+                compare(GROUP, f"{name}: extent of the pressure along {axis}, mm", exact, ours, 0.02, settled=settled)
+            )
+    return rows
+
+
+def _tamaas(
+    tamaas: ModuleType, body: HalfSpace, profile: Callable[[np.ndarray, np.ndarray], np.ndarray], total: float
+) -> tuple[float, np.ndarray, np.ndarray]:
+    """Depth in mm (of an endless half-space), the grid's line, and the pressure (CELLS, CELLS) under a total force in N."""
+    model = tamaas.Model(tamaas.model_type.basic_2d, [PERIOD_MM, PERIOD_MM], [CELLS, CELLS])
+    model.E, model.nu = 1.0, body.poisson
+    line = np.arange(CELLS) * PERIOD_MM / CELLS - PERIOD_MM / 2
+    surface = -profile(*np.meshgrid(line, line, indexing="ij"))
+    solver = tamaas.PolonskyKeerRey(model, surface, 1e-10)
+    solver.solve(total / PERIOD_MM**2)
+    pressure, lift = np.asarray(model.traction), np.asarray(model.displacement)
+    touching = pressure > 0
+    level = np.mean((lift - surface)[touching]) - lift.mean()
+    return level + LATTICE * total / (np.pi * body.normal_modulus * PERIOD_MM), line, pressure
+
+
+def _on_grid(nodal: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Nodal values (N,) on the square of `line` (C,): with hats of the radius times hats of the angle, as a node's force is spread."""
+    x, y = np.meshgrid(line, line, indexing="ij")
+    rings = round((1 + np.sqrt((4 * len(nodal) - 1) / 3)) / 2)
+    inside = np.hypot(x, y) < (rings - 1) * SPACING_MM
+    radius, angle = np.hypot(x, y)[inside] / SPACING_MM, np.arctan2(y, x)[inside] / (2 * np.pi)
+    values = np.zeros(len(radius))
+    ring = np.floor(radius).astype(int)
+    for number, share in ((ring, 1 - radius + ring), (ring + 1, radius - ring)):
+        size = np.maximum(6 * number, 1)
+        first = np.where(number > 0, 1 + 3 * number * (number - 1), 0)
+        place = (angle % 1.0) * size
+        for step, part in ((0, 1 - place % 1), (1, place % 1)):
+            values += share * part * nodal[first + (np.floor(place).astype(int) + step) % size]
+    grid = np.zeros_like(x)
+    grid[inside] = values
+    return grid
+
+
+def _spread(pressure: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """(2,) mm: root mean square distance of the pressure (C, C) from the axis, along x and y."""
+    return np.sqrt(np.array([pressure.sum(1), pressure.sum(0)]) @ line**2 / pressure.sum())

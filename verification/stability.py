@@ -1,0 +1,215 @@
+"""Contacts and networks at their extremes, in a table: solved, refused, or given up with a report; never silently wrong.
+
+    rows = stability()
+    failed(rows)
+
+Each contact is solved as a user would (`auto`, again at a stronger level where that does not converge), and twice more, in
+float32 and in float64, to a tolerance so small that how the solver stops is no part of the difference. Networks are judged in
+`stability_networks.py`.
+"""
+
+import difflib
+import re
+import time
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import chain
+
+import numpy as np
+
+from jaxunshear.contact.level import LEVELS
+from jaxunshear.contact.skins import Contacts
+from jaxunshear.errors import UserError
+from jaxunshear.progress import Progress
+from jaxunshear.storage import Json
+from verification import stability_networks
+from verification.cases import Case, all_cases
+from verification.network_trainings import training_cases
+from verification.network_values import value_cases
+from verification.px import PinError, pin_error
+from verification.stability_networks import NetworkCase, NetworkRow
+
+PRECISION_PX = 0.05  # by which float32 and float64, or two ways to the same contact, may differ
+SILENT_PX = 1.0  # an answer that calls itself converged and is further (rms) from the tight one is wrong
+TIGHT = tuple(
+    replace(LEVELS["auto"], tolerance=tolerance, limit=3000) for tolerance in (0.005, 0.015, 0.02, 0.03)
+)  # the first at which both precisions converge
+SOLVED, RETRIED, REFUSED = "solved", "solved at a stronger level", "refused"
+UNSOLVED = "given up: not converged"  # and it says so: whoever uses contacts drops and counts it
+UNCOMPARED = "solved, with no tight solution to compare with"
+PROMISED = (SOLVED, RETRIED, REFUSED, UNSOLVED, UNCOMPARED)
+
+
+@dataclass(frozen=True)
+class Row:
+    """Of one case; NaN where nothing was measured."""
+
+    case: str
+    outcome: str
+    holds: bool  # finite, or refused by name; in float32 as in float64; and not converged only if it says so
+    finite: bool | None = None
+    converged: bool | None = None
+    residual_mm: float = np.nan
+    float_px: float = np.nan  # tight float32 against tight float64: largest of any pin
+    twin_px: float = np.nan  # tight, against the other way to the same contact: largest
+    tight_px: float = (
+        np.nan
+    )  # auto against tight float64, or the reference where that does not converge: rms over the pins
+    iterations: int = 0
+    nodes: int = 0
+    ms: float = np.nan  # of auto, once compiled
+    said: str = ""  # the complaint of what was refused
+    scene: str = ""  # Python that runs it again
+
+
+def _words_like(word: str | None, cases: Sequence[Case | NetworkCase]) -> list[str]:
+    """Words of the cases' names: those spelt like `word`, or the most frequent."""
+    words = Counter(chain.from_iterable(set(re.findall(r"[A-Za-z]\w{3,}", case.name)) for case in cases))
+    return difflib.get_close_matches(word or "", words, n=5) or [name for name, _ in words.most_common(8)]
+
+
+def stability(only: str | None = None, cases: Sequence[Case | NetworkCase] | None = None) -> list[Row | NetworkRow]:
+    """Rows of all cases, or of those whose name contains `only`. Raises `UserError` where there is none."""
+    every: Sequence[Case | NetworkCase] = [*all_cases(), *training_cases(), *value_cases()] if cases is None else cases
+    found = [case for case in every if only is None or only in case.name]
+    if not found:
+        raise UserError(f"--only '{only}': no case's name contains this; some do {', '.join(_words_like(only, every))}")
+    rows: list[Row | NetworkRow] = []
+    with Progress("stability", len(found), unit="cases") as progress:
+        for case in found:
+            rows.append(examine(case))
+            progress.advance(1)
+    return rows
+
+
+def failed(rows: Sequence[Row | NetworkRow]) -> list[Row | NetworkRow]:
+    """Those that break the promise."""
+    return [row for row in rows if not row.holds]
+
+
+def given_up(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row.outcome == UNSOLVED]
+
+
+def examine(case: Case | NetworkCase) -> Row | NetworkRow:
+    """One case, run and judged; a traceback is a judgement too, and no reason to leave the other cases out."""
+    if isinstance(case, NetworkCase):
+        return stability_networks.examine(case)
+    try:
+        return _examine(case)
+    except Exception as error:
+        return Row(case.name, "crashed", False, said=f"{type(error).__name__}: {error}", scene=case.line)
+
+
+def _examine(case: Case) -> Row:
+    try:
+        contacts = case.solve("auto", True)
+    except UserError as error:
+        return _refused(case, str(error))
+    if case.refused is not None:
+        return Row(case.name, f"not refused: {case.refused} is senseless", False, scene=case.line)
+    start = time.perf_counter()
+    case.solve("auto", True)
+    row = Row(
+        case.name,
+        SOLVED,
+        True,
+        bool(np.isfinite(contacts.pins).all()),
+        bool(contacts.converged.all()),
+        float(np.max(contacts.residual_mm)),
+        iterations=int(np.max(contacts.iterations)),
+        nodes=int(np.max(contacts.nodes)),
+        ms=1e3 * (time.perf_counter() - start),
+        scene=case.line,
+    )
+    if not row.finite or not row.converged:
+        outcome = UNSOLVED if row.finite else "not finite"
+        return replace(row, outcome=outcome, holds=outcome in PROMISED)
+    for level in TIGHT:
+        narrow, wide = (case.solve(replace(level, precision=kind), False) for kind in ("float32", "float64"))
+        if narrow.converged.all() and wide.converged.all():
+            break
+    row = replace(row, float_px=_apart(case, narrow, wide).max_px)
+    if not wide.converged.all():
+        wide = case.solve("reference", False)
+    row = replace(row, tight_px=_apart(case, contacts, wide).rms_px)
+    if case.twin is not None:
+        row = replace(row, twin_px=_apart(case, case.twin(level, False), narrow).max_px)
+    outcome = _outcome(row, bool(contacts.retried.any()), case.twin is not None)
+    return replace(row, outcome=outcome, holds=outcome in PROMISED)
+
+
+def _apart(case: Case, some: Contacts, others: Contacts) -> PinError:
+    """NaN where one of the two has not converged, and so says nothing about the other."""
+    if not (some.converged.all() and others.converged.all()):
+        return PinError(*(np.nan,) * 5)
+    return pin_error(case.sensor, some.pins, others.pins)
+
+
+def _outcome(row: Row, retried: bool, twin: bool) -> str:
+    if row.tight_px > SILENT_PX:
+        return "converged to something else"
+    if row.float_px > PRECISION_PX:
+        return "float32 is too coarse"
+    if row.twin_px > PRECISION_PX:
+        return "differs from its twin"
+    if np.isnan(row.float_px) or np.isnan(row.tight_px) or (twin and np.isnan(row.twin_px)):
+        return UNCOMPARED
+    return RETRIED if retried else SOLVED
+
+
+def _refused(case: Case, said: str) -> Row:
+    if case.refused is None:
+        return Row(case.name, "refused, though it can be solved", False, said=said, scene=case.line)
+    if case.refused not in said or "\n" in said:
+        return Row(
+            case.name, f"refused by a line that does not name '{case.refused}'", False, said=said, scene=case.line
+        )
+    return Row(case.name, REFUSED, True, said=said, scene=case.line)
+
+
+def as_dicts(rows: Sequence[Row | NetworkRow]) -> list[Json]:
+    return [asdict(row) for row in rows]
+
+
+def table(rows: Sequence[Row | NetworkRow]) -> str:
+    """For people: a line a case, then what was given up or went wrong, and how to run it again; contacts, then networks."""
+    networks = [row for row in rows if isinstance(row, NetworkRow)]
+    contacts = [row for row in rows if isinstance(row, Row)]
+    parts = [_table(contacts)] if contacts else []
+    return "\n\n".join(parts + ([stability_networks.table(networks)] if networks else []))
+
+
+def _table(rows: Sequence[Row]) -> str:
+    width = max(len(row.case) for row in rows)
+    head = f"{'case':{width}}  finite conv.  residual   f32-f64  twin     tight    iter.  nodes  ms       outcome"
+    lines = [head, *(_line(row, width) for row in rows)]
+    broken = [row for row in rows if not row.holds]
+    for title, some in (("GIVEN UP", given_up(rows)), ("FAILED", broken)):
+        for row in some:
+            lines += [
+                f"\n{title}: {row.case}: {row.outcome}",
+                f"  again: python -m verification stability --only {row.case!r}",
+                f"  scene: {row.scene}",
+            ]
+    counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)
+    widest = max((row.float_px for row in rows if not np.isnan(row.float_px)), default=0.0)
+    lines.append(f"\n{len(rows)} cases: {counted}; {len(broken)} break the promise")
+    solved = [row for row in rows if row.iterations]
+    if solved:
+        slowest, median = max(solved, key=lambda row: row.iterations), np.median([row.iterations for row in solved])
+        lines.append(f"slowest: {slowest.case}: {slowest.iterations} iterations, the median case {median:.0f}")
+    lines.append(f"float32 against float64: at most {widest:.2g} px")
+    return "\n".join(lines)
+
+
+def _line(row: Row, width: int) -> str:
+    if row.finite is None:
+        return f"{row.case:{width}}  {row.outcome}: {row.said}"
+    figures = [stability_networks.short(value) for value in (row.residual_mm, row.float_px, row.twin_px, row.tight_px)]
+    answers = ["yes" if value else "NO" for value in (row.finite, row.converged)]
+    return (
+        f"{row.case:{width}}  {answers[0]:6} {answers[1]:5}  {figures[0]:9}  {figures[1]:7}  {figures[2]:7}  {figures[3]:7}  "
+        f"{row.iterations:<5}  {row.nodes:<5}  {row.ms:<7.4g}  {row.outcome}"
+    )

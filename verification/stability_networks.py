@@ -1,0 +1,161 @@
+"""The networks at their extremes, judged: finite, or stopped by a line that names what; never silently wrong.
+
+    row = examine(case)
+
+A case computes something and hands back what it found, or raises `UserError`. It promises one outcome (or either of two), and
+whatever else happens breaks the promise: a number that is not finite, a NaN that came in and does not come out, a
+line that does not say where, a kept checkpoint that cannot be used, a traceback.
+"""
+
+import contextlib
+import io
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from jaxunshear.errors import UserError
+from jaxunshear.model.parts import leaves_of
+from jaxunshear.training import checkpoint
+
+FINITE, STOPPED, REFUSED = "finite", "stopped, and said so", "refused"
+PROMISED = (FINITE, STOPPED, REFUSED)
+SAYS_WHERE = ("not finite at step", "batch", "checkpoint")  # in the line of a training that stops
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a case measured. `arrays`: trees that must be finite. `shown`: what must hold a NaN, as one came in."""
+
+    arrays: Mapping[str, object]
+    shown: Mapping[str, object] = field(default_factory=dict)
+    error: float = np.nan  # at most `bar`, where there is one
+    bar: float = np.nan
+    wrong: str = ""  # what else does not hold
+    note: str = ""  # what holds, and is worth knowing
+    steps: int = 0
+    loss: float = np.nan  # of the last step
+    gradient: float = np.nan  # its norm there, or the largest number of it
+
+
+@dataclass(frozen=True)
+class NetworkCase:
+    """`run` works in an empty folder. `expects` is what it promises; a line must then hold all of `words`."""
+
+    name: str
+    run: Callable[[Path], Found]
+    line: str  # for people: what was run
+    expects: tuple[str, ...] = (FINITE,)
+    words: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class NetworkRow:
+    """Of one case; NaN where nothing was measured."""
+
+    case: str
+    outcome: str
+    holds: bool  # it came out as promised
+    finite: bool | None = None
+    steps: int = 0
+    loss: float = np.nan
+    gradient: float = np.nan
+    error: float = np.nan
+    bar: float = np.nan
+    kept: int | None = None  # step of the checkpoint that a stopped training left, loaded and found finite
+    seconds: float = np.nan
+    said: str = ""
+    scene: str = ""
+
+
+def examine(case: NetworkCase) -> NetworkRow:
+    """One case, run and judged; a traceback is a judgement too, and no reason to leave the other cases out."""
+    start = time.perf_counter()
+    with tempfile.TemporaryDirectory() as name:
+        row = _examine(case, Path(name))
+    return replace(row, seconds=time.perf_counter() - start)
+
+
+def _examine(case: NetworkCase, folder: Path) -> NetworkRow:
+    row = NetworkRow(case.name, "", False, scene=case.line)
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):  # a line of progress for each little training
+            found = case.run(folder)
+        return _judged(case, row, found)
+    except UserError as error:
+        return _stopped(case, replace(row, said=str(error).replace(str(folder), "FOLDER")), folder)
+    except Exception as error:
+        return replace(row, outcome="crashed", said=f"{type(error).__name__}: {error}")
+
+
+def _judged(case: NetworkCase, row: NetworkRow, found: Found) -> NetworkRow:
+    if not jax.tree.leaves(dict(found.arrays)):
+        return replace(row, outcome="nothing was measured")
+    broken = not_finite(found.arrays)
+    row = replace(row, finite=not broken, steps=found.steps, loss=found.loss, gradient=found.gradient)
+    row = replace(row, error=found.error, bar=found.bar)
+    if broken:
+        return replace(row, outcome="not finite", said=", ".join(broken[:5]))
+    hidden = [name for name, tree in found.shown.items() if not not_finite({name: tree})]
+    if hidden:
+        return replace(row, outcome="hides a NaN", said=", ".join(hidden))
+    if found.wrong:
+        return replace(row, outcome="wrong", said=found.wrong)
+    if not (np.isnan(found.bar) or found.error <= found.bar):
+        return replace(row, outcome="off by more than allowed")
+    if FINITE not in case.expects:
+        return replace(row, outcome=f"neither {' nor '.join(case.expects)}")
+    return replace(row, outcome=FINITE, holds=True, said=found.note)
+
+
+def _stopped(case: NetworkCase, row: NetworkRow, folder: Path) -> NetworkRow:
+    outcome = STOPPED if STOPPED in case.expects else REFUSED
+    if outcome not in case.expects:
+        return replace(row, outcome="stopped, though it can be computed")
+    missing = [word for word in case.words if word not in row.said]
+    if missing or "\n" in row.said:
+        return replace(row, outcome=f"stopped by a line without '{', '.join(missing)}'" if missing else "several lines")
+    kept = checkpoint.latest(folder)
+    if kept is not None:
+        try:
+            broken = not_finite(checkpoint.load_best(folder))
+        except UserError as error:
+            broken = [str(error)]
+        if broken:
+            return replace(row, outcome="left a checkpoint that cannot be used", said=", ".join(broken[:5]))
+    return replace(row, outcome=outcome, holds=True, kept=kept)
+
+
+def not_finite(tree: Mapping[str, object]) -> list[str]:
+    """Dotted names of the arrays that hold a NaN or an infinity."""
+    leaves = leaves_of(dict(tree))
+    return [name for name, leaf in leaves.items() if not np.isfinite(np.asarray(leaf, np.float64)).all()]
+
+
+def table(rows: Sequence[NetworkRow]) -> str:
+    """For people: a line a case, then what went wrong, and how to run it again."""
+    width = max(len(row.case) for row in rows)
+    lines = [f"{'case':{width}}  steps  loss     gradient  error    allowed  kept  s      outcome"]
+    for row in rows:
+        figures = [short(value) for value in (row.loss, row.gradient, row.error, row.bar)]
+        lines.append(
+            f"{row.case:{width}}  {row.steps or '':<5}  {figures[0]:7}  {figures[1]:8}  {figures[2]:7}  {figures[3]:7}  "
+            f"{'' if row.kept is None else row.kept:<4}  {row.seconds:<5.1f}  {row.outcome}"
+        )
+        if row.said:
+            lines.append(f"{'':{width}}  {row.said}")
+    for row in rows:
+        if not row.holds:
+            again = f"python -m verification stability --only {row.case!r}"
+            lines += [f"\nFAILED: {row.case}: {row.outcome}", f"  again: {again}", f"  scene: {row.scene}"]
+    counted = ", ".join(f"{sum(row.outcome == kind for row in rows)} {kind}" for kind in PROMISED)
+    lines.append(f"\n{len(rows)} cases of networks: {counted}; {sum(not row.holds for row in rows)} break the promise")
+    return "\n".join(lines)
+
+
+def short(value: float) -> str:
+    return "" if np.isnan(value) else f"{value:.2g}"
