@@ -33,19 +33,21 @@ PACKAGE = "jaxunshear"
 NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder")  # settings that decide no figure
 COMPUTING = (
     *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
-    *("sweep", "calibration", "verification", "applications", "benchmarks"),
+    *("sweep", "calibration", "verification", "benchmarks"),
+    *("doctor", "inference", "downstream", "apps"),
+    "applications",  # the name of these four at the commits of earlier results
 )
 PROGRAMS = {  # the modules that a command starts from
     "run": ("run",),
     "fit": ("run",),
     "sweep": ("sweep.run", "sweep.work"),
-    "evaluate": ("run", "evaluation.unseen", "applications.transfer"),
+    "evaluate": ("run", "evaluation.unseen", "evaluation.transfer"),
     "ablate": ("evaluation.ablation", "evaluation.leakage"),
     "validate": ("calibration.validate",),
     "calibrate": ("calibration.calibrate",),
     **{name: (f"cli.{name}",) for name in ("geometry", "servo", "reconstruct", "pins", "stream")},
-    "unshear": ("infer",),
-    "pose": ("infer",),
+    "unshear": ("inference.infer",),
+    "pose": ("inference.infer",),
     "check plan": ("verification.show_plan",),
     "check verify": ("verification.verify",),
     "check stability": ("verification.stability",),
