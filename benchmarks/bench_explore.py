@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.apps.explore.explorer import Explorer, make_explorer
+from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
 from jaxunshear.errors import UserError
-from jaxunshear.explore.explorer import Explorer, make_explorer
-from jaxunshear.explore.touch import MOST_SLIDE_MM, Touch
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.progress import Progress

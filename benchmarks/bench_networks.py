@@ -18,11 +18,11 @@ import numpy as np
 
 from benchmarks.multiplications import TARGETS, multiplications, pose_multiplications
 from benchmarks.steps import dots, step_of, variables_of
-from jaxunshear.applications.exported.parts import Part, Parts
-from jaxunshear.applications.perceiver import UNSHEARED
-from jaxunshear.applications.perception import forward_of
-from jaxunshear.applications.stream import perceive_of
+from jaxunshear.apps.export.parts import Part, Parts
+from jaxunshear.apps.robot.stream import perceive_of
 from jaxunshear.errors import UserError, first_line
+from jaxunshear.inference.perceiver import UNSHEARED
+from jaxunshear.inference.perception import forward_of
 from jaxunshear.memory import keep_freed_memory
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.model.fast import native
@@ -172,7 +172,7 @@ def _stream_sides(size: int, batch: int) -> Sides:
         return lambda: jax.device_get(run(image)) is None
 
     def exported() -> Work:
-        from jaxunshear.applications.exported.onnx_file import onnx_of, runner
+        from jaxunshear.apps.export.onnx_file import onnx_of, runner
 
         if jax.default_backend() != "cpu":
             raise RuntimeError(f"onnxruntime is timed on the CPU alone, and JAX is on {jax.default_backend()}")

@@ -11,7 +11,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from jaxunshear.applications.fresh import fresh_contacts
+from jaxunshear.dataset.fresh import fresh_contacts
 from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.pins import detect

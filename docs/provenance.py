@@ -34,20 +34,22 @@ NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder")  # settings th
 COMPUTING = frozenset(
     (
         *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
-        *("sweep", "calibration", "verification", "applications", "benchmarks"),
+        *("sweep", "calibration", "verification", "benchmarks"),
+        *("doctor", "inference", "downstream", "apps"),
+        "applications",  # the name of these four at the commits of earlier results
     )
 )
 PROGRAMS = {  # the modules that a command starts from
     "run": ("run",),
     "fit": ("run",),
     "sweep": ("sweep.run", "sweep.work"),
-    "evaluate": ("run", "evaluation.unseen", "applications.transfer"),
+    "evaluate": ("run", "evaluation.unseen", "evaluation.transfer"),
     "ablate": ("evaluation.ablation", "evaluation.leakage"),
     "validate": ("calibration.validate",),
     "calibrate": ("calibration.calibrate",),
     **{name: (f"cli.{name}",) for name in ("geometry", "servo", "reconstruct", "pins", "stream")},
-    "unshear": ("infer",),
-    "pose": ("infer",),
+    "unshear": ("inference.infer",),
+    "pose": ("inference.infer",),
 }
 TOOL_PROGRAMS = {  # the same, of `python -m`
     "verification verify": ("verification.verify",),

@@ -19,18 +19,18 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from jaxunshear.applications.geometry_scores import Felt, geometry
-from jaxunshear.applications.objects import Objects, reconstruct
-from jaxunshear.applications.perceiver import Answers, Perceiver, frame_for, perceiver
-from jaxunshear.applications.perception import BATCH, in_batches
-from jaxunshear.applications.pins import Pins, find_pins
-from jaxunshear.applications.servo import Course
-from jaxunshear.applications.suitability import learnt_note, suits_recordings
-from jaxunshear.applications.walk_scores import Followed, servo
+from jaxunshear.dataset.recorded_pins import Pins, find_pins
+from jaxunshear.downstream.geometry_scores import Felt, geometry
+from jaxunshear.downstream.objects import Objects, reconstruct
+from jaxunshear.downstream.servo import Course
+from jaxunshear.downstream.walk_scores import Followed, servo
 from jaxunshear.errors import Note, UserError
 from jaxunshear.folders import load_settings, model_folder
 from jaxunshear.image.preprocess import View, prepare_frame
 from jaxunshear.image.understood import ANY
+from jaxunshear.inference.perceiver import Answers, Perceiver, frame_for, perceiver
+from jaxunshear.inference.perception import BATCH, in_batches
+from jaxunshear.inference.suitability import learnt_note, suits_recordings
 from jaxunshear.model.parts import Tree
 from jaxunshear.model.posenet import pose_from_outputs
 from jaxunshear.model.ready import ready

@@ -40,7 +40,7 @@ def release(run_dir: Path, out: Path) -> Path:
     The disentangled network and PoseNet there must be; their rivals come along where the run has trained them.
     Raises `UserError` where the run is not finished or evaluated.
     """
-    from jaxunshear.applications.perception import trained
+    from jaxunshear.inference.perception import trained
     from jaxunshear.training.checkpoint import MODEL, holds_model, write_weights
     from jaxunshear.training.examples import FRAME
 

@@ -97,8 +97,9 @@ def absent(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """For commands that walk and reconstruct: 8 steps around the disk, and scales of few taps."""
-    from jaxunshear.applications import fresh, servo
-    from jaxunshear.applications.contour import outline
+    from jaxunshear.dataset import fresh
+    from jaxunshear.downstream import servo
+    from jaxunshear.downstream.contour import outline
     from jaxunshear.scene.stimuli import STIMULI
 
     steps = 8 * 0.5 / outline(STIMULI["disk"]).length

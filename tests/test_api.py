@@ -10,12 +10,12 @@ import pytest
 from jaxunshear import load_model
 from jaxunshear.api import Course, reconstruct
 from jaxunshear.api import servo as walk
-from jaxunshear.applications import servo
-from jaxunshear.applications.contour import outline
-from jaxunshear.applications.perceiver import UNSHEARED
+from jaxunshear.downstream import servo
+from jaxunshear.downstream.contour import outline
 from jaxunshear.errors import UserError
 from jaxunshear.image.dots import dots
 from jaxunshear.image.framing import undeformed
+from jaxunshear.inference.perceiver import UNSHEARED
 from jaxunshear.scene.stimuli import STIMULI
 from jaxunshear.settings.data import Ranges
 from jaxunshear.settings.targets import felt_of

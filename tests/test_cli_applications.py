@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear.applications import servo
-from jaxunshear.applications.geometry_ways import WAYS
+from jaxunshear.downstream import servo
+from jaxunshear.downstream.geometry_ways import WAYS
 from jaxunshear.plain import plain
 from jaxunshear.results.applications import WalkScores
 from jaxunshear.results.stored import SCHEMA, record_of
@@ -16,7 +16,7 @@ from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.networks import PoseNet, UnshearNet
-from tests.test_infer import init, trained
+from tests.inference.test_infer import init, trained
 
 
 def experiment(size):

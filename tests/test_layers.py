@@ -14,12 +14,14 @@ STEPS = (
     "contact",
     "image",
     "dataset",
+    "doctor",
     "calibration",
     "model",
     "training",
+    "inference",
     "evaluation",
-    "applications",
-    "explore",
+    "downstream",
+    "apps",
     "report",
     "sweep",
     "compare",
@@ -69,6 +71,24 @@ def test_what_no_wheel_has_can_be_left_out(user, others):
     mine = [module for module in FILES if module.split(".")[0] == user]
     assert len(mine) > 10
     assert not {(a, b) for a in mine for b in imported(a) if b.split(".")[0] in others}
+
+
+def app_of(module: str) -> str:
+    """Return the name of the app that a module belongs to, or "" for a module outside apps."""
+    parts = module.split(".")
+    return parts[2] if parts[1:2] == ["apps"] and len(parts) > 2 else ""
+
+
+def test_nothing_imports_apps():
+    """Only the command of an app, and benchmarks, import it; apps do not import each other."""
+    users = {(module, app_of(name)) for module in FILES for name in imported(module)}
+    outside = {(module, app) for module, app in users if app and app_of(module) != app}
+    commands = {
+        ("jaxunshear.cli.explore", "explore"),
+        ("jaxunshear.cli.stream", "robot"),
+        ("jaxunshear.cli.export", "export"),
+    }
+    assert {(module, app) for module, app in outside if "benchmarks" not in module} == commands
 
 
 def test_settings_import_no_jax():

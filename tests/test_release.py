@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jaxunshear import folders, infer
+from jaxunshear import folders
 from jaxunshear.errors import UserError
+from jaxunshear.inference import infer
 from jaxunshear.model import posenet, unshearnet
 from jaxunshear.release import card, release
 from jaxunshear.results.run import Results

@@ -5,12 +5,12 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
-from jaxunshear.applications.folders import results_folder
 from jaxunshear.cli import geometry, pins, reconstruct, servo, stream
 from jaxunshear.cli.options import Commands, Model, choose_exit_code
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_new_folder
 from jaxunshear.results.applications import Streamed
+from jaxunshear.results.folders import results_folder
 
 WORK: dict[str, ModuleType] = {
     "pins": pins,

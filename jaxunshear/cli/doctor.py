@@ -22,7 +22,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Runs one of COMMANDS. Returns 0, or 1 where no command can use what is there."""
     if arguments.out and arguments.path.exists():
         check_beside(arguments.path, arguments.out, "--out")
-    from jaxunshear.applications.doctor import examine, rows_of
+    from jaxunshear.doctor.doctor import examine, rows_of
     from jaxunshear.report.doctor_text import text_of
 
     diagnosis = examine(arguments.path)

@@ -24,7 +24,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if importlib.util.find_spec("nicegui") is None:
         raise UserError("the page needs the extra `explore`: pip install -c constraints.txt '.[explore]'")
     _check_port(arguments.port)
-    from jaxunshear.explore.explorer import make_explorer
+    from jaxunshear.apps.explore.explorer import make_explorer
     from jaxunshear.folders import load_settings, model_folder
     from jaxunshear.scene.stimuli import stimulus_of
 
@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     folder = model_folder(arguments.model)
     explorer = make_explorer(folder, load_settings(folder), arguments.like, own)
     explorer.warm()
-    from jaxunshear.explore.page import HOST, serve  # the extra is imported here alone
+    from jaxunshear.apps.explore.page import HOST, serve  # the extra is imported here alone
 
     print(f"http://{HOST}:{arguments.port} (Ctrl+C ends it)", flush=True)
     serve(explorer, arguments.port)

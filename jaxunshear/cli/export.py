@@ -27,7 +27,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.export import export_model
+    from jaxunshear.apps.export.export import export_model
 
     batch = None
     if arguments.batch != "any":

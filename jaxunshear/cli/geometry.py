@@ -25,9 +25,9 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScores:
-    from jaxunshear.applications.geometry_scores import geometry
-    from jaxunshear.applications.geometry_ways import INVERSE
     from jaxunshear.dataset.recordings import read_recordings
+    from jaxunshear.downstream.geometry_scores import geometry
+    from jaxunshear.downstream.geometry_ways import INVERSE
     from jaxunshear.report import geometry_figure
     from jaxunshear.settings.image import Preprocess
     from jaxunshear.storage import write_bytes
@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
     print(plain_table([plain(row) for row in felt.table.rows], columns))
     print(out / "geometry.png")
     if arguments.path is not None:
-        from jaxunshear.applications.recorded_geometry import heights_of_recordings
+        from jaxunshear.downstream.recorded_geometry import heights_of_recordings
 
         shown = heights_of_recordings(arguments.path, experiment, felt.lattice, felt.ways[INVERSE], felt.networks)
         write_bytes(out / "recordings.png", geometry_figure.of_recordings(felt.lattice, shown))

@@ -29,7 +29,7 @@ def add_parser(commands: Commands) -> None:
 def run(arguments: argparse.Namespace, out: Path, model: Model | None) -> PinRows:
     import numpy as np
 
-    from jaxunshear.applications.pins import find_pins, summary
+    from jaxunshear.dataset.recorded_pins import find_pins, summary
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.image.fitting import Layout, layout_of, read_layout
     from jaxunshear.image.lattice import Lattice

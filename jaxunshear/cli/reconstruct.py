@@ -18,8 +18,8 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> ObjectScores:
-    from jaxunshear.applications.objects import reconstruct
-    from jaxunshear.applications.servo import stored_walks
+    from jaxunshear.downstream.objects import reconstruct
+    from jaxunshear.downstream.servo import stored_walks
     from jaxunshear.report.object_figure import PICTURES, object_figure
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table

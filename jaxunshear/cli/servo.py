@@ -21,8 +21,8 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> WalkScores:
-    from jaxunshear.applications.servo import Course
-    from jaxunshear.applications.walk_scores import servo
+    from jaxunshear.downstream.servo import Course
+    from jaxunshear.downstream.walk_scores import servo
     from jaxunshear.report.walk_figure import walk_figure
     from jaxunshear.storage import write_bytes
     from jaxunshear.table import plain_table

@@ -162,8 +162,8 @@ def _finished(arguments: argparse.Namespace) -> Experiment:
 
 
 def _score(experiment: Experiment, arguments: argparse.Namespace, command: str) -> None:
-    from jaxunshear.applications.transfer import score_transfer
     from jaxunshear.evaluation.measurements import measurements
+    from jaxunshear.evaluation.transfer import score_transfer
     from jaxunshear.evaluation.unseen import score_recordings, table
     from jaxunshear.results.stored import write
 

@@ -32,10 +32,10 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
-    from jaxunshear.applications.perceiver import frame_for
-    from jaxunshear.applications.sources import frames_of, truth_of
-    from jaxunshear.applications.stream import robot_of, stream
-    from jaxunshear.applications.suitability import learnt_note
+    from jaxunshear.apps.robot.sources import frames_of, truth_of
+    from jaxunshear.apps.robot.stream import robot_of, stream
+    from jaxunshear.inference.perceiver import frame_for
+    from jaxunshear.inference.suitability import learnt_note
 
     if arguments.fps is not None and not 0 < arguments.fps <= 10_000:
         raise UserError(f"--fps {arguments.fps:g}: use more than 0, at most 10000")

@@ -33,7 +33,7 @@ def add_parsers(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear import infer
+    from jaxunshear.inference import infer
 
     if arguments.command == "unshear":
         measured = infer.unshear_recordings(

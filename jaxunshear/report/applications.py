@@ -5,13 +5,13 @@ from pathlib import Path
 
 from markupsafe import Markup, escape
 
-from jaxunshear.applications.folders import results_folder
 from jaxunshear.errors import UserError
 from jaxunshear.report import page
 from jaxunshear.report.object_figure import PICTURES
 from jaxunshear.report.page import number, spanned
 from jaxunshear.report.pictures import address_of
 from jaxunshear.report.walk_figure import WORDS
+from jaxunshear.results.folders import results_folder
 from jaxunshear.storage import Json, read_object
 
 KINDS = {"tap": "tap", "sheared": "sheared, as felt", "untouched": "untouched"} | {

@@ -2,7 +2,7 @@
 
 from matplotlib.figure import Figure
 
-from jaxunshear.applications.doctor import Diagnosis
+from jaxunshear.doctor.doctor import Diagnosis
 from jaxunshear.evenly import evenly
 from jaxunshear.style import png_of
 

@@ -1,8 +1,8 @@
 """What `jaxunshear doctor` says, in lines."""
 
-from jaxunshear.applications.doctor import Diagnosis, Part
-from jaxunshear.applications.halves import Column, Pairing
-from jaxunshear.applications.sampled import Seen
+from jaxunshear.doctor.doctor import Diagnosis, Part
+from jaxunshear.doctor.halves import Column, Pairing
+from jaxunshear.doctor.sampled import Seen
 
 MOST_LISTED = 30  # problems
 AXES = ("x", "y", "z", "Rx", "Ry", "Rz")

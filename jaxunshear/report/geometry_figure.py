@@ -3,10 +3,10 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxunshear.applications.fresh import FreshContacts
-from jaxunshear.applications.geometry import surface
-from jaxunshear.applications.geometry_scores import UNTOUCHED, Geometry, correlation
-from jaxunshear.applications.geometry_ways import AREAS, INVERSE
+from jaxunshear.dataset.fresh import FreshContacts
+from jaxunshear.downstream.geometry import surface
+from jaxunshear.downstream.geometry_scores import UNTOUCHED, Geometry, correlation
+from jaxunshear.downstream.geometry_ways import AREAS, INVERSE
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN, png_of
 

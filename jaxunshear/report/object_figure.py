@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxunshear.applications.makers import EVIDENCE, SKIN, VORONOI
-from jaxunshear.applications.objects import Solid
+from jaxunshear.downstream.makers import EVIDENCE, SKIN, VORONOI
+from jaxunshear.downstream.objects import Solid
 from jaxunshear.report.walk_figure import WORDS
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 

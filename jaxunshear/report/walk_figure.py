@@ -4,8 +4,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 
-from jaxunshear.applications.contour import Contour
-from jaxunshear.applications.servo import CLOSED, ENDS, Walks
+from jaxunshear.downstream.contour import Contour
+from jaxunshear.downstream.servo import CLOSED, ENDS, Walks
 from jaxunshear.settings.registry import REGISTRY, UNSHEARING
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 

@@ -244,7 +244,7 @@ def test_lines_that_find_no_room_end_a_stream_in_one_line(command, pins_run, sli
     def write(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("jaxunshear.applications.stream._write", write)
+    monkeypatch.setattr("jaxunshear.apps.robot.stream._write", write)
     full = command("stream", slides, "--model", pins_run, "--lines", tmp_path / "lines", "--no-images")
     assert full.code == 2 and "lines: the disk is full" in full.err.splitlines()[-1]
 

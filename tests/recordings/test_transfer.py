@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from jaxunshear import load_model
-from jaxunshear.applications import transfer
-from jaxunshear.applications.perceiver import AS_RECORDED, UNSHEARED, Perceiver, Seen, Values, between
-from jaxunshear.applications.transfer import aligned_with, score_transfer, scored
 from jaxunshear.dataset.recorded import everything
 from jaxunshear.errors import UserError
+from jaxunshear.evaluation import transfer
+from jaxunshear.evaluation.transfer import aligned_with, score_transfer, scored
 from jaxunshear.evaluation.unseen import table
 from jaxunshear.image.understood import expected_of
+from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Perceiver, Seen, Values, between
 from jaxunshear.model import pinnets, posenet
 from jaxunshear.plain import plain
 from jaxunshear.scene.pins import pin_lattice

@@ -10,10 +10,10 @@ import pytest
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from jaxunshear.applications.contour import outline
-from jaxunshear.applications.objects import Solid
-from jaxunshear.applications.reconstruct import Fused, Likeness
-from jaxunshear.applications.servo import CLOSED
+from jaxunshear.downstream.contour import outline
+from jaxunshear.downstream.objects import Solid
+from jaxunshear.downstream.reconstruct import Fused, Likeness
+from jaxunshear.downstream.servo import CLOSED
 from jaxunshear.report import page
 from jaxunshear.report.geometry_figure import of_recordings
 from jaxunshear.report.object_figure import PICTURES, object_figure

@@ -1,0 +1,161 @@
+"""The simulator and a model's networks made ready for touch after touch: inputs in, pictures and numbers out.
+
+>>> explorer = make_explorer(folder, experiment)
+>>> explorer.warm()                                    # compiles, with a bar
+>>> picture = explorer.picture(touch)                  # raises UserError where there is none
+>>> picture.poses["unsheared"]["edge_mm"], picture.poses["true"]["edge_mm"]
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.apps.explore.touch import BATCH, Touch, feel, warming_touches
+from jaxunshear.dataset.chunks import render
+from jaxunshear.dataset.preparing import Frame
+from jaxunshear.dataset.recordings import read_image
+from jaxunshear.errors import UserError
+from jaxunshear.image.framing import undeformed
+from jaxunshear.image.pins import detect
+from jaxunshear.image.png import eight_bit
+from jaxunshear.image.preprocess import View, prepare_frame
+from jaxunshear.image.understood import ANY, inverse, verdict
+from jaxunshear.inference.perceiver import AS_RECORDED, UNSHEARED, Answers, Perceiver, frame_for, perceiver
+from jaxunshear.progress import Progress
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.scene import edge_teller
+from jaxunshear.scene.stimuli import STIMULI, Stimulus
+from jaxunshear.settings.data import PairedData
+from jaxunshear.settings.experiment import Experiment, over_pins, simulated_of
+from jaxunshear.settings.sensor import Sensor
+from jaxunshear.settings.targets import SIMULATED
+
+SHEARED, TAP, TRUE = "sheared", "tap", "true"
+NO_EDGE_MM = 100.0  # a surface's edge is said to be further away than this
+
+
+class Picture(NamedTuple):
+    """What there is to see of one touch, or of one recorded image."""
+
+    images: dict[str, np.ndarray]  # by SHEARED, UNSHEARED and TAP, as far as there is one: (S, S) uint8
+    poses: dict[
+        str, dict[str, float]
+    ]  # by TRUE, SHEARED and UNSHEARED: by quantity, mm and deg; NaN where there is none
+    pins: np.ndarray  # (2, P, 2) px: untouched, and at the slide's end; none of a recorded image
+    state: np.ndarray  # (P,) of touch.FREE, STUCK, SLIPPING
+    force_n: np.ndarray  # (3,) on the sensor
+    note: str = ""  # one line: why something is missing
+
+
+@dataclass(frozen=True)
+class Explorer:
+    experiment: Experiment
+    paired: PairedData  # how frames of the simulated sensor are taken and prepared
+    perceive: Perceiver  # of simulated frames
+    recordings: Callable[[], Perceiver]  # of recorded ones; raises UserError where these cannot be read
+    own: tuple[Stimulus, ...] = ()  # shapes beside those that have a name
+
+    @property
+    def stimuli(self) -> dict[str, Stimulus]:
+        """To choose from; those of one's own come first."""
+        return {stimulus.name: stimulus for stimulus in (*self.own, *STIMULI.values())}
+
+    def warm(self) -> None:
+        """Compiles what a touch of the model's own sensor needs."""
+        touches = warming_touches(self.experiment.sensor, self.paired.friction or 0.0)
+        with Progress("prepare", len(touches) + len(self.stimuli), "touches") as bar:
+            for touch in touches:
+                self.picture(touch)
+                bar.advance()
+            for stimulus in self.stimuli.values():
+                self.picture(replace(touches[1], stimulus=stimulus))
+                bar.advance()
+
+    def picture(self, touch: Touch) -> Picture:
+        """Raises UserError where the contact cannot be simulated."""
+        felt = feel(touch)
+        number, age = np.arange(BATCH), np.zeros(BATCH)
+        seen, pins = render(self.paired, touch.sensor, felt.tips, number, age, at_once=BATCH)
+        rest = _untouched_px(touch.sensor, self.paired)
+        images, note = {SHEARED: seen[0], TAP: seen[1]}, ""
+        poses = {TRUE: _true_pose(touch, self.perceive.names)}
+        if touch.sensor != self.experiment.sensor:
+            note = verdict(seen[:1], self.perceive.expected).reason
+            note = f"the model does not know this sensor: {note or 'its pins only resemble those that it learnt from'}"
+        else:
+            # what the simulator draws is of this sensor, however far it is pressed
+            note = _add_answer(images, poses, self.perceive._replace(least=ANY).answer(seen[:1]))
+        return Picture(images, poses, np.stack([rest, pins[0]]), felt.state, felt.force_n, note)
+
+    def recorded(self, name: str, data: bytes) -> Picture:
+        """Of an image file's bytes. Raises UserError, as `unshear` does, for what is no image or not one of the model's sensor."""
+        network = self.recordings()
+        try:
+            raw = read_image(data)
+            image = prepare_frame(network.preprocess, raw, network.view or View())
+        except UserError as error:
+            raise UserError(f"{name}: {error}") from None
+        found = verdict(image[None], network.expected)
+        if not found.ok and not found.inverted:
+            raise UserError(f"{name}: {found.reason}")
+        images: dict[str, np.ndarray] = {SHEARED: inverse(image) if found.inverted else image}
+        poses: dict[str, dict[str, float]] = {}
+        note = _add_answer(images, poses, network._replace(least=ANY).answer(images[SHEARED][None]))
+        return Picture(images, poses, np.zeros((2, 0, 2)), np.zeros(0, int), np.zeros(3), note)
+
+
+def make_explorer(
+    folder: Path, experiment: Experiment, like: Path | None = None, own: tuple[Stimulus, ...] = ()
+) -> Explorer:
+    """Of the networks in a folder. `like` shows where pins stand in recordings, for networks over pins. Raises UserError."""
+    paired, _ = simulated_of(experiment, "explore")
+    pins = over_pins(experiment)
+    perceive = perceiver(folder, experiment, True, _simulated_frame(experiment.sensor, paired) if pins else None)
+
+    @lru_cache(maxsize=1)
+    def recordings() -> Perceiver:
+        return perceiver(folder, experiment, True, frame_for(like, experiment) if like else None) if pins else perceive
+
+    return Explorer(experiment, paired, perceive, recordings, own)
+
+
+def _add_answer(images: dict[str, np.ndarray], poses: dict[str, dict[str, float]], answers: Answers) -> str:
+    """Adds the networks' answer on one image to its pictures and numbers; what hinders it, in one line."""
+    if answers.doubt[0]:
+        return f"no unsheared image: {answers.doubt[0]}"
+    if answers.unsheared is not None:
+        images[UNSHEARED] = eight_bit(answers.unsheared[0])
+    for way, key in ((AS_RECORDED, SHEARED), (UNSHEARED, UNSHEARED)):
+        if way in answers.poses:
+            poses[key] = {name: float(values[0]) for name, values in answers.poses[way].items()}
+    return ""
+
+
+def _true_pose(touch: Touch, names: tuple[str, ...]) -> dict[str, float]:
+    """What a PoseNet's quantities are in truth; NaN for those of an edge where there is none."""
+    distance, angle = _edge_of(touch.stimulus)(np.array([touch.pose[:3]]))[0]
+    edge = (float(distance), float(angle)) if abs(distance) < NO_EDGE_MM else (np.nan, np.nan)
+    known = {"pose": (*touch.pose, 0.0, 0.0), "edge": edge}
+    return {name: known[field][column] for name, (field, column) in SIMULATED.items() if name in names}
+
+
+@lru_cache(maxsize=32)
+def _edge_of(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
+    return edge_teller(stimulus)
+
+
+@lru_cache(maxsize=8)
+def _untouched_px(sensor: Sensor, paired: PairedData) -> np.ndarray:
+    return undeformed(sensor, paired.camera, paired.preprocess).place
+
+
+def _simulated_frame(sensor: Sensor, paired: PairedData) -> Frame:
+    """What the simulator's frames have in common."""
+    lattice = undeformed(sensor, paired.camera, paired.preprocess)
+    image = render(paired, sensor, pin_tips(sensor)[None], np.zeros(1), np.zeros(1), at_once=1)[0][0]
+    size = paired.preprocess.size
+    return Frame(View(), lattice.place, lattice.shell, lattice.spacing, detect(image).radius, size, size)

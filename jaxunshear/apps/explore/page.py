@@ -1,0 +1,146 @@
+"""The page, by NiceGUI: where its controls and pictures stand. What they do is in `tab`."""
+
+import logging
+from pathlib import Path
+
+from nicegui import ui
+
+from jaxunshear.apps.explore.drawing import MAP_PX, PINS_PX, STRETCH
+from jaxunshear.apps.explore.explorer import Explorer
+from jaxunshear.apps.explore.tab import (
+    COLUMNS,
+    IMAGES,
+    Tab,
+    begin_outline,
+    lift,
+    on_change,
+    on_file,
+    on_map,
+    on_pose,
+    on_stimulus,
+    show,
+)
+from jaxunshear.apps.explore.touch import DEEPEST_MM, Touch
+from jaxunshear.settings.sensor import SENSORS
+
+HOST = "127.0.0.1"
+LARGEST_BYTES = 32_000_000  # of a recorded image
+STYLE = Path(__file__).with_name("page.css")
+
+
+def build(explorer: Explorer) -> None:
+    """One tab."""
+    stimulus = (*explorer.own, explorer.stimuli["disk"])[0]
+    tab = Tab(explorer, Touch(stimulus, explorer.experiment.sensor, (0.0, 0.0, 0.0, 3.0), (0.0, 0.0), 0.4))
+    ui.add_css(STYLE.read_text())
+    ui.colors(primary="#1f6feb")
+    with ui.element("div").classes("explore"):
+        with ui.element("header"):
+            ui.label("jaxunshear").classes("name")
+            ui.label("Press and slide the dome over a shape").classes("what")
+            tab.parts["time"] = ui.label("").classes("time")
+        with ui.element("section").classes("side"):
+            _map(tab)
+            _controls(tab)
+        with ui.element("section").classes("results"):
+            tab.parts["problem"] = ui.label("").classes("problem").props('role="alert"')
+            _pictures(tab)
+    ui.timer(0.05, lambda: on_change(tab, move=(0.0, 0.0)), once=True)
+
+
+def _map(tab: Tab) -> None:
+    watched = ["pointerdown", "pointermove", "pointerup", "pointercancel", "pointerleave"]
+    with ui.element("div").classes("card"):
+        tab.parts["map"] = ui.interactive_image(
+            size=(MAP_PX, MAP_PX), events=watched, on_mouse=lambda event: on_map(tab, event), sanitize=False
+        ).classes("map")
+        tab.parts["place"] = ui.label("").classes("hint")
+        with ui.element("div").classes("buttons"):
+            ui.button("Lift and tap", on_click=lambda: lift(tab)).props("outline dense no-caps")
+            ui.button("Draw an outline", on_click=lambda: begin_outline(tab)).props("outline dense no-caps")
+
+
+def _controls(tab: Tab) -> None:
+    touch = tab.touch
+    with ui.element("div").classes("card controls"):
+        tab.parts["stimulus"] = ui.select(
+            list(tab.explorer.stimuli),
+            value=touch.stimulus.name,
+            label="stimulus",
+            on_change=lambda event: on_stimulus(tab, event.value),
+        ).props("dense outlined options-dense")
+        ui.select(
+            list(SENSORS),
+            value=touch.sensor.name,
+            label="sensor",
+            on_change=lambda event: on_change(tab, sensor=SENSORS[event.value]),
+        ).props("dense outlined options-dense")
+        depth = ui.number(
+            "depth, mm", value=touch.pose[3], step=0.1, on_change=lambda event: on_pose(tab, 3, event.value)
+        )
+        depth.props("dense outlined")
+        _slider("depth", 0.1, DEEPEST_MM, 0.1).bind_value(depth, "value")
+        yaw = ui.number("yaw, deg", value=touch.pose[2], step=1, on_change=lambda event: on_pose(tab, 2, event.value))
+        yaw.props("dense outlined")
+        _slider("yaw", -180, 180, 1).bind_value(yaw, "value")
+        friction = ui.number(
+            "friction",
+            value=touch.friction,
+            step=0.05,
+            on_change=lambda event: event.value is not None and on_change(tab, friction=float(event.value)),
+        ).props("dense outlined")
+        _slider("friction", 0, 1.5, 0.05).bind_value(friction, "value")
+
+
+def _slider(name: str, low: float, high: float, step: float) -> ui.slider:
+    return ui.slider(min=low, max=high, step=step).props(f'aria-label="{name}" dense')
+
+
+def _pictures(tab: Tab) -> None:
+    with ui.element("div").classes("pictures"):
+        for name, text in IMAGES.items():
+            with ui.element("figure").classes("card"):
+                ui.label(name).classes("title")
+                tab.parts[name] = ui.interactive_image(size=(1, 1)).classes(f"pixels {name}")
+                ui.label(text).classes("hint")
+    with ui.element("div").classes("below"):
+        with ui.element("figure").classes("card"):
+            ui.label("pins and skin").classes("title")
+            tab.parts["pins"] = ui.interactive_image(size=(PINS_PX, PINS_PX), sanitize=False).classes("pins")
+            with ui.element("div").classes("legend"):
+                for kind in ("stick", "slip", "free"):
+                    ui.label(kind).classes(kind)
+            tab.parts["force"] = ui.label("").classes("hint")
+            ui.label(f"motions drawn {STRETCH:g} times as long").classes("hint")
+        with ui.element("div").classes("stack"):
+            with ui.element("div").classes("card"):
+                ui.label("pose, as it is and as it is read").classes("title")
+                heads = {"quantity": ""} | COLUMNS
+                columns = [{"name": key, "label": text, "field": key, "align": "right"} for key, text in heads.items()]
+                tab.parts["poses"] = ui.table(rows=[], columns=columns, row_key="quantity").props(
+                    "flat dense hide-bottom"
+                )
+            with ui.element("div").classes("card"):
+                ui.label("a recorded image").classes("title")
+                ui.upload(
+                    label="drop one here, or +",
+                    auto_upload=True,
+                    max_file_size=LARGEST_BYTES,
+                    on_upload=lambda event: on_file(tab, event),
+                    on_rejected=lambda: show(tab, None, f"this file is larger than {LARGEST_BYTES // 10**6} MB"),
+                ).props("flat bordered hide-upload-btn").classes("drop")
+
+
+def serve(explorer: Explorer, port: int) -> None:
+    """Until it is stopped."""
+    logging.getLogger("nicegui").setLevel(logging.ERROR)
+    ui.run(
+        lambda: build(explorer),
+        host=HOST,
+        port=port,
+        title="jaxunshear explore",
+        show=False,
+        reload=False,
+        tailwind=False,
+        show_welcome_message=False,
+    )

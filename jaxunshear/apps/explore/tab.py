@@ -1,0 +1,190 @@
+"""What one tab of the page holds, and what happens in it. All that is computed comes from `explorer`; `page` lays it out."""
+
+import asyncio
+import math
+import time
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from nicegui import events, run, ui
+
+from jaxunshear.apps.explore.drawing import data_url, map_svg, pins_svg, to_mm
+from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, Explorer, Picture
+from jaxunshear.apps.explore.outline import DRAWN, drawn
+from jaxunshear.apps.explore.touch import MOST_SLIDE_MM, Touch
+from jaxunshear.errors import UserError
+
+IMAGES = {SHEARED: "as the camera sees it", UNSHEARED: "by the networks", TAP: "without the slide"}
+COLUMNS = {TRUE: "true", SHEARED: "sheared", UNSHEARED: "unsheared"}
+Part = TypeVar("Part", bound=ui.element)
+ONE_AT_A_TIME = asyncio.Lock()  # two tabs that compute at once would make each other slow
+
+
+@dataclass
+class Tab:
+    """What one tab shows and asks for; nothing of it is shared with another."""
+
+    explorer: Explorer
+    touch: Touch
+    start: tuple[float, float] = (0.0, 0.0)  # mm: where the sensor was pressed down
+    line: list[tuple[float, float]] | None = None  # mm: an outline that is being drawn; None where none is
+    pressed: bool = False
+    wanted: Touch | None = None
+    busy: bool = False
+    parts: dict[str, ui.element] = field(default_factory=dict)
+
+    def ask(self, **changes: object) -> None:
+        """Draws the touch at once, and its pictures as soon as they are there; of several asked for meanwhile the last."""
+        self.touch = self.wanted = replace(self.touch, **changes)  # type: ignore[arg-type]
+        self.draw_map()
+
+    def part(self, name: str, kind: type[Part]) -> Part:
+        """One of `parts`, of this kind."""
+        found = self.parts[name]
+        assert isinstance(found, kind)
+        return found
+
+    def draw_map(self) -> None:
+        self.part("map", ui.interactive_image).set_content(map_svg(self.touch, self.line))
+        x, y, dx, dy = *self.start, *self.touch.move
+        self.part("place", ui.label).set_text(
+            "draw around an area with the button held"
+            if self.line is not None
+            else f"pressed at x {x:.1f}, y {y:.1f} mm; slid by {dx:.1f}, {dy:.1f} mm"
+        )
+
+
+async def compute(tab: Tab) -> None:
+    """The wanted pictures, and those wanted meanwhile."""
+    if tab.busy:
+        return
+    tab.busy = True
+    try:
+        while tab.wanted is not None:
+            touch, tab.wanted = tab.wanted, None
+            async with ONE_AT_A_TIME:
+                began = time.perf_counter()
+                try:
+                    picture = await run.io_bound(tab.explorer.picture, touch)
+                except UserError as error:
+                    show(tab, None, str(error))
+                    continue
+            if picture is not None:  # None: the server is going
+                show(tab, picture, picture.note, f"{1000 * (time.perf_counter() - began):.0f} ms")
+    finally:
+        tab.busy = False
+
+
+def show(tab: Tab, picture: Picture | None, problem: str, spent: str = "") -> None:
+    """All of a picture, or nothing beside the line that says why there is none."""
+    images = picture.images if picture else {}
+    for name in IMAGES:
+        tab.part(name, ui.interactive_image).set_source(data_url(images[name]) if name in images else "")
+    pins = force = ""
+    if picture and len(picture.state):
+        pins = pins_svg(picture.pins, picture.state, len(images[SHEARED]))
+        force = f"force {picture.force_n[2]:.2f} N down, {math.hypot(*picture.force_n[:2]):.2f} N sideways"
+    tab.part("pins", ui.interactive_image).set_content(pins)
+    tab.part("force", ui.label).set_text(force)
+    tab.part("time", ui.label).set_text(spent and f"computed in {spent}")
+    problem_line = tab.part("problem", ui.label)
+    problem_line.set_text(problem)
+    problem_line.set_visibility(bool(problem))
+    tab.part("poses", ui.table).rows = _rows(picture.poses) if picture else []
+
+
+def _rows(poses: dict[str, dict[str, float]]) -> list[dict[str, str]]:
+    names = next(iter(poses.values()), {})
+    rows = []
+    for name in names:
+        quantity, _, unit = name.rpartition("_")
+        cells = {key: poses.get(key, {}).get(name, math.nan) for key in COLUMNS}
+        texts = {key: "-" if math.isnan(value) else f"{value:.2f}" for key, value in cells.items()}
+        rows.append({"quantity": f"{quantity.replace('_', ' ')}, {unit}"} | texts)
+    return rows
+
+
+async def on_map(tab: Tab, event: events.MouseEventArguments) -> None:
+    """Pressing sets the sensor down, moving slides it; while drawing, the same gives the outline."""
+    here = to_mm(event.image_x, event.image_y)
+    if event.type == "pointerdown":
+        tab.pressed, tab.start = True, here
+    elif not tab.pressed:
+        return
+    tab.pressed = event.type in ("pointerdown", "pointermove") and bool(event.buttons)
+    if tab.line is None:
+        ends = np.subtract(here, tab.start)
+        ends = ends * min(1.0, MOST_SLIDE_MM / max(float(np.hypot(*ends)), 1e-9))
+        place(tab, (float(ends[0]), float(ends[1])))
+    else:
+        tab.line.append(here)
+        tab.draw_map()
+        if not tab.pressed:
+            finish_outline(tab)
+    await compute(tab)
+
+
+def place(tab: Tab, move: tuple[float, float]) -> None:
+    """The slide from where the sensor was pressed down."""
+    pose = (tab.start[0] + move[0], tab.start[1] + move[1], *tab.touch.pose[2:])
+    if (pose, move) != (tab.touch.pose, tab.touch.move):
+        tab.ask(pose=pose, move=move)
+
+
+def finish_outline(tab: Tab) -> None:
+    line, tab.line = tab.line or [], None
+    try:
+        stimulus = drawn(np.array(line))
+    except UserError as error:
+        tab.draw_map()
+        show(tab, None, str(error))
+        return
+    tab.start = line[0]
+    tab.ask(stimulus=stimulus, pose=(*tab.start, *tab.touch.pose[2:]), move=(0.0, 0.0))
+    tab.part("stimulus", ui.select).set_options([*tab.explorer.stimuli, DRAWN], value=DRAWN)
+
+
+async def on_stimulus(tab: Tab, name: str) -> None:
+    if name != tab.touch.stimulus.name:
+        tab.ask(stimulus=tab.explorer.stimuli[name])
+        await compute(tab)
+
+
+async def on_pose(tab: Tab, index: int, value: float | None) -> None:
+    """2: yaw, 3: depth; None while a field is empty."""
+    if value is not None and value != tab.touch.pose[index]:
+        pose = list(tab.touch.pose)
+        pose[index] = float(value)
+        tab.ask(pose=(pose[0], pose[1], pose[2], pose[3]))
+        await compute(tab)
+
+
+async def on_change(tab: Tab, **changes: object) -> None:
+    tab.ask(**changes)
+    await compute(tab)
+
+
+async def on_file(tab: Tab, event: events.UploadEventArguments) -> None:
+    data = await event.file.read()
+    name = event.file.name
+    try:
+        async with ONE_AT_A_TIME:
+            picture = await run.io_bound(tab.explorer.recorded, name, data)
+    except UserError as error:
+        show(tab, None, str(error))
+        return
+    if picture is not None:
+        show(tab, picture, picture.note)
+        tab.part("force", ui.label).set_text(f"recorded: {name}")
+
+
+def begin_outline(tab: Tab) -> None:
+    tab.line = []
+    tab.draw_map()
+
+
+async def lift(tab: Tab) -> None:
+    """A tap where the slide ended."""
+    tab.line, tab.start = None, tab.touch.pose[:2]
+    await on_change(tab, move=(0.0, 0.0))

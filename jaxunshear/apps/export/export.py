@@ -1,0 +1,155 @@
+"""A trained model as one file for a computer without JAX: ONNX, or StableHLO. It is compared with JAX before it is put in its place.
+
+>>> export_model(Path("standard"), Path("standard.onnx"))
+"""
+
+import json
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from jaxunshear import __version__
+from jaxunshear.errors import UserError
+from jaxunshear.folders import load_settings, model_folder
+from jaxunshear.inference.infer import FRAMES, OWN_FRAME
+from jaxunshear.inference.suitability import learnt_note
+from jaxunshear.owners import check_apart
+from jaxunshear.places import check_new_folder
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.storage import write_bytes
+
+if TYPE_CHECKING:
+    from jaxunshear.apps.export.frames import Camera
+    from jaxunshear.apps.export.parts import Parts
+
+ONNX, STABLEHLO = ".onnx", ".stablehlo"
+EXTRA = "pip install -c constraints.txt '.[onnx]'"
+PLATFORMS = ("cpu", "cuda")  # that a file of StableHLO runs on
+INPUTS = {
+    "image": "uint8 of 0 and 255, (batch, {px}, {px}): a frame as jaxunshear prepares it",
+    "pins": "float32 px, (batch, {count}, 2): column and row of every pin in a prepared image of {px} px, in the order of rest_px, where "
+    "they stand untouched; NaN for one that is not seen",
+    "frame": "uint8, (batch, height, width) of greys or (batch, height, width, channels) in the order red, green, blue: as the camera "
+    "gives it",
+}
+
+
+def export_model(model: Path, out: Path, batch: int | None = None, preprocess: Path | None = None) -> float:
+    """Writes `out`; `batch`: how many images it takes at once, None for any; `preprocess`: frames of a camera, which the file then takes
+    as they come. Returns the largest difference to JAX, of an output's range. Raises UserError, and then leaves nothing behind."""
+    _check(out, batch, preprocess)
+    folder = model_folder(model)
+    experiment = load_settings(folder)
+    if preprocess is not None and over_pins(experiment):
+        raise UserError(f"--preprocess: {model} reads pins, which are found outside of the file; leave it out")
+    _check_extra(out.suffix)
+    from jaxunshear.apps.export.parts import MOST, parts_of
+
+    parts = parts_of(folder, experiment)
+    if out.suffix == ONNX:
+        data, off = _onnx(parts, folder, experiment, batch, preprocess)
+    else:
+        data, off = _stablehlo(parts, batch)
+    if not off <= MOST:
+        raise UserError(
+            f"{out} would differ from JAX by {off:.1e} of an output's range, more than {MOST:g}: not written"
+        )
+    write_bytes(out, data)
+    print(f"{out}: {len(data) / 1e6:.1f} MB, differs from JAX by at most {off:.1e} of an output's range")
+    return off
+
+
+def _check(out: Path, batch: int | None, preprocess: Path | None) -> None:
+    if out.suffix not in (ONNX, STABLEHLO):
+        raise UserError(f"--out {out}: name a file that ends in {ONNX} or {STABLEHLO}")
+    if out.is_dir():
+        raise UserError(f"--out {out} is a folder: name a file")
+    check_new_folder(out.parent)
+    check_apart(out, "--out")
+    if batch is not None and not 1 <= batch <= 4096:
+        raise UserError(f"--batch {batch}: use 1 to 4096, or any")
+    if preprocess is not None and out.suffix != ONNX:
+        raise UserError(f"--preprocess: frames are prepared in files that end in {ONNX} alone; leave it out")
+
+
+def _check_extra(suffix: str) -> None:
+    try:
+        import flatbuffers  # noqa: F401 - of JAX' own files
+
+        if suffix == ONNX:
+            import onnx  # noqa: F401
+            import onnxruntime  # noqa: F401
+    except ImportError as error:
+        raise UserError(f"a file that ends in {suffix} needs {error.name}: {EXTRA}") from None
+
+
+def _onnx(
+    parts: "Parts", folder: Path, experiment: Experiment, batch: int | None, preprocess: Path | None
+) -> tuple[bytes, float]:
+    from jaxunshear.apps.export.frames import camera_of, prepared
+    from jaxunshear.apps.export.onnx_file import onnx_of, runner
+    from jaxunshear.apps.export.parts import difference, examples
+    from jaxunshear.inference.perceiver import frame_learnt
+
+    camera = None
+    if preprocess is not None:
+        learnt = frame_learnt(folder, experiment)
+        camera = camera_of(preprocess, experiment.paired.preprocess, learnt.view if learnt else None)
+    data = onnx_of(parts, batch, camera, _metadata(parts, experiment, camera))
+    run = runner(data, parts)
+    if camera is None:
+        return data, difference(parts, run, examples(parts), batch)
+    return data, difference(parts, run, camera.frames, batch, partial(prepared, camera))
+
+
+def stablehlo_of(parts: "Parts", batch: int | None) -> bytes:
+    """`parts.function_of` as `jax.export.deserialize` reads it. `batch`: None for any."""
+    import jax
+    from jax import export
+
+    from jaxunshear.apps.export.parts import function_of
+    from jaxunshear.model import kernels
+
+    many = export.symbolic_shape("batch")[0] if batch is None else batch
+    given = jax.ShapeDtypeStruct((many, *parts.shape), parts.dtype)
+    # layers that are compiled for this processor stay here; a GPU is not to round
+    with kernels.using(kernels.PLAIN), jax.default_matmul_precision("highest"):
+        return bytes(export.export(jax.jit(function_of(parts)), platforms=PLATFORMS)(given).serialize())
+
+
+def _stablehlo(parts: "Parts", batch: int | None) -> tuple[bytes, float]:
+    import jax
+    from jax import export
+
+    from jaxunshear.apps.export.parts import difference, examples
+
+    data = stablehlo_of(parts, batch)
+    run = jax.jit(export.deserialize(bytearray(data)).call)
+    return data, difference(parts, lambda each: jax.device_get(run(each)), examples(parts), batch)
+
+
+def _metadata(parts: "Parts", experiment: Experiment, camera: "Camera | None") -> dict[str, str]:
+    """What a program needs to know of a file of ONNX, and its reader of the networks."""
+    from jaxunshear.settings.targets import names_of
+
+    names = names_of(parts.targets)
+    known = {
+        "jaxunshear": __version__,
+        "size_px": str(parts.size),
+        "names": ",".join(names),
+        "units": ",".join(name.rpartition("_")[2] for name in names),
+        "pose_of": parts.way,
+        "frame_of_poses": OWN_FRAME if isinstance(experiment.paired, Recorded) else FRAMES,
+        "learnt": learnt_note(experiment),
+        "preprocess": json.dumps(asdict(experiment.paired.preprocess)),
+    }
+    if parts.rest is not None:
+        rest = json.dumps(np.round(parts.rest.astype(float), 3).tolist())
+        return known | {"input": INPUTS["pins"].format(count=len(parts.rest), px=parts.size), "rest_px": rest}
+    if camera is None:
+        return known | {"input": INPUTS["image"].format(px=parts.size)}
+    return known | {"input": INPUTS["frame"], "crop_px": ",".join(map(str, camera.box))}

@@ -1,0 +1,71 @@
+"""A model as a file of ONNX, and what onnxruntime computes of it. Needs the extra `onnx`."""
+
+import numpy as np
+import onnxruntime
+
+from jaxunshear.apps.export import frames, networks
+from jaxunshear.apps.export.frames import Camera
+from jaxunshear.apps.export.graph import BYTE, FLOAT, Graph
+from jaxunshear.apps.export.parts import Parts, Run
+from jaxunshear.inference.perceiver import UNSHEARED
+from jaxunshear.settings.targets import names_of
+from jaxunshear.storage import Json
+
+
+def onnx_of(parts: Parts, batch: int | None, camera: Camera | None, metadata: dict[str, str]) -> bytes:
+    """Input "frame" with a camera, else "image", or "pins"; outputs those of `parts.function_of`, "pose" as one array (B, K), and with a
+    camera the prepared "image". `batch`: None for any. Raises ValueError where the graph is not sound."""
+    graph, images = Graph(), parts.rest is None
+    name, shape = ("image" if images else "pins"), parts.shape
+    many: int | str = "batch" if batch is None else batch
+    if camera is not None:
+        white = frames.prepare(graph, camera, "frame")
+        graph.give("image", frames.as_bytes(graph, white), (many, *shape), BYTE)
+        name, shape = "frame", camera.frames.shape[1:]
+        seen = graph.add("Cast", white, to=FLOAT)
+    else:
+        seen = graph.add("Div", graph.add("Cast", name, to=FLOAT), np.float32(255)) if images else name
+    if images:
+        seen = graph.add("Unsqueeze", seen, np.array([1]))
+    after = seen
+    if parts.unshears is not None:
+        after = networks.unshear(graph, parts.unshears.net, parts.unshears.variables, seen)
+        flat = graph.add("Squeeze", after, np.array([1])) if images else after
+        graph.give("unsheared", flat, (many, *parts.shape))
+        if images:
+            graph.give("confidence", _confidence(graph, flat), (many,))
+    if parts.reads is not None:
+        read = after if parts.way == UNSHEARED else seen
+        outputs = networks.predict(graph, parts.reads.net, parts.reads.variables, read)
+        graph.give("pose", networks.pose(graph, parts.targets, outputs), (many, len(parts.targets)))
+    model = graph.model(name, (many, *shape), BYTE if images else FLOAT, metadata)
+    return bytes(model.SerializeToString())
+
+
+def _confidence(graph: Graph, images: str) -> str:
+    """As `perception.confidence`, (B,)."""
+    total, squares = (
+        graph.add("ReduceSum", each, np.array([1, 2]), keepdims=0)
+        for each in (images, graph.add("Mul", images, images))
+    )
+    some = graph.add("Greater", total, np.float32(0))
+    return graph.add(
+        "Where", some, graph.add("Div", squares, graph.add("Where", some, total, np.float32(1))), np.float32(0)
+    )
+
+
+def runner(model: bytes, parts: Parts) -> Run:
+    """onnxruntime on the CPU: a batch -> the outputs by name, "pose" by name of its quantities."""
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3  # errors alone
+    session = onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    given = session.get_inputs()[0].name
+    names = [output.name for output in session.get_outputs()]
+
+    def run(batch: np.ndarray) -> Json:
+        found: Json = dict(zip(names, session.run(None, {given: batch}), strict=True))
+        if "pose" in found:
+            found["pose"] = dict(zip(names_of(parts.targets), found["pose"].T, strict=True))
+        return found
+
+    return run

@@ -1,0 +1,138 @@
+"""How well the contact geometry of taps, sheared and unsheared images agrees with how far the simulator's skin was pressed in.
+
+The truth stands where a camera sees it: at the places of the tap's pins. There a geometry is read off its cubic surface, through its
+heights where the image's pins are. `growth` alone is compared pin by pin, wherever a pin has gone.
+"""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.dataset import fresh
+from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts, untouched_images
+from jaxunshear.downstream.geometry import read_at
+from jaxunshear.downstream.geometry_ways import GROWTH, Way, ways_of
+from jaxunshear.errors import UserError
+from jaxunshear.evaluation.spread import intervals
+from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.tracking import motions_of
+from jaxunshear.inference.perception import Unshear, lattice_of, unshearers, unshearing_of
+from jaxunshear.results.applications import GeometryScore, GeometryScores
+from jaxunshear.settings.experiment import Experiment, simulated_of
+from jaxunshear.storage import Json
+
+SEED = 0
+UNTOUCHED = "untouched"  # the kind of image that shows what a way makes of no contact
+
+
+class Geometry(NamedTuple):
+    """Heights of N contacts by kind of image and way, at the tap's pins; NaN rows where pins were not identified for sure."""
+
+    height_mm: dict[tuple[str, str], np.ndarray]  # (N, P)
+    ms: dict[tuple[str, str], float]  # an image, from image to heights, networks included
+
+
+@dataclass(frozen=True)
+class Felt:
+    """Contacts that no network has seen, their heights, and how well these agree with the truth."""
+
+    lattice: Lattice  # where pins stand untouched
+    contacts: FreshContacts
+    geometry: Geometry
+    ways: Mapping[str, Way]  # from pins to heights
+    networks: Mapping[str, Unshear]  # that unshear
+    table: GeometryScores
+
+
+def geometry(folder: Path, experiment: Experiment, count: int = 300) -> Felt:
+    """Contact geometry by the networks of a finished run in `folder`, of about `count` fresh contacts; scales are fitted to other taps.
+    Raises UserError."""
+    if count < 3:
+        raise UserError(f"--contacts {count}: use at least 3")
+    paired, _ = simulated_of(experiment, "geometry")
+    networks = unshearers(folder, experiment, unshearing_of(folder))
+    if not networks:
+        raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
+    lattice = lattice_of(experiment)
+    ways = ways_of(experiment, lattice, fresh_contacts(experiment, fresh.KNOWN, seed=1))
+    contacts = fresh_contacts(experiment, count)
+    found = geometry_of(lattice, contacts, untouched_images(experiment, len(contacts.stimulus)), ways, networks)
+    scales = {name: way.mm for name, way in ways.items()}
+    table = GeometryScores(_scores(paired.names, contacts, found), scales, contacts.dropped)
+    return Felt(lattice, contacts, found, ways, networks, table)
+
+
+def geometry_of(
+    lattice: Lattice,
+    contacts: FreshContacts,
+    untouched: np.ndarray,
+    ways: Mapping[str, Way],
+    networks: Mapping[str, Unshear],
+) -> Geometry:
+    """Heights of taps, sheared images, what each network makes of these, and images (N, S, S) of the sensor that touches nothing."""
+    height: dict[tuple[str, str], np.ndarray] = {}
+    ms: dict[tuple[str, str], float] = {}
+    images = {"tap": contacts.tap, "sheared": contacts.sheared, **dict.fromkeys(networks, contacts.sheared)}
+    for kind, given in (images | {UNTOUCHED: untouched}).items():
+        if kind in networks:
+            networks[kind](given[:1])  # compiles
+        began = time.perf_counter()
+        motion = networks[kind](given) if kind in networks else motions_of(lattice, given)
+        spent = time.perf_counter() - began
+        sure = np.flatnonzero(~np.isnan(motion[:, 0, 0]))
+        felt = np.full((len(ways), *motion.shape[:2]), np.nan)
+        for row, (name, way) in enumerate(ways.items()):
+            began = time.perf_counter()
+            if len(sure):
+                felt[row, sure] = way(motion[sure])
+            ms[kind, name] = 1e3 * (spent + time.perf_counter() - began) / len(given)
+        moving = np.array([name != GROWTH for name in ways])
+        for one in sure:
+            felt[moving, one] = read_at(lattice.place + motion[one], felt[moving, one].T, contacts.tap_pins[one]).T
+        height |= {(kind, name): felt[row] for row, name in enumerate(ways)}
+    return Geometry(height, ms)
+
+
+def _scores(names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> list[GeometryScore]:
+    """For each stimulus, kind and way, and for all stimuli."""
+    rows = []
+    groups = {"all": np.ones(len(contacts.stimulus), bool)}
+    groups |= {name: contacts.stimulus == index for index, name in enumerate(names)}
+    for group, inside in groups.items():
+        for (kind, way), height in geometry.height_mm.items():
+            matched = inside & ~np.isnan(height[:, 0])
+            row = GeometryScore(
+                name=f"{group}/{kind}/{way}",
+                stimulus=group,
+                kind=kind,
+                way=way,
+                contacts=int(inside.sum()),
+                unmatched=int((inside & ~matched).sum()),
+                ms_per_image=geometry.ms[kind, way],
+            )
+            if matched.any():
+                row = replace(row, **_agreement(kind, height[matched], contacts.indentation_mm[matched], matched))
+            rows.append(row)
+    return rows
+
+
+def _agreement(kind: str, height: np.ndarray, true: np.ndarray, matched: np.ndarray) -> Json:
+    """Fields of a score: of heights (M, P) mm of the `matched` ones of N contacts; the untouched sensor has no true height."""
+    each = {"correlation": correlation(height, true)}
+    if kind != UNTOUCHED:
+        each["rmse_mm"] = np.sqrt(np.mean((height - true) ** 2, axis=-1))
+    spans = intervals(each, np.flatnonzero(matched), SEED)
+    found: Json = {name: float(values.mean()) for name, values in each.items()}
+    found |= {f"{name}_interval": span for name, span in spans.items()}
+    return found | ({"largest_mm": float(np.abs(height).max())} if kind == UNTOUCHED else {})
+
+
+def correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Pearson's, row by row, (N,) of (N, P); 0 where a row is flat."""
+    a, b = (x - x.mean(axis=-1, keepdims=True) for x in (a, b))
+    scale = np.sqrt(np.sum(a**2, axis=-1) * np.sum(b**2, axis=-1))
+    return np.divide(np.sum(a * b, axis=-1), scale, out=np.zeros(len(a)), where=scale > 0)

@@ -1,0 +1,89 @@
+"""Ways from a walk's pins to the object: what each pin shows, where it is put, and what shape is made of all of it.
+
+voronoi   the paper's: the growth of the pins' cells, where the pins are, as a height map; no classifier. Cells grow most over an edge:
+          what the ridge of the map surrounds is the object
+skin      another height map: where the skin's outer face stands, by the inverse of `inverse.py` and the dome's own shape; above one level,
+          `parting_level`, lies the object
+evidence  a logistic regression determines which pins lie over the object; a band that closes is filled
+
+All take the pins near the sensor's axis. `skin` and `evidence` know the poses of 300 taps, `voronoi` nothing.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxunshear.downstream.geometry import relative_growth, smoothed
+from jaxunshear.downstream.inverse import indentation_of, learnt
+from jaxunshear.downstream.occupancy import NEAR_MM, evidence, learn
+from jaxunshear.downstream.reconstruct import Fused, filled_shape, interpolated, ridge_shape, skin_places
+from jaxunshear.image.lattice import Lattice
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.settings.sensor import Sensor
+
+VORONOI, SKIN, EVIDENCE = "voronoi", "skin", "evidence"
+
+
+class Maker(NamedTuple):
+    value: Callable[[np.ndarray], np.ndarray]  # motions (T, P, 2) px -> (T, Q); NaN rows stay
+    place: Callable[[np.ndarray], np.ndarray]  # -> (T, Q, 2) mm from the axis
+    shape: Callable[[Fused], np.ndarray]  # -> (K, K) bool
+    level: float | None  # of the value, over which the object lies; none for a ridge
+    in_mm: bool  # whether the value is a height in mm above the sensor's apex
+
+
+def makers_of(
+    sensor: Sensor, lattice: Lattice, motion: np.ndarray, indentation_mm: np.ndarray, distance: np.ndarray
+) -> dict[str, Maker]:
+    """By name; from motions (N, P, 2) px, NaN where unknown, of taps at the depth of the walk, how far the skin above each pin is pressed
+    in (N, P), and how far outside the object it lies (N, P) mm."""
+    rest = skin_places(sensor)
+    followed = ~np.isnan(motion[:, 0, 0])
+    motion, distance = motion[followed], distance[followed]
+    near = np.linalg.norm(rest, axis=-1) < NEAR_MM
+    inverse = learnt(lattice, motion, indentation_mm[followed])
+    tips = pin_tips(sensor)[:, :2]
+    px_per_mm = np.sum((lattice.place - lattice.middle) * tips) / np.sum(tips**2)
+    towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)
+    undeformed = sensor.dome_radius_mm * (1 - towards_axis)
+
+    def growth(motion: np.ndarray) -> np.ndarray:
+        found = np.full(motion.shape[:2], np.nan)
+        sure = ~np.isnan(motion[:, 0, 0])
+        if sure.any():
+            found[sure] = relative_growth(lattice, motion[sure])
+        return found
+
+    def stands(motion: np.ndarray) -> np.ndarray:
+        return undeformed + towards_axis * indentation_of(inverse, motion)[:, near]
+
+    def moved(motion: np.ndarray) -> np.ndarray:
+        return rest[near] + motion[:, near] / px_per_mm
+
+    def near_growth(motion: np.ndarray) -> np.ndarray:
+        return growth(motion)[:, near]
+
+    level = parting_level(stands(motion), distance[:, near] < 0)
+    occupancy = learn(lattice, rest, smoothed(lattice, growth(motion)), distance)
+    return {
+        VORONOI: Maker(near_growth, moved, ridge_shape, None, in_mm=False),
+        SKIN: Maker(
+            stands, moved, lambda fused: np.nan_to_num(interpolated(fused), nan=-np.inf) > level, level, in_mm=True
+        ),
+        EVIDENCE: Maker(
+            lambda motion: evidence(occupancy, smoothed(lattice, growth(motion))),
+            lambda motion: np.broadcast_to(rest[near], (len(motion), *rest[near].shape)),
+            filled_shape,
+            0.0,
+            in_mm=False,
+        ),
+    }
+
+
+def parting_level(values: np.ndarray, over: np.ndarray) -> float:
+    """The level that as large a share of the skin beside the object exceeds as of the skin `over` it falls short of."""
+    levels = np.quantile(values, np.linspace(0, 1, 1001))
+    short = np.searchsorted(np.sort(values[over]), levels) / np.sum(over)
+    beyond = 1 - np.searchsorted(np.sort(values[~over]), levels) / np.sum(~over)
+    return float(levels[np.argmin(np.abs(short - beyond))])

@@ -1,0 +1,228 @@
+"""A trained model as a laboratory uses it: prepared frames in; unsheared images and poses out, whatever its networks read.
+
+>>> perceive = perceiver(Path("runs/recorded"), experiment, recorded_too=True)
+>>> answers = perceive.answer(images)                  # (B, S, S) uint8 of {0, 255}, prepared by perceive.preprocess
+>>> answers.poses["unsheared"]["y_mm"]                 # (B,)
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from scipy.linalg import orthogonal_procrustes
+
+from jaxunshear.dataset.preparing import LIKE, Frame, frame_of_recordings, to_found, to_image
+from jaxunshear.dataset.recorded_reading import frame_from
+from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.errors import UserError
+from jaxunshear.image.dots import dots
+from jaxunshear.image.lattice import make_lattice
+from jaxunshear.image.preprocess import View
+from jaxunshear.image.tracking import followed
+from jaxunshear.image.understood import ANY, ENOUGH, Expected, expected_of, plausibility, state_doubt
+from jaxunshear.inference.perception import lattice_of, trained, unit
+from jaxunshear.memory import keep_freed_memory
+from jaxunshear.model import posenet
+from jaxunshear.model.parts import Tree, Variables
+from jaxunshear.model.ready import ready
+from jaxunshear.model.unshearing import predict, unshear
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.experiment import Experiment, over_pins
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED
+from jaxunshear.settings.targets import names_of
+from jaxunshear.storage import Json, read_object
+from jaxunshear.training.checkpoint import holds_model
+from jaxunshear.training.examples import FRAME
+
+AS_RECORDED, UNSHEARED, LEARNT = "as_recorded", "unsheared", "learnt"  # learnt: by a PoseNet that learnt from slides
+EDGE = "edge_deg"  # the target that turns with the image
+NETWORKS = (DISENTANGLED, POSENET, POSENET_SHEARED)
+
+
+Move = Callable[[np.ndarray], np.ndarray]  # of pins (B, P, 2) px
+
+
+class Seen(NamedTuple):
+    """What networks are given of a batch."""
+
+    given: np.ndarray  # images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px, NaN where one is not seen
+    sure: np.ndarray  # (B,) whether pins were identified, or none are needed
+    pins: np.ndarray | None = None  # (B, P, 2) px in the image, of networks over pins
+
+
+class Values(NamedTuple):
+    """What networks give for a batch, whether they understood it or not."""
+
+    unsheared: np.ndarray | None  # (B, S, S) in [0, 1]
+    poses: dict[str, dict[str, np.ndarray]]  # by way and target, (B,)
+    pins: dict[str, np.ndarray]  # by way, (B, P, 2) px, of networks over pins alone
+
+
+class Answers(NamedTuple):
+    """The same, all of it NaN where an image was not understood."""
+
+    unsheared: np.ndarray | None
+    poses: dict[str, dict[str, np.ndarray]]
+    pins: dict[str, np.ndarray]
+    doubt: np.ndarray  # (B,) of text: why an image was not understood; empty where it was
+
+
+class Perceiver(NamedTuple):
+    preprocess: Preprocess  # how frames are prepared for it
+    view: View | None  # crop of the frames that it learnt from; None: each folder's own
+    names: tuple[str, ...]  # of the poses that it reads
+    read: Callable[[np.ndarray], Seen]  # of images (B, S, S) uint8 of {0, 255}
+    run: Callable[[Seen], Values]
+    expected: Expected  # how its sensor appears in prepared images
+    least: float = ENOUGH  # plausibility of an image that is understood
+
+    def state_doubts(self, images: np.ndarray, seen: Seen) -> np.ndarray:
+        """Say of each image (B, S, S) why it is not understood: (B,) of text, empty where it is."""
+        likely = [1.0 if self.least == ANY else plausibility(image, self.expected) for image in images]
+        return np.array([state_doubt(*each, self.least) for each in zip(seen.sure.tolist(), likely, strict=True)])
+
+    def answer(self, images: np.ndarray) -> Answers:
+        """Answer images (B, S, S) uint8 of {0, 255}."""
+        seen = self.read(images)
+        doubts, values = self.state_doubts(images, seen), self.run(seen)
+
+        def keep_known(value: np.ndarray) -> np.ndarray:
+            return np.where((doubts == "").reshape(-1, *[1] * (value.ndim - 1)), value, np.nan)
+
+        shown: Values = jax.tree.map(keep_known, values)
+        return Answers(shown.unsheared, shown.poses, shown.pins, doubts)
+
+
+def perceiver(model: Path, experiment: Experiment, recorded_too: bool, frame: Frame | None = None) -> Perceiver:
+    """The networks in the folder of a run. Poses of images as they are are read only where `recorded_too`. `frame` says where pins stand
+    in the images that are to be read; networks over simulated pins need it. Raises UserError."""
+    keep_freed_memory()
+    wanted = [name for name in NETWORKS if holds_model(model / name)]
+    if not isinstance(experiment.paired, Recorded):
+        wanted = [name for name in wanted if name != POSENET_SHEARED]
+    if not wanted:
+        raise UserError(
+            f"{model} holds no trained network that unshears or reads poses: train one, or name another --model"
+        )
+    nets, variables, targets = trained(model, wanted)
+    names = next((names_of(targets[name]) for name in (POSENET, POSENET_SHEARED) if name in nets), ())
+    run = ready(partial(_forward, nets, targets, recorded_too), variables)
+    learnt, expected = frame_learnt(model, experiment), expected_by(model, experiment)
+    if over_pins(experiment):
+        rest = None if learnt else np.asarray(next(iter(variables.values()))["batch_stats"]["rest"])
+        frame = learnt or frame
+        if frame is None:
+            raise UserError(f"{model} reads pins of any sensor, but of contacts one by one no mean is known: {LIKE}")
+        return _of_pins(experiment, run, names, frame, rest, expected)
+
+    def read(images: np.ndarray) -> Seen:
+        return Seen(unit(images), np.ones(len(images), bool))
+
+    def run_networks(seen: Seen) -> Values:
+        after, poses = jax.device_get(run(seen.given))
+        return Values(None if after is None else after[..., 0], _in_order(poses, names), {})
+
+    return Perceiver(experiment.paired.preprocess, learnt.view if learnt else None, names, read, run_networks, expected)
+
+
+def frame_learnt(model: Path, experiment: Experiment) -> Frame | None:
+    """What the recordings that a model learnt from have in common; None where it learnt from simulated touches. Raises UserError."""
+    return frame_from(read_object(model / FRAME)) if isinstance(experiment.paired, Recorded) else None
+
+
+def frame_for(path: Path, experiment: Experiment) -> Frame | None:
+    """Where pins stand in recordings at `path`, for networks over simulated pins; None for others, which know. Raises UserError."""
+    if isinstance(experiment.paired, Recorded) or not over_pins(experiment):
+        return None
+    preprocess = experiment.paired.preprocess
+    return frame_of_recordings(read_recordings(path, preprocess), preprocess, experiment.sensor)
+
+
+def expected_by(model: Path, experiment: Experiment) -> Expected:
+    """How the sensor of a model appears in the images that are prepared for it: recorded, or as the simulator draws it."""
+    if frame := frame_learnt(model, experiment):
+        return expected_of(frame.place, frame.size)
+    return expected_of(lattice_of(experiment).place, experiment.paired.preprocess.size)
+
+
+Answered = tuple[Array | None, dict[str, dict[str, Array]]]
+
+
+def _forward(nets: Json, targets: Json, recorded_too: bool, variables: Variables, seen: Array) -> Answered:
+    """Of images (B, S, S, 1) in [0, 1], or pins (B, P, 2) px: unsheared ones, or None, and poses by way."""
+
+    def pose(name: str, given: Array) -> dict[str, Array]:
+        return posenet.pose_from_outputs(predict(nets[name], variables[name], given), targets[name])
+
+    after = unshear(nets[DISENTANGLED], variables[DISENTANGLED], seen) if DISENTANGLED in nets else None
+    poses = {}
+    if POSENET in nets and (recorded_too or after is None):
+        poses[AS_RECORDED] = pose(POSENET, seen)
+    if POSENET in nets and after is not None:
+        poses[UNSHEARED] = pose(POSENET, after)
+    if POSENET_SHEARED in nets:
+        poses[LEARNT] = pose(POSENET_SHEARED, seen)
+    return after, poses
+
+
+def _in_order(poses: dict[str, dict[str, np.ndarray]], names: tuple[str, ...]) -> dict[str, dict[str, np.ndarray]]:
+    """In the order of the targets, which a compiled program forgets."""
+    return {way: {name: pose[name] for name in names} for way, pose in poses.items()}
+
+
+def _of_pins(
+    experiment: Experiment,
+    run: Callable[..., Tree],
+    names: tuple[str, ...],
+    frame: Frame,
+    rest: np.ndarray | None,
+    expected: Expected,
+) -> Perceiver:
+    """Pins are found and followed first; what comes out is drawn as dots. `rest` (P, 2) px are the places of pins that the networks know,
+    where these are not the frame's."""
+    lattice = make_lattice(to_found(frame, frame.place), frame.shell)
+    there, back, degrees = between(frame.place, frame.place if rest is None else rest)
+
+    def read(images: np.ndarray) -> Seen:
+        motion, sure = followed(lattice, images, alone=True)
+        pins = to_image(frame, lattice.place + motion)
+        return Seen(there(pins).astype(np.float32), sure, pins)
+
+    def run_networks(seen: Seen) -> Values:
+        assert seen.pins is not None
+        after, poses = jax.device_get(run(seen.given))
+        places, drawn = {AS_RECORDED: seen.pins}, None
+        if after is not None:
+            places[UNSHEARED] = back(after)
+            drawn = np.asarray(dots(jnp.asarray(places[UNSHEARED]), frame.radius_px, frame.size))[..., 0]
+        for pose in poses.values():
+            if EDGE in pose:
+                pose[EDGE] = 180 - (180 - pose[EDGE] - degrees) % 360
+        return Values(drawn, _in_order(poses, names), places)
+
+    preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)
+    return Perceiver(preprocess, frame.view, names, read, run_networks, expected)
+
+
+def between(here: np.ndarray, known: np.ndarray) -> tuple[Move, Move, float]:
+    """From pins (B, P, 2) px that stand at `here` (P, 2) to those that stand at `known`, back again, and by how many degrees the former
+    are turned against the latter: pins' motions are turned and scaled as the two lattices are."""
+    centred, target = here - here.mean(axis=0), known - known.mean(axis=0)
+    turn, scale = orthogonal_procrustes(centred, target)
+    scale = scale / np.square(centred).sum()
+    degrees = float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0])))
+
+    def there(pins: np.ndarray) -> np.ndarray:
+        return known + scale * (pins - here) @ turn
+
+    def back(pins: np.ndarray) -> np.ndarray:
+        return here + (pins - known) @ turn.T / scale
+
+    return there, back, degrees

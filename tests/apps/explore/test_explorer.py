@@ -1,0 +1,153 @@
+"""What a touch shows, without a browser: one small contact, compiled once."""
+
+import io
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.apps.explore.drawing import HALF_MM, MAP_PX, map_svg, pins_svg, to_mm, to_px
+from jaxunshear.apps.explore.explorer import SHEARED, TAP, TRUE, UNSHEARED, make_explorer
+from jaxunshear.apps.explore.touch import (
+    DEEPEST_MM,
+    FREE,
+    LEVEL,
+    SLIPPING,
+    STUCK,
+    Touch,
+    feel,
+    skin_state,
+    warming_touches,
+)
+from jaxunshear.errors import UserError
+from jaxunshear.folders import RELEASED, load_settings
+from jaxunshear.scene.stimuli import STIMULI, stimulus_of
+from jaxunshear.settings.reach import deepest_mm
+from jaxunshear.settings.sensor import SENSORS
+from jaxunshear.settings.stimuli import Outline
+
+FOLDER = RELEASED / "standard"
+
+
+@pytest.fixture(scope="module")
+def explorer():
+    return make_explorer(FOLDER, load_settings(FOLDER))
+
+
+@pytest.fixture(scope="module")
+def touch(explorer):
+    return Touch(STIMULI["disk"], explorer.experiment.sensor, (0.5, 1.0, 20.0, 1.2), (2.0, 0.0), 0.4)
+
+
+@pytest.fixture(scope="module")
+def picture(explorer, touch):
+    return explorer.picture(touch)
+
+
+def test_shapes_of_ones_own_are_chosen_like_the_others(explorer):
+    own = stimulus_of(Outline("kite", ((0, -15), (12, 0), (0, 25), (-12, 0))))
+    assert list(replace(explorer, own=(own,)).stimuli.values()) == [own, *STIMULI.values()]
+    assert list(explorer.stimuli) == list(STIMULI)
+
+
+def test_a_picture_holds_both_kinds_of_image_and_what_is_read_of_them(explorer, picture):
+    size = explorer.paired.preprocess.size
+    assert {name: image.shape for name, image in picture.images.items()} == dict.fromkeys(
+        (SHEARED, TAP, UNSHEARED), (size, size)
+    )
+    assert not np.array_equal(picture.images[SHEARED], picture.images[TAP])
+    apart = {n: np.abs(picture.images[n].astype(int) - picture.images[TAP]).mean() for n in (SHEARED, UNSHEARED)}
+    assert apart[UNSHEARED] < apart[SHEARED]
+    assert not picture.note
+    assert set(picture.poses) == {TRUE, SHEARED, UNSHEARED}
+    assert picture.poses[TRUE]["x_mm"] == 0.5 and picture.poses[TRUE]["yaw_deg"] == 20
+    far = 50 - np.hypot(50.5, 1.0)  # the disk's middle is 50 mm from its target point
+    assert picture.poses[TRUE]["edge_mm"] == pytest.approx(-far, abs=1e-3)
+
+
+def test_the_same_touch_gives_the_same_bits(explorer, touch, picture):
+    again = explorer.picture(touch)
+    assert all(np.array_equal(again.images[name], image) for name, image in picture.images.items())
+    assert again.poses == picture.poses
+
+
+def test_a_slide_drags_the_skin_behind_it(touch, picture):
+    slide, tap = feel(touch).tips
+    assert np.linalg.norm(slide - tap, axis=-1).max() > 0.1
+    np.testing.assert_array_less(picture.force_n @ [1, 0, 0], 0)  # friction holds the sensor back, yawed by 20 deg
+    assert set(picture.state) == {FREE, SLIPPING} or set(picture.state) == {FREE, STUCK, SLIPPING}
+
+
+def test_skin_slips_where_friction_is_used_up():
+    sensor = SENSORS["tactip331-fitted"]
+    force = np.zeros((1387, 3))
+    force[0] = [0.2, 0, 1]
+    assert skin_state(sensor, force, 0.4)[0] == STUCK
+    assert skin_state(sensor, force, 0.2)[0] == SLIPPING
+    assert (skin_state(sensor, force, 0.4)[1:] == FREE).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"pose": (0.0, 0.0, 0.0, 12.0)}, "depth 12 mm cannot be reached"),
+        ({"friction": -1.0}, "friction -1"),
+        ({"pose": (np.nan, 0.0, 0.0, 2.0)}, "not finite"),
+    ],
+)
+def test_what_cannot_be_is_refused(explorer, touch, changes, reason):
+    with pytest.raises(UserError, match=reason):
+        explorer.picture(replace(touch, **changes))
+
+
+@pytest.mark.long
+def test_a_contact_that_does_not_converge_gives_no_picture(touch):
+    with pytest.raises(UserError, match="did not converge"):
+        feel(touch, replace(LEVEL, limit=5, tolerance=1e-6))
+
+
+def png_of(image):
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "png")
+    return buffer.getvalue()
+
+
+def test_a_recorded_image_is_read_as_unshear_reads_it(explorer, picture):
+    seen = explorer.recorded("slide.png", png_of(picture.images[SHEARED]))
+    assert np.array_equal(seen.images[UNSHEARED], picture.images[UNSHEARED])
+    assert TRUE not in seen.poses and seen.poses[UNSHEARED] == picture.poses[UNSHEARED]
+
+
+def test_a_file_that_is_none_of_the_sensor_s_images_is_refused(explorer):
+    noise = np.random.default_rng(0).integers(0, 256, (200, 200), np.uint8)
+    for name, data, reason in (
+        ("a.txt", b"words", "a.txt: no readable image"),
+        ("n.png", png_of(noise), "n.png: "),
+        ("flat.png", png_of(np.full((64, 64), 9, np.uint8)), "flat.png: "),
+    ):
+        with pytest.raises(UserError, match=reason) as refused:
+            explorer.recorded(name, data)
+        assert "\n" not in str(refused.value)
+
+
+def test_places_go_there_and_back(touch, picture):
+    assert to_mm(MAP_PX / 2, 0) == (0, HALF_MM)
+    np.testing.assert_allclose(to_px(np.array(to_mm(100, 500))), [100, 500])
+    assert map_svg(touch).count("<circle") == 6
+    assert map_svg(touch, [(0.0, 0.0), (1.0, 1.0)]).count("<circle") == 0
+    assert pins_svg(picture.pins, picture.state, 128).count("<circle") == 1 + len(picture.state)
+
+
+@pytest.mark.long
+def test_what_is_made_ready_reaches_as_deep_as_the_page():
+    sensor = SENSORS["tactip331-fitted"]
+    touches = warming_touches(sensor, 0.4)
+    assert 10 < len(touches) < 20 and touches[-1].pose[3] == DEEPEST_MM < deepest_mm(sensor)
+
+
+@pytest.mark.long
+def test_pins_need_a_folder_for_recorded_images():
+    skin = RELEASED / "skin"
+    with pytest.raises(UserError, match="--like"):
+        make_explorer(skin, load_settings(skin)).recorded("a.png", b"")

@@ -1,0 +1,324 @@
+"""Models as files for a computer without JAX: they compute what JAX computes, say what they are, and are refused where they do not."""
+
+# ruff: noqa: E402 - what needs the extra is imported once it is known to be there
+
+import ast
+import dataclasses
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+pytest.importorskip("onnx", reason="the extra `onnx` is not installed")
+onnxruntime = pytest.importorskip("onnxruntime", reason="the extra `onnx` is not installed")
+
+from jaxunshear import load_model
+from jaxunshear.apps.export.export import stablehlo_of
+from jaxunshear.apps.export.frames import camera_of, prepared
+from jaxunshear.apps.export.onnx_file import onnx_of, runner
+from jaxunshear.apps.export.parts import MOST, Part, Parts, difference, examples
+from jaxunshear.cli import main
+from jaxunshear.dataset.recordings import read_image
+from jaxunshear.folders import RELEASED
+from jaxunshear.image.preprocess import View, prepare_frame
+from jaxunshear.inference.perception import load_forward
+from jaxunshear.model import pinnets, posenet, unshearnet
+from jaxunshear.model.pin_grid import grid_of
+from jaxunshear.settings import targets
+from jaxunshear.settings.data import PairedData, PoseData, Ranges
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.networks import PinPoseNet, PinUnshear, PoseNet, UnshearNet
+from jaxunshear.settings.stored import to_json
+from jaxunshear.storage import write_json
+from jaxunshear.training import checkpoint
+
+ROOT = Path(__file__).resolve().parents[3]
+SIZE = 32
+NET = UnshearNet(size=SIZE, widths=(4, 6, 8), pose_channels=5, shear_channels=3)
+POSENET = PoseNet(size=SIZE, widths=(4, 5, 6, 7, 8), hidden=9)
+PINS = {"hidden": 16, "layers": 2, "pose_code": 5, "shear_code": 2}
+REST = np.random.default_rng(0).uniform(5, 25, (19, 2)).astype(np.float32)
+TARGETS = targets.of_ranges((), Ranges())
+EXPERIMENT = Experiment(
+    "small",
+    "A claim.",
+    unshear=NET,
+    posenet=POSENET,
+    paired=PairedData(preprocess=Preprocess(size=SIZE)),
+    pose=PoseData(preprocess=Preprocess(size=SIZE)),
+)
+
+
+def drawn(init):
+    """Variables of the shapes that `init` makes, as if trained: no two layers, and no two of their statistics, are alike."""
+    random = np.random.default_rng(1)
+
+    def draw(path, leaf):
+        near = {"scale": 1.0, "var": 1.0}.get(path[-1].key, 0.0)
+        spread = 1.5 / np.sqrt(np.prod(leaf.shape[:-1])) if len(leaf.shape) > 1 else 0.2
+        return np.asarray(near + spread * random.uniform(-1.7, 1.7, leaf.shape), np.float32)
+
+    return jax.tree_util.tree_map_with_path(draw, jax.eval_shape(lambda: init(jax.random.key(0))))
+
+
+def drawn_of_pins(net, outputs=0):
+    variables = drawn(lambda key: pinnets.init(net, REST, 1.5, key, outputs))
+    grid = {"grid": grid_of(REST)} if "grid" in variables["batch_stats"] else {}
+    return variables | {"batch_stats": {"rest": REST, "spread": np.float32(1.5)} | grid}
+
+
+def images(net=NET):
+    unshears = Part(net, drawn(lambda key: unshearnet.init(net, key)))
+    reads = Part(POSENET, drawn(lambda key: posenet.init(POSENET, posenet.outputs_of(TARGETS), key)))
+    return Parts(unshears, reads, TARGETS, "unsheared", None, SIZE)
+
+
+def pins(turned=0.0, convolved=(), read_by=()):
+    net = PinUnshear(**PINS, convolved=convolved)
+    reader = PinPoseNet(**PINS, turned=turned, convolved=read_by)
+    reads = Part(reader, drawn_of_pins(reader, posenet.outputs_of(TARGETS)))
+    return Parts(Part(net, drawn_of_pins(net)), reads, TARGETS, "unsheared", REST, SIZE)
+
+
+CASES = {
+    "images": images,
+    "entangled": lambda: images(dataclasses.replace(NET, disentangled=False)),
+    "no reader": lambda: images()._replace(reads=None, targets=(), way=""),
+    "reader alone": lambda: images()._replace(unshears=None, way="as_recorded"),
+    "reader of slides": lambda: images()._replace(way="learnt"),
+    "pins": pins,
+    "pins, turned": lambda: pins(0.5),
+    "pins, convolved": lambda: pins(convolved=(4, 6, 5)),
+    "pins, reader convolved": lambda: pins(read_by=(4, 6)),
+}
+
+
+@pytest.mark.parametrize(("case", "batch"), [*((case, 3) for case in CASES), ("images", None), ("pins", None)])
+def test_onnxruntime_computes_what_jax_does(case, batch):
+    parts = CASES[case]()
+    run = runner(onnx_of(parts, batch, None, {}), parts)
+    assert difference(parts, run, examples(parts), batch) < 2e-5
+    poses = run(examples(parts)[:3]).get("pose", {})
+    assert all(np.ptp(pose) > 1e-3 for pose in poses.values())  # networks that saw nothing would agree, too
+
+
+def test_another_network_differs():
+    parts = pins()
+    other = jax.tree.map(np.copy, parts.reads.variables)
+    other["params"]["Dense_0"]["bias"] += 0.05
+    run = runner(onnx_of(parts._replace(reads=Part(parts.reads.net, other)), None, None, {}), parts)
+    assert difference(parts, run, examples(parts), None) > MOST
+
+
+def test_a_full_circle_has_no_seam():
+    """All quadrants and axes, against arctan2."""
+    from jaxunshear.apps.export import networks
+    from jaxunshear.apps.export.graph import FLOAT, Graph
+
+    angle = np.deg2rad(np.arange(-180, 181, 15, dtype=np.float64))
+    outputs = np.float32((np.stack([np.cos(angle), np.sin(angle)], -1) * 0.7 + 1) / 2)
+    graph, circle = Graph(), (targets.Target("edge_deg", "edge", 1, circle=True),)
+    graph.give("pose", networks.pose(graph, circle, "outputs"), ("batch", 1))
+    session = onnxruntime.InferenceSession(graph.model("outputs", ("batch", 2), FLOAT, {}).SerializeToString())
+    off = session.run(None, {"outputs": outputs})[0][:, 0] - np.rad2deg(angle)
+    np.testing.assert_allclose((off + 180) % 360 - 180, 0, atol=1e-4)
+
+
+def frames_in(folder, kind):
+    """Six frames of a camera, dark with light pins in a light surround."""
+    random = np.random.default_rng(0)
+    rows, columns = np.mgrid[:90, :110]
+    folder.mkdir()
+    for number in range(6):
+        push = random.normal(0, 1, 2)
+        pinned = (np.sin((rows - push[0]) / 2) > 0.3) & (np.sin((columns - push[1]) / 2) > 0.3)
+        disc = np.hypot(rows - 46, columns - 62) < 44
+        grey = np.where(disc, 0.15 + 0.6 * pinned, 0.75) + random.normal(0, 0.02, rows.shape)
+        if kind == "binary":
+            grey = (disc & pinned).astype(float)
+        bytes_ = np.uint8(np.clip(255 * grey, 0, 255))
+        if kind == "colour":
+            bytes_ = np.stack([bytes_, np.uint8(0.8 * bytes_), np.uint8(0.5 * bytes_)], -1)
+        Image.fromarray(bytes_).save(folder / f"{number}.png")
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["grey", "colour", "binary"])
+@pytest.mark.parametrize("box", [None, (-4, 20, 80, 104)], ids=["found", "over the border"])
+def test_frames_are_prepared_in_the_file(tmp_path, kind, box):
+    folder = frames_in(tmp_path / "frames", kind)
+    camera = camera_of(folder, Preprocess(size=SIZE), None if box is None else View(box))
+    parts = images()
+    run = runner(onnx_of(parts, None, camera, {}), parts)
+    frames = np.stack([read_image(file) for file in sorted(folder.glob("*.png"))])
+    expected = np.stack([prepare_frame(camera.preprocess, frame, View(camera.box)) for frame in frames])
+    assert 0.05 < np.mean(expected > 0) < 0.8
+    np.testing.assert_array_equal(run(frames)["image"], expected)
+
+
+def test_frames_prepared_otherwise_differ(tmp_path):
+    camera, parts = camera_of(frames_in(tmp_path / "frames", "grey"), Preprocess(size=SIZE), None), images()
+    run = runner(onnx_of(parts, None, camera, {}), parts)
+    assert difference(parts, run, camera.frames, None, lambda each: prepared(camera, each)) < 2e-5
+    assert difference(parts, run, camera.frames, None, lambda each: 255 - prepared(camera, each)) > 0.5
+
+
+@pytest.fixture(scope="module")
+def run_dir(tmp_path_factory):
+    folder, parts = tmp_path_factory.mktemp("runs") / "small", images()
+    for name, kind, part in (("disentangled", "unshear", parts.unshears), ("posenet", "posenet", parts.reads)):
+        settings = {"kind": kind, "net": dataclasses.asdict(part.net), "targets": targets.to_json(TARGETS)}
+        checkpoint.write_settings(folder / name, settings)
+        checkpoint.write_weights(folder / name, part.variables)
+    write_json(folder / "experiment.json", to_json(EXPERIMENT))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def model(run_dir):
+    return load_model(run_dir, force=True)
+
+
+def test_stablehlo_is_read_by_jax_alone(run_dir, model, tmp_path, capsys):
+    from jax import export
+
+    out = tmp_path / "touch.stablehlo"
+    assert main(["export", str(run_dir), "--out", str(out)]) == 0
+    assert "differs from JAX by at most" in capsys.readouterr().out
+    exported = export.deserialize(bytearray(out.read_bytes()))
+    assert exported.platforms == ("cpu", "cuda") and str(exported.in_avals[0].shape[0]) == "batch"
+    seen = examples(images())[:2]
+    found, expected = exported.call(seen), model.pose(seen)["unsheared"]
+    assert found["pose"].keys() == expected.keys()
+    for name, values in expected.items():
+        np.testing.assert_allclose(found["pose"][name], values, atol=1e-2)
+
+
+def test_stablehlo_of_one_batch(tmp_path):
+    from jax import export
+
+    exported = export.deserialize(bytearray(stablehlo_of(pins(), 3)))
+    assert exported.in_avals[0].shape == (3, *REST.shape)
+    products = [line for line in exported.mlir_module().splitlines() if "stablehlo.dot_general" in line]
+    assert products and all("HIGHEST" in line for line in products)  # a GPU would round
+    assert difference(pins(), lambda each: jax.device_get(exported.call(each)), examples(pins()), 3) < 2e-5
+
+
+def test_a_file_says_what_it_is_and_reads_what_the_model_reads(run_dir, model, tmp_path):
+    out = tmp_path / "new" / "touch.onnx"
+    assert main(["export", str(run_dir), "--out", str(out), "--batch", "2"]) == 0
+    session = onnxruntime.InferenceSession(out)
+    known = session.get_modelmeta().custom_metadata_map
+    assert known["size_px"] == "32" and known["pose_of"] == "unsheared" and "simulated" in known["learnt"]
+    names, units = known["names"].split(","), known["units"].split(",")
+    assert units == [name.rpartition("_")[2] for name in names] and set(units) == {"mm", "deg"}
+    assert session.get_inputs()[0].shape == [2, 32, 32] and known["jaxunshear"]
+    seen = examples(images())[:2]
+    after, sure, pose = session.run(["unsheared", "confidence", "pose"], {"image": seen})
+    expected = model.pose(seen)["unsheared"]
+    assert expected.keys() == set(names)
+    np.testing.assert_allclose(pose.T, [expected[name] for name in names], atol=1e-2)
+    np.testing.assert_allclose(after, model.unshear(seen), atol=1e-4)
+    np.testing.assert_allclose(sure, (after**2).sum((1, 2)) / after.sum((1, 2)), rtol=1e-4)
+
+
+def test_skin_takes_pins(tmp_path):
+    out = tmp_path / "skin.onnx"
+    assert main(["export", "skin", "--out", str(out)]) == 0
+    session = onnxruntime.InferenceSession(out)
+    known = session.get_modelmeta().custom_metadata_map
+    assert session.get_inputs()[0].shape == ["batch", 331, 2] and "331" in known["input"]
+    pins = (json.loads(known["rest_px"]) + np.random.default_rng(0).normal(0, 1, (3, 331, 2))).astype(np.float32)
+    pins[0, :9] = np.nan
+    forward, variables, learnt = load_forward(RELEASED / "skin", "disentangled")
+    after, pose = jax.jit(forward)(variables, pins)
+    found = session.run(["unsheared", "pose"], {"pins": pins})
+    np.testing.assert_allclose(found[0], after, atol=1e-3)
+    np.testing.assert_allclose(found[1].T, [pose[target.name] for target in learnt], atol=1e-3)
+
+
+def test_what_differs_is_refused_and_leaves_nothing(run_dir, tmp_path, capsys):
+    out = tmp_path / "touch.onnx"
+    out.write_bytes(b"an earlier one")
+    variables = jax.tree.map(np.copy, images().unshears.variables)
+    variables["params"]["pose"]["kernel"][0] = np.nan
+    shutil.copytree(run_dir, tmp_path / "spoilt")
+    checkpoint.write_weights(tmp_path / "spoilt" / "disentangled", variables)
+    assert main(["export", str(tmp_path / "spoilt"), "--out", str(out)]) == 2
+    assert "would differ from JAX by nan" in capsys.readouterr().err
+    assert out.read_bytes() == b"an earlier one" and not list(tmp_path.glob("*.part"))
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["standard", "--out", "a.pb"], "--out a.pb: name a file that ends in .onnx or .stablehlo"),
+        (["standard", "--out", "a.onnx", "--batch", "few"], "--batch few: use a number, or any"),
+        (["standard", "--out", "a.onnx", "--batch", "0"], "--batch 0: use 1 to 4096"),
+        (["nothing", "--out", "a.onnx"], "nothing holds no experiment.json"),
+        (["standard", "--out", "a.stablehlo", "--preprocess", "x"], "in files that end in .onnx alone"),
+        (["standard", "--out", "a.onnx", "--preprocess", "x"], "x does not exist"),
+        (["skin", "--out", "a.onnx", "--preprocess", "x"], "skin reads pins, which are found outside of the file"),
+        (["standard", "--out", str(RELEASED / "standard" / "a.onnx")], "which is a run or weights"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(words, complaint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", *words]) == 2
+    assert complaint in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_extra_is_named(tmp_path, absent, capsys):
+    absent("onnxruntime")
+    assert main(["export", "standard", "--out", str(tmp_path / "a.onnx")]) == 2
+    assert "'.[onnx]'" in capsys.readouterr().err
+
+
+def test_a_robot_s_program_in_python(run_dir, tmp_path):
+    program = ROOT / "examples" / "robot.py"
+    imported = {n.name for node in ast.walk(ast.parse(program.read_text())) for n in getattr(node, "names", [])}
+    assert imported == {"json", "sys", "time", "numpy", "onnxruntime"}
+    folder = frames_in(tmp_path / "frames", "colour")
+    out = tmp_path / "touch.onnx"
+    assert main(["export", str(run_dir), "--out", str(out), "--preprocess", str(folder)]) == 0
+    frames = np.stack([read_image(file) for file in sorted(folder.glob("*.png"))])
+    np.save(tmp_path / "frames.npy", frames)
+    ran = subprocess.run(
+        [sys.executable, program, out, tmp_path / "frames.npy"], capture_output=True, text=True, check=True, timeout=120
+    )
+    lines = [json.loads(line) for line in ran.stdout.splitlines()]
+    (pose,) = onnxruntime.InferenceSession(out).run(["pose"], {"frame": frames})
+    assert [list(line["pose"]) for line in lines] == 6 * [[target.name for target in TARGETS]]
+    np.testing.assert_allclose([list(line["pose"].values()) for line in lines], pose, atol=1e-3)
+
+
+def test_a_robot_s_program_in_c(run_dir, tmp_path):
+    compiler = shutil.which("g++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("there is no C++ compiler")
+    command = [compiler, "-std=c++17", "-Wall", "-Wextra", "-Werror", "-x", "c++"]
+    (tmp_path / "headers.cpp").write_text("#include <onnxruntime_cxx_api.h>\n")
+    if subprocess.run([*command, "-fsyntax-only", tmp_path / "headers.cpp"], capture_output=True).returncode:
+        pytest.skip("ONNX Runtime's C++ headers are not installed: name their folder in CPLUS_INCLUDE_PATH")
+    (library,) = (Path(onnxruntime.__file__).parent / "capi").glob("libonnxruntime.so.*")  # Python's own
+    for name in ("libonnxruntime.so", "libonnxruntime.so.1"):
+        (tmp_path / name).symlink_to(library)
+    linked = ["-L", tmp_path, "-lonnxruntime", f"-Wl,-rpath,{tmp_path}", "-o", tmp_path / "robot"]
+    subprocess.run([*command, ROOT / "examples" / "robot.cpp", *linked], check=True)
+    out = tmp_path / "touch.onnx"
+    assert main(["export", str(run_dir), "--out", str(out), "--batch", "1"]) == 0
+    images = 255 * np.random.default_rng(0).integers(0, 2, (3, SIZE, SIZE), np.uint8)
+    ran = subprocess.run([tmp_path / "robot", out], input=images.tobytes(), capture_output=True, check=True, timeout=60)
+    words = [line.split() for line in ran.stdout.decode().splitlines()]
+    session = onnxruntime.InferenceSession(out)
+    poses = np.concatenate([session.run(["pose"], {"image": image[None]})[0] for image in images])
+    assert [line[::2] for line in words] == 3 * [[target.name for target in TARGETS]]
+    np.testing.assert_allclose(np.array([line[1::2] for line in words], float), poses, atol=1e-3)

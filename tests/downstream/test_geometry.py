@@ -1,0 +1,113 @@
+"""Voronoi heights: flat at rest, exact under uniform stretch, and high where pins are drawn apart."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear.downstream.geometry import cell_areas, read_at, relative_growth, smoothed, surface
+from jaxunshear.downstream.geometry_scores import correlation
+from jaxunshear.downstream.recorded_geometry import heights_of_recordings
+from jaxunshear.image.dots import dots
+from jaxunshear.image.lattice import make_lattice, shells
+from jaxunshear.scene.pins import pin_lattice
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
+
+
+@pytest.fixture(params=[TACTIP_331, TACTIP_127], ids=lambda sensor: sensor.layout)
+def lattice(request):
+    flat = pin_lattice(request.param)
+    return make_lattice(flat / np.abs(flat).max() * 46 + 64, shells(request.param))
+
+
+def test_recordings_that_are_not_understood_have_no_heights(tmp_path):
+    """Networks over images draw pins whatever they are given, so that noise would have a touch, too."""
+    flat = pin_lattice(TACTIP_127)
+    untouched = make_lattice(flat / np.linalg.norm(flat, axis=1).max() * 48 + 63.5, shells(TACTIP_127))
+    pins = np.asarray(dots(np.float32(untouched.place)[None], 2.0, 128))[0, ..., 0]
+    noise = np.random.default_rng(0).random((128, 128)) < 0.2
+    for name, image in (("a", pins > 0.5), ("b", noise)):  # a folder each: crops are common to one
+        (tmp_path / name).mkdir()
+        Image.fromarray(np.uint8(255 * image)).save(tmp_path / name / "0.png")
+    drawn = {"disentangled": lambda images: np.zeros((len(images), *untouched.place.shape))}
+    names, heights = heights_of_recordings(
+        tmp_path, Experiment("small", "none"), untouched, lambda motion: motion[..., 0], drawn
+    )
+    assert names == ["a/0.png", "b/0.png"] and heights.keys() == {"as recorded", "disentangled"}
+    for felt in heights.values():
+        assert np.abs(felt[0]).max() < 0.5 and np.isnan(felt[1]).all()
+
+
+def test_an_undeformed_sensor_is_flat(lattice):
+    assert (relative_growth(lattice, np.zeros_like(lattice.place)) == 0).all()
+
+
+def test_the_same_shift_of_all_pins_changes_nothing(lattice):
+    np.testing.assert_allclose(relative_growth(lattice, np.full_like(lattice.place, 3.3)), 0, atol=1e-9)
+
+
+def test_uniform_stretch_grows_inner_cells_by_its_square(lattice):
+    growth = relative_growth(lattice, 0.1 * (lattice.place - lattice.middle))
+    inner = lattice.shell < lattice.shell.max()
+    np.testing.assert_allclose(growth[inner], 1.1**2 - 1, rtol=1e-6)
+    assert (growth[~inner] > 0).all()
+
+
+def test_hexagons_have_their_closed_form():
+    flat = pin_lattice(TACTIP_127)
+    lattice = make_lattice(flat, shells(TACTIP_127))
+    inner = lattice.shell < lattice.shell.max()
+    expected = np.sqrt(3) / 2 * TACTIP_127.pin_spacing_mm**2
+    np.testing.assert_allclose(cell_areas(lattice, np.zeros_like(flat))[inner], expected, rtol=1e-9)
+
+
+def test_heights_rise_where_pins_are_drawn_apart(lattice):
+    offset = lattice.place - lattice.middle
+    bell = np.exp(-np.sum(offset**2, axis=-1) / (2 * 12.0**2))
+    growth = relative_growth(lattice, 0.2 * offset * bell[:, None])
+    assert correlation(growth[None], bell[None])[0] > 0.8
+    assert abs(np.argmax(smoothed(lattice, growth)) - 0) < 7  # pin 0 is the middle, 1 to 6 around it
+
+
+def test_missing_pins_follow_their_neighbours(lattice):
+    motion = 0.05 * (lattice.place - lattice.middle)
+    with_gaps = motion.copy()
+    with_gaps[[3, 40, 90]] = np.nan
+    np.testing.assert_allclose(relative_growth(lattice, with_gaps), relative_growth(lattice, motion), atol=0.03)
+
+
+def test_surface_passes_through_its_pins_and_is_smooth(lattice):
+    x, y = (lattice.place - lattice.middle).T / 40
+    heights = 1 + x - 0.5 * y
+    drawn = surface(lattice.place, heights, 41)
+    assert drawn.shape == (41, 41) and np.isnan(drawn[0, 0])
+    low, high = lattice.place.min(axis=0), lattice.place.max(axis=0)
+    gx, gy = np.meshgrid(*(np.linspace(low[i], high[i], 41) for i in (0, 1)))
+    plane = 1 + (gx - lattice.middle[0]) / 40 - 0.5 * (gy - lattice.middle[1]) / 40
+    inside = ~np.isnan(drawn)
+    np.testing.assert_allclose(drawn[inside], plane[inside], atol=1e-6)
+
+
+def test_correlation_knows_its_extremes():
+    a = np.array([[1.0, 2, 3], [1, 2, 3], [5, 5, 5]])
+    b = np.array([[2.0, 4, 6], [3, 2, 1], [1, 2, 3]])
+    np.testing.assert_allclose(correlation(a, b), [1, -1, 0])
+
+
+def test_a_shift_of_all_pins_shows_where_they_are(lattice):
+    """The heights keep their values, but a camera sees them elsewhere: read at the places of before they are those of a neighbour."""
+    x = (lattice.place - lattice.middle)[:, 0]
+    shift = np.array([0.5 * lattice.spacing, 0.0])
+    heights = x / lattice.spacing
+    inner = lattice.shell < lattice.shell.max() - 1
+    still, moved = (read_at(lattice.place + by, heights, lattice.place) for by in (0 * shift, shift))
+    np.testing.assert_allclose(still, heights, atol=1e-6)
+    np.testing.assert_allclose(moved[inner], heights[inner] - 0.5, atol=1e-3)
+
+
+def test_beyond_the_rim_the_nearest_height_counts(lattice):
+    both = np.stack([lattice.place[:, 0], lattice.shell.astype(float)], -1)
+    far = lattice.middle + np.array([[1e3, 0.0]])
+    found = read_at(lattice.place, both, far)
+    nearest = np.argmin(np.linalg.norm(lattice.place - far, axis=-1))
+    np.testing.assert_array_equal(found[0], both[nearest])

@@ -1,0 +1,69 @@
+"""From pins to objects without a classifier: where a level is set, and that what is not known stays so."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.fresh import FreshContacts
+from jaxunshear.downstream.makers import EVIDENCE, SKIN, VORONOI, makers_of, parting_level
+from jaxunshear.downstream.reconstruct import skin_places
+from jaxunshear.errors import UserError
+from jaxunshear.image.framing import undeformed
+from jaxunshear.settings.image import Camera, Preprocess
+from jaxunshear.settings.sensor import TACTIP_331
+
+LATTICE = undeformed(TACTIP_331, Camera(), Preprocess(size=128))
+
+
+def test_a_level_misses_as_much_as_it_adds():
+    generator = np.random.default_rng(0)
+    over = np.arange(20_000) < 15_000
+    values = generator.normal(np.where(over, 3.0, 1.0), 0.5)
+    assert abs(parting_level(values, over) - 2.0) < 0.05
+
+
+def test_a_level_lies_between_what_does_not_overlap():
+    values, over = np.array([1.0, 1.1, 1.2, 3.0, 3.1]), np.array([0, 0, 0, 1, 1]) > 0
+    assert 1.2 <= parting_level(values, over) <= 3.0
+
+
+@pytest.fixture
+def makers():
+    """Made-up taps: skin is pressed in on one side of an edge, and draws its pins apart there."""
+    generator = np.random.default_rng(1)
+    place, pins = skin_places(TACTIP_331), len(LATTICE.place)
+    angle, aside = generator.uniform(0, 2 * np.pi, 60), generator.uniform(-3, 3, 60)
+    distance = place @ np.stack([np.cos(angle), np.sin(angle)]) - aside
+    distance = distance.T
+    pressed = 2.0 / (1 + np.exp(distance))
+    spread = 0.1 * pressed[..., None] * (LATTICE.place - LATTICE.middle)
+    motion = spread + generator.normal(0, 0.05, spread.shape)
+    assert pressed.shape == (60, pins)
+    return makers_of(TACTIP_331, LATTICE, motion, pressed, distance), motion
+
+
+def test_makers_agree_on_what_they_are_given(makers):
+    made, motion = makers
+    assert list(made) == [VORONOI, SKIN, EVIDENCE] and [each.in_mm for each in made.values()] == [False, True, False]
+    gaps = motion[:3].copy()
+    gaps[1] = np.nan
+    for maker in made.values():
+        value, place = maker.value(gaps), maker.place(gaps)
+        assert place.shape == (*value.shape, 2)
+        assert np.isnan(value[1]).all() and not np.isnan(value[[0, 2]]).any()
+
+
+def test_untouched_skin_stands_as_the_dome_does(makers):
+    maker = makers[0][SKIN]
+    still = np.zeros((1, *LATTICE.place.shape))
+    off = np.linalg.norm(maker.place(still)[0], axis=-1)
+    radius = TACTIP_331.dome_radius_mm
+    np.testing.assert_allclose(maker.value(still)[0], radius - np.sqrt(radius**2 - off**2), atol=1e-9)
+
+
+def test_small_images_are_refused():
+    from jaxunshear.downstream.geometry_ways import known_motions
+
+    blank = np.zeros((2, 32, 32), np.uint8)
+    none = np.zeros((2, 0))
+    with pytest.raises(UserError, match="of 32 px: use a model of larger images"):
+        known_motions(LATTICE, FreshContacts(none, none, blank, blank, none, none, none, 0))

@@ -1,0 +1,133 @@
+"""Networks over pins put to use: pins are followed in the image, the networks read them, and what is not followed is given as NaN."""
+
+import json
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxunshear.dataset.chunks import render
+from jaxunshear.downstream import servo
+from jaxunshear.downstream.contour import outline
+from jaxunshear.downstream.walk_scores import walk_scores
+from jaxunshear.image.dots import dots
+from jaxunshear.image.framing import undeformed
+from jaxunshear.image.tracking import followed, motions_of
+from jaxunshear.inference.perception import perceptions, unshearers, unshearing_of, ways_of
+from jaxunshear.model import pinnets, posenet
+from jaxunshear.scene.pins import pin_tips
+from jaxunshear.scene.stimuli import STIMULI
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import PinPoseNet, PinUnshear, UnshearNet
+from jaxunshear.settings.stored import to_json
+from jaxunshear.settings.targets import of_ranges
+from jaxunshear.settings.targets import to_json as targets_json
+from jaxunshear.storage import write_json
+from jaxunshear.training import checkpoint
+
+EXPERIMENT = Experiment("small", "none", unshear=UnshearNet(input="pins"))
+PAIRED = EXPERIMENT.paired
+LATTICE = undeformed(EXPERIMENT.sensor, PAIRED.camera, PAIRED.preprocess)
+TARGETS = of_ranges((), PAIRED.ranges)
+NETS = {"disentangled": PinUnshear(hidden=16, layers=1), "posenet": PinPoseNet(hidden=16, layers=1)}
+AWAY = 2.0  # px that all pins are moved by
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    """Random networks: what they answer depends on the pins, and on nothing else."""
+    folder = tmp_path_factory.mktemp("pins")
+    write_json(folder / "experiment.json", to_json(EXPERIMENT))
+    for seed, (name, net) in enumerate(NETS.items()):
+        count = posenet.outputs_of(TARGETS) if name == "posenet" else 0
+        fresh = pinnets.init(net, LATTICE.place, 2.0, jax.random.key(seed), outputs=count)
+        draw = np.random.default_rng(seed).normal
+        shaken = jax.tree.map(lambda x, draw=draw: x + draw(0, 0.05, x.shape).astype(x.dtype), fresh["params"])
+        kind = {"disentangled": "pin_unshear", "posenet": "pin_posenet"}[name]
+        reported = {"kind": kind, "net": vars(net), "targets": targets_json(TARGETS)}
+        checkpoint.write_settings(folder / name, json.loads(json.dumps(reported)))
+        checkpoint.save(folder / name, 1, {"average": fresh | {"params": shaken}}, {"history": [], "best_step": 1})
+        write_json(folder / name / checkpoint.SUMMARY, {"steps": 1})
+    return folder
+
+
+@pytest.fixture(scope="module")
+def seen():
+    """Images of pins that have moved, with one that the housing hides, and a black image; the places of the first."""
+    rim = int(np.argmax(LATTICE.place[:, 0]))
+    pins = LATTICE.place + np.array([AWAY, 0.0])
+    pins[rim] = np.nan
+    drawn = np.asarray(dots(jnp.asarray(pins[None], jnp.float32), 1.6, PAIRED.preprocess.size))[..., 0]
+    return np.concatenate([drawn, 0 * drawn]).astype(np.uint8) * 255, pins
+
+
+def test_pins_are_followed_and_what_is_not_is_nan(seen):
+    images, pins = seen
+    for alone in (False, True):
+        found = followed(LATTICE, images, alone)
+        assert found.sure.tolist() == [True, False]
+        assert np.isnan(found.motion[1]).all() and (np.isnan(found.motion[0]) == np.isnan(pins)).all()
+        off = np.linalg.norm(LATTICE.place + found.motion[0] - pins, axis=-1)
+        assert np.nanmax(off) < 0.5
+    motion = motions_of(LATTICE, images)
+    np.testing.assert_array_equal(motion[0][np.isfinite(pins)], found.motion[0][np.isfinite(pins)])
+    np.testing.assert_allclose(motion[0][np.isnan(pins[:, 0])], [[AWAY, 0]], atol=0.3)
+    assert np.isnan(motion[1]).all()
+
+
+def by_hand(model, name, pins):
+    net, variables = NETS[name], checkpoint.load_best(model / name)
+    run = pinnets.predict if name == "posenet" else pinnets.unshear
+    return np.asarray(jax.jit(partial(run, net))(variables, jnp.asarray(pins, jnp.float32)))
+
+
+def test_a_robot_gets_what_the_networks_read_of_its_pins(model, seen):
+    images, _ = seen
+    assert ways_of(model) == ("sheared", "disentangled") and unshearing_of(model) == ("disentangled",)
+    pins = LATTICE.place + followed(LATTICE, images[:1]).motion
+    after = by_hand(model, "disentangled", pins)
+    for way, given in (("sheared", pins), ("disentangled", after)):
+        edge_mm, edge_deg = perceptions(model, EXPERIMENT, (way,))[way](images)
+        expected = posenet.pose_from_outputs(by_hand(model, "posenet", given), TARGETS)
+        assert edge_mm[0] == pytest.approx(float(expected["edge_mm"][0]), abs=1e-4)
+        assert edge_deg[0] == pytest.approx(float(expected["edge_deg"][0]), abs=1e-3)
+        assert np.isnan([edge_mm[1], edge_deg[1]]).all()
+    motion = unshearers(model, EXPERIMENT, ("disentangled",))["disentangled"](images)
+    np.testing.assert_allclose(motion[0], after[0] - LATTICE.place, atol=1e-4)  # not drawn and found again
+    assert np.isnan(motion[1]).all()
+
+
+def test_a_walk_goes_straight_on_while_no_pins_are_followed(tmp_path):
+    unknown = {"disentangled": lambda images: (np.full(len(images), np.nan),) * 2}
+    steps = 4 * 0.5 / outline(STIMULI["disk"]).length
+    course = servo.Course("disk", starts=1, depth_mm=2.0, patience=steps)
+    walks, line = servo.follow_contour(course, EXPERIMENT.sensor, PAIRED, unknown, tmp_path / "disk.npz")
+    steps = np.diff(walks.point[0], axis=0)
+    np.testing.assert_allclose(np.linalg.norm(steps[:, :2], axis=-1), course.gains.step_mm, rtol=1e-5)
+    np.testing.assert_allclose(steps[:, 2], 0, atol=1e-6)
+    row = walk_scores(walks, line, "disk")[0]
+    assert row.steps == row.unfollowed == int(walks.steps) and row.seen_mean_mm is None
+
+
+@pytest.mark.long
+def test_servo_then_reconstruct_by_pins(command, brief, model, tmp_path):
+    words = ("--model", model, "--out", tmp_path / "walks", "--stimulus", "disk")
+    answer = command("servo", *words, "--starts", 1, "--ways", "sheared,disentangled")
+    assert answer.code == 0, answer.err
+    rows = json.loads((tmp_path / "walks" / "servo.json").read_text())["rows"]
+    assert [row["way"] for row in rows] == ["sheared", "disentangled"] and not any(row["unfollowed"] for row in rows)
+    answer = command("reconstruct", *words)
+    assert answer.code == 0, answer.err
+    found = json.loads((tmp_path / "walks" / "reconstruct.json").read_text())["rows"]
+    assert {(row["way"], row["unmatched"]) for row in found} == {("sheared", 0), ("disentangled", 0)}
+
+
+def test_frames_are_the_same_however_many_are_rendered_at_once():
+    tips = np.repeat(pin_tips(EXPERIMENT.sensor)[None], 3, axis=0)
+    given = (PAIRED, EXPERIMENT.sensor, tips, np.arange(3), np.zeros(3))
+    (few, pins), (many, same) = render(*given, 1), render(*given)
+    np.testing.assert_array_equal(few, many)
+    np.testing.assert_array_equal(pins, same)
+    assert (few[0] != few[1]).any()  # each with noise of its own

@@ -1,0 +1,136 @@
+"""Complete objects out of evidence that is known: the shape comes back, and what was not felt is not made up."""
+
+import numpy as np
+import pytest
+
+from jaxunshear.downstream.contour import outline
+from jaxunshear.downstream.reconstruct import (
+    Fused,
+    filled_shape,
+    fuse,
+    interpolated,
+    likeness,
+    ridge_shape,
+    skin_places,
+    to_target,
+)
+from jaxunshear.scene.stimuli import STIMULI, signed_distance
+from jaxunshear.settings.sensor import TACTIP_331
+
+PLACE = np.array([place for place in skin_places(TACTIP_331) if np.linalg.norm(place) < 6])
+
+
+def walked(name, share=1.0):
+    """A perfect walk around an object, with evidence of 1 over it and -1 beside it."""
+    line = outline(STIMULI[name])
+    steps = line.at(np.arange(0, share * line.length, 0.5))
+    yaw = np.degrees(np.arctan2(line.normal[steps, 1], line.normal[steps, 0]))
+    point = np.column_stack([line.points[steps], yaw])
+    return line, point, np.where(inside(name, to_target(point, PLACE)), 1.0, -1.0)
+
+
+def felt(point, value, cover_mm=0.0):
+    return fuse(point, np.broadcast_to(PLACE, (len(point), *PLACE.shape)), value, cover_mm)
+
+
+def inside(name, xy):
+    return np.asarray(signed_distance(STIMULI[name], xy.astype(np.float32))) < 0
+
+
+def truth(name, fused):
+    return inside(name, fused.xy)
+
+
+@pytest.mark.parametrize("name", ["disk", "spiral_2"])
+def test_perfect_heights_give_the_shape_back(name):
+    line, point, evidence = walked(name)
+    fused = felt(point, evidence)
+    got = likeness(fused, filled_shape(fused), truth(name, fused), line)
+    assert got.iou > 0.94 and got.mean_mm < 0.5 and got.hausdorff_mm < 3
+
+
+def test_half_a_walk_encloses_nothing():
+    line, point, evidence = walked("disk", share=0.5)
+    fused = felt(point, evidence)
+    got = likeness(fused, filled_shape(fused), truth("disk", fused), line)
+    assert got.iou < 0.4 and got.hausdorff_mm > 20
+
+
+def test_what_a_walk_did_not_reach_still_counts():
+    line, point, evidence = walked("disk", share=0.05)
+    reach = np.abs(line.points).max()
+    fused = felt(point, evidence, reach)
+    assert fused.line[-1] >= reach - 0.5
+    assert likeness(fused, filled_shape(fused), truth("disk", fused), line).iou < 0.05
+
+
+def test_nothing_felt_is_reported():
+    line, point, evidence = walked("disk")
+    fused = felt(point, -np.abs(evidence))
+    got = likeness(fused, filled_shape(fused), truth("disk", fused), line)
+    assert got.iou == 0 and np.isinf(got.hausdorff_mm)
+
+
+def test_steps_without_pins_are_left_out():
+    _, point, evidence = walked("disk")
+    broken, wrong = evidence.copy(), evidence.copy()
+    broken[::3] = np.nan
+    wrong[::3] = 100
+    some = np.arange(len(evidence)) % 3 != 0
+    np.testing.assert_array_equal(felt(point, broken).value, felt(np.where(some[:, None], point, np.nan), wrong).value)
+
+
+def test_a_turned_sensor_feels_the_same_place():
+    place = np.array([[3.0, 0.0]])
+    xy = to_target(np.array([[10.0, 5.0, 90.0], [10.0, 5.0, 0.0]]), place)
+    np.testing.assert_allclose(xy[:, 0], [[10, 8], [13, 5]], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["disk", "clover"])
+def test_heights_are_interpolated_to_the_full_object(name):
+    line, point, _ = walked(name)
+    xy = to_target(point, PLACE)
+    height = np.where(inside(name, xy), 3.0, 1.0)
+    fused = felt(point, height)
+    full = interpolated(fused)
+    got = likeness(fused, np.nan_to_num(full, nan=-np.inf) > 2, truth(name, fused), line)
+    assert got.iou > 0.94 and got.iou_felt > 0.9
+    known = ~np.isnan(fused.value)
+    np.testing.assert_array_equal(full[known], fused.value[known])
+    assert np.count_nonzero(~np.isnan(full)) > np.count_nonzero(known)
+
+
+@pytest.mark.parametrize(("name", "share"), [("disk", 1.0), ("clover", 1.0), ("teardrop", 1.0), ("disk", 0.5)])
+def test_what_a_closed_ridge_surrounds_is_the_object(name, share):
+    """Heights as of cells that grow over an edge: greatest on it, lower inside, lower still outside."""
+    line, point, _ = walked(name, share)
+    off = np.asarray(signed_distance(STIMULI[name], to_target(point, PLACE).astype(np.float32)))
+    fused = felt(point, np.exp(-(off**2) / 8) + 0.5 / (1 + np.exp(2 * off)))
+    got = likeness(fused, ridge_shape(fused), truth(name, fused), line)
+    assert got.iou > 0.95 if share == 1 else got.iou < 0.6
+
+
+def test_a_height_without_a_hollow_is_no_ridge():
+    x = np.arange(-8, 9.0)
+    hill = np.exp(-(x[None] ** 2 + x[:, None] ** 2) / 20)
+    assert not ridge_shape(Fused(x, hill)).any()
+    assert not ridge_shape(Fused(x, np.full(hill.shape, np.nan))).any()
+
+
+def test_between_cells_heights_are_linear():
+    x = np.arange(6.0)
+    plane = 1 + 2 * x[None] - x[:, None]
+    holes = plane.copy()
+    holes[1:5, 2:4] = np.nan
+    np.testing.assert_allclose(interpolated(Fused(x, holes)), plane, atol=1e-9)
+
+
+def test_of_nothing_felt_there_is_no_map():
+    x = np.arange(6.0)
+    assert np.isnan(interpolated(Fused(x, np.full((6, 6), np.nan)))).all()
+
+
+def test_skin_goes_where_its_pins_went():
+    point = np.array([[10.0, 5.0, 90.0], [0.0, 0.0, 0.0]])
+    place = np.array([[[3.0, 0.0]], [[4.0, 1.0]]])
+    np.testing.assert_allclose(to_target(point, place)[:, 0], [[10, 8], [4, 1]], atol=1e-12)

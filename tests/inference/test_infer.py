@@ -1,0 +1,248 @@
+"""Recordings go through the networks of a run: every readable image comes out, in its place, with its poses."""
+
+import csv
+import itertools
+import json
+import subprocess
+import sys
+from functools import partial
+from types import SimpleNamespace
+
+import jax
+import numpy as np
+import pytest
+from PIL import Image
+
+from jaxunshear import __version__
+from jaxunshear.dataset.recordings import read_recordings
+from jaxunshear.inference import infer
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.settings import targets
+from jaxunshear.settings.data import PairedData, PoseData, Ranges
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.stored import to_json
+from jaxunshear.storage import write_json
+from jaxunshear.training import checkpoint
+from jaxunshear.training.loop import run_once
+
+SIZE = 32
+NET = UnshearNet(size=SIZE, widths=(4, 4, 4), pose_channels=4, shear_channels=4)
+POSENET = PoseNet(size=SIZE, widths=(4, 4, 4, 4, 4), hidden=8)
+SEEN = Preprocess(size=SIZE)
+TARGETS = targets.of_ranges((), Ranges())
+EXPERIMENT = Experiment(
+    "small", "none", unshear=NET, posenet=POSENET, paired=PairedData(preprocess=SEEN), pose=PoseData(preprocess=SEEN)
+)
+
+
+def init(module, net, seed):
+    shape = (posenet.outputs_of(TARGETS),) if module is posenet else ()
+    fresh = jax.jit(partial(module.init, net, *shape), compiler_options=run_once())
+    return fresh(jax.random.key(seed))
+
+
+def trained(folder, kind, net, variables):
+    settings = {"kind": kind, "net": vars(net), "targets": targets.to_json(TARGETS)}
+    checkpoint.write_settings(folder, json.loads(json.dumps(settings)))
+    checkpoint.save(folder, 1, {"average": variables}, {"history": [], "best_step": 1})
+    write_json(folder / checkpoint.SUMMARY, {})
+
+
+@pytest.fixture(scope="module")
+def variables():
+    """Random ones, far from the first ones, whose answers hardly depend on the image."""
+    rng = np.random.default_rng(0)
+
+    def shaken(variables):
+        params = jax.tree.map(lambda x: x + rng.normal(0, 0.1, x.shape).astype(np.float32), variables["params"])
+        return {**variables, "params": params}
+
+    return {
+        "disentangled": shaken(init(unshearnet, NET, 0)),
+        "posenet": shaken(init(posenet, POSENET, 1)),
+    }
+
+
+@pytest.fixture
+def model(tmp_path, variables):
+    """The folder of a finished run."""
+    run = tmp_path / "runs" / "small"
+    write_json(run / "experiment.json", to_json(EXPERIMENT))
+    trained(run / "disentangled", "unshear", NET, variables["disentangled"])
+    trained(run / "posenet", "posenet", POSENET, variables["posenet"])
+    return run
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """40 binary images with labels, more than a batch, two of them broken."""
+    place = tmp_path / "edge"
+    (place / "images").mkdir(parents=True)
+    rng = np.random.default_rng(0)
+    lines = ["sensor_image," + ",".join(f"pose_{i}" for i in range(1, 7))]
+    for i in range(40):
+        image = np.where(rng.random((SIZE, SIZE)) < 0.3, 255, 0).astype(np.uint8)
+        Image.fromarray(image).save(place / "images" / f"image_{i}.png")
+        lines.append(f"image_{i}.png,{i},0,1,0,0,{-i}")
+    (place / "images" / "image_5.png").write_bytes(b"no image")
+    (place / "images" / "image_39.png").write_bytes(b"")
+    (place / "targets.csv").write_text("\n".join(lines) + "\n")
+    return place
+
+
+def rows_of(out):
+    with open(out / "poses.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_readable_image_is_unsheared_in_its_place(command, model, folder, variables, tmp_path):
+    out = tmp_path / "out"
+    answer = command("unshear", folder, "--force", "--model", model, "--out", out, "--json", tmp_path / "unshear.json")
+    assert answer.code == 0, answer.err
+    assert "38 images unsheared, 2 left out" in answer.out
+    assert "simulated touches only" in answer.out
+    assert "simulated touches only" in (out / "NOTE.txt").read_text()
+    for name in ("image_5.png", "image_39.png"):
+        assert name in answer.out
+        assert not (out / "images" / name).exists()
+
+    rows = rows_of(out)
+    assert len(rows) == 38
+    for row in (rows[0], rows[5], rows[-1]):
+        number = int(row["name"].removeprefix("images/image_").removesuffix(".png"))
+        assert (float(row["recorded_pose_x_mm"]), float(row["recorded_pose_rz_deg"])) == (number, -number)
+        recordings = read_recordings(folder / "images" / f"image_{number}.png", SEEN)
+        ((_, _, image),) = recordings.frames()
+        alone = image[None, :, :, None] / np.float32(255)
+        expected = unshearnet.unshear(NET, variables["disentangled"], alone)
+        written = np.asarray(Image.open(out / row["image"]))
+        np.testing.assert_allclose(written, 255 * np.asarray(expected)[0, ..., 0], atol=0.6)
+        poses = posenet.pose_from_outputs(posenet.predict(POSENET, variables["posenet"], expected), TARGETS)
+        assert set(poses) == {"x_mm", "yaw_deg", "edge_mm", "edge_deg"}
+        for quantity, value in poses.items():
+            assert float(row[quantity]) == pytest.approx(float(value[0]), abs=2e-3)
+
+    measured = json.loads((tmp_path / "unshear.json").read_text())
+    beside = {"machine", "versions", "source", "trained_on", "trained_by", "command", "checksum"}
+    assert set(measured) == {"rows"} | beside
+    assert measured["command"].startswith("jaxunshear unshear ") and measured["source"]["version"] == __version__
+    assert {row["name"]: row["value"] for row in measured["rows"]}["unshear.images"] == 38
+
+
+@pytest.mark.parametrize("words", [("unshear", "--out", "out"), ("pose",)])
+def test_images_that_are_not_the_sensors_are_refused_by_name(command, model, folder, tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    answer = command(words[0], folder, "--model", model, *words[1:])
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert "not a lattice" in answer.err and "--force answers all the same" in answer.err
+    assert not (tmp_path / "out").exists() and not answer.out
+
+
+@pytest.mark.parametrize("images", ["images/image_1.png", "images"])
+def test_the_time_for_an_image_is_that_of_a_batch_over_its_places(monkeypatch, model, folder, tmp_path, images):
+    monkeypatch.setattr(infer, "time", SimpleNamespace(perf_counter=itertools.count().__next__))  # a second each batch
+    measured = infer.unshear_recordings(folder / images, model, tmp_path / "out", force=True)
+    assert measured.rows[-1].name == "unshear.time_per_image"
+    assert measured.rows[-1].value == pytest.approx(1 / infer.BATCH)
+
+
+def test_half_of_the_images_left_out_is_no_success(command, model, folder, tmp_path):
+    for number in range(18):
+        (folder / "images" / f"image_{number}.png").write_bytes(b"no image")
+    words = (folder, "--force", "--model", model)
+    assert command("unshear", *words, "--out", tmp_path / "out").code == 0  # 19 of 40
+    (folder / "images" / "image_20.png").write_bytes(b"no image")
+    answer = command("unshear", *words, "--out", tmp_path / "out")
+    assert answer.code == 1 and "20 images unsheared, 20 left out" in answer.out
+    answer = command("pose", *words)
+    assert answer.code == 1 and "poses of 20 images, 20 left out" in answer.err
+
+
+def test_pose_gives_both_readings_of_each_image(command, model, folder, tmp_path):
+    answer = command("pose", folder, "--force", "--model", model, "--json", tmp_path / "pose.json")
+    assert answer.code == 0, answer.err
+    assert "simulated touches only" in answer.err
+    rows = list(csv.DictReader(answer.out.splitlines()))
+    assert len(rows) == 38
+    measured = {row["name"]: row for row in json.loads((tmp_path / "pose.json").read_text())["rows"]}
+    assert len(measured) == 38 * 8 + 2 and measured["pose.left_out"]["value"] == 2
+    one = measured["images/image_7.png.unsheared.edge_deg"]
+    assert one["unit"] == "deg"
+    assert one["value"] == pytest.approx(float(rows[6]["unsheared_edge_deg"]), abs=1e-3)
+    assert rows[6]["unsheared_x_mm"] != rows[6]["as_recorded_x_mm"]
+
+
+def test_without_a_posenet_images_are_unsheared_all_the_same(command, model, folder, tmp_path):
+    (model / "posenet").rename(tmp_path / "aside")
+    answer = command("unshear", folder, "--force", "--model", model, "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    assert "no trained PoseNet" in answer.out
+    assert "x_mm" not in rows_of(tmp_path / "out")[0]
+
+
+def test_one_file_and_names_that_differ_in_their_ending_only(command, model, folder, tmp_path):
+    one = folder / "images" / "image_1.png"
+    assert command("unshear", one, "--force", "--model", model, "--out", tmp_path / "one").code == 0
+    assert (tmp_path / "one" / "image_1.png").exists()
+    Image.open(one).save(folder / "images" / "image_1.bmp")
+    assert command("unshear", folder, "--force", "--model", model, "--out", tmp_path / "all").code == 0
+    assert len({row["image"] for row in rows_of(tmp_path / "all")}) == 39
+
+
+@pytest.mark.parametrize("out", ["edge", "edge/images", "edge/new", "edge/targets.csv", "a_file"])
+def test_nothing_is_written_among_the_recordings(command, model, folder, tmp_path, out):
+    (tmp_path / "a_file").write_text("mine")
+    before = {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
+    answer = command("unshear", folder, "--model", model, "--out", tmp_path / out)
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert before == {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
+
+
+def test_a_damaged_network_is_refused_by_name(command, model, folder, tmp_path):
+    for path in (model / "disentangled" / "checkpoints" / "00000001" / "state").rglob("*"):
+        if path.is_file():
+            path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    answer = command("unshear", folder, "--model", model, "--out", tmp_path / "out")
+    assert answer.code == 2
+    assert "disentangled" in answer.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_nothing_readable_is_refused(command, model, tmp_path):
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "a.png").write_bytes(b"x")
+    for place in (tmp_path / "bad", tmp_path / "bad" / "a.png"):
+        answer = command("unshear", place, "--model", model, "--out", tmp_path / "out")
+        assert (answer.code, answer.err.count("error:")) == (2, 1)
+        assert "Traceback" not in answer.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_real_recordings_go_through(command, model, real_recordings, tmp_path):
+    unpacked = tmp_path / "real"
+    subprocess.run([sys.executable, real_recordings / "unpack.py", unpacked, "--limit", "8"], check=True)
+    answer = command("unshear", unpacked, "--force", "--model", model, "--out", tmp_path / "out")
+    assert answer.code == 0, answer.err
+    assert "0 left out" in answer.out
+    answer = command("unshear", real_recordings / "raw", "--force", "--model", model, "--out", tmp_path / "raw")
+    assert answer.code == 0, answer.err
+    assert len(rows_of(tmp_path / "raw")) == 3
+
+
+def test_a_half_trained_network_is_refused(command, model, tmp_path):
+    Image.fromarray(np.zeros((SIZE, SIZE), np.uint8)).save(tmp_path / "one.png")
+    (model / "disentangled" / checkpoint.SUMMARY).unlink()
+    answer = command("unshear", tmp_path / "one.png", "--model", model, "--out", tmp_path / "out")
+    assert answer.code == 2 and "was not finished" in answer.err and not (tmp_path / "out").exists()
+
+
+def test_a_recording_is_not_taken_for_a_file_of_rows(command, model, tmp_path):
+    Image.fromarray(np.zeros((SIZE, SIZE), np.uint8)).save(tmp_path / "one.png")
+    kept = (tmp_path / "one.png").read_bytes()
+    answer = command("pose", tmp_path / "one.png", "--model", model, "--json", tmp_path / "one.png")
+    assert answer.code == 2 and "holds something else" in answer.err
+    answer = command("stream", tmp_path / "one.png", "--model", model, "--lines", tmp_path / "one.png")
+    assert answer.code == 2 and "--lines" in answer.err
+    assert (tmp_path / "one.png").read_bytes() == kept

@@ -1,0 +1,120 @@
+"""Ways of perceiving: which networks allow them, and whose answer they give."""
+
+import shutil
+from dataclasses import asdict
+
+import jax
+import numpy as np
+import pytest
+
+from jaxunshear.errors import UserError
+from jaxunshear.inference.perception import (
+    TRUE,
+    confidence,
+    load_forward,
+    perceptions,
+    unsheared_by,
+    ways_of,
+)
+from jaxunshear.model import posenet, unshearnet
+from jaxunshear.release import PARTS
+from jaxunshear.settings.data import Ranges
+from jaxunshear.settings.experiment import Experiment
+from jaxunshear.settings.networks import PoseNet, UnshearNet
+from jaxunshear.settings.registry import UNSHEARING
+from jaxunshear.settings.targets import of_ranges, to_json
+from jaxunshear.storage import write_json
+from jaxunshear.training import checkpoint
+from jaxunshear.training.loop import run_once
+
+NET = UnshearNet(size=32, widths=(8, 8), pose_channels=8, shear_channels=4)
+POSENET = PoseNet(size=32, widths=(4, 4, 4, 4, 4), hidden=8)
+TARGETS = of_ranges((), Ranges(lateral_mm=6))
+
+
+def kept(folder, kind, net, variables, targets):
+    larger = variables | {"params": jax.tree.map(lambda x: 10 * x, variables["params"])}
+    checkpoint.write_settings(folder, {"kind": kind, "net": asdict(net), "targets": to_json(targets)})
+    checkpoint.save(folder, 1, {"average": larger}, {"best_step": 1, "history": []})
+    write_json(folder / "summary.json", {"steps": 1})
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("run")
+    make = jax.jit(unshearnet.init, static_argnums=0, compiler_options=run_once())
+    kept(folder / "disentangled", "unshear", NET, make(NET, jax.random.key(0)), ())
+    init = jax.jit(posenet.init, static_argnums=(0, 1), compiler_options=run_once())
+    kept(folder / "posenet", "posenet", POSENET, init(POSENET, 5, jax.random.key(0)), TARGETS)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def images():
+    return (np.random.default_rng(0).random((3, 32, 32)) < 0.3).astype(np.uint8) * 255
+
+
+def viewed(model, way, images):
+    forward, variables, _ = load_forward(model, way)
+    return jax.jit(forward)(variables, images)
+
+
+@pytest.mark.parametrize("way", ["sheared", "disentangled"])
+def test_posenet_reads_the_image_as_it_is_or_unsheared(model, images, way):
+    seen, pose = viewed(model, way, images)
+    image = images[..., None] / np.float32(255)
+    if way == "disentangled":
+        unshear = jax.jit(unshearnet.unshear, static_argnums=0)
+        image = unshear(NET, checkpoint.load_best(model / way), image)
+    np.testing.assert_allclose(seen, image, atol=1e-6)
+    predict = jax.jit(posenet.predict, static_argnums=0)
+    outputs = predict(POSENET, checkpoint.load_best(model / "posenet"), image)
+    expected = posenet.pose_from_outputs(outputs, TARGETS)
+    assert pose.keys() == expected.keys()
+    for name, answer in pose.items():
+        np.testing.assert_allclose(answer, expected[name], rtol=1e-4, atol=1e-3)
+
+
+def test_released_weights_perceive_as_the_run_does(model, images, tmp_path):
+    for name in ("disentangled", "posenet"):
+        checkpoint.write_weights(tmp_path / name, checkpoint.load_best(model / name), PARTS[name])
+        shutil.copy(model / name / "model.json", tmp_path / name)
+    assert ways_of(tmp_path) == ways_of(model) == ("sheared", "disentangled")
+    of_run = viewed(model, "disentangled", images)[1]
+    for name, answer in viewed(tmp_path, "disentangled", images)[1].items():
+        np.testing.assert_allclose(answer, of_run[name], atol=0.1)  # kernels are float16
+
+
+def test_a_robot_gets_the_edge(model, images):
+    perceive = perceptions(model, Experiment("small", "none"), ("disentangled",))["disentangled"]
+    edge_mm, edge_deg = perceive(images)
+    _, pose = viewed(model, "disentangled", images)
+    np.testing.assert_allclose(edge_mm, pose["edge_mm"], atol=1e-4)
+    np.testing.assert_allclose(edge_deg, pose["edge_deg"], atol=1e-3)
+
+
+def test_images_are_unsheared_whatever_gives_the_pose():
+    assert {unsheared_by(way) for way in (TRUE, "disentangled")} == {"disentangled"}
+    assert (unsheared_by("entangled"), unsheared_by("unet")) == ("entangled", "unet")
+    assert not {unsheared_by("sheared"), unsheared_by("learnt")} & set(UNSHEARING)
+
+
+def test_ways_are_those_whose_networks_are_there(model, tmp_path):
+    shutil.copytree(model / "disentangled", tmp_path / "disentangled")
+    assert ways_of(tmp_path) == ()
+    shutil.copytree(model / "posenet", tmp_path / "posenet_sheared")
+    assert ways_of(tmp_path) == ("learnt",)
+
+
+def test_an_edge_that_is_none_is_refused(model, tmp_path):
+    variables = checkpoint.load_best(model / "posenet")
+    targets = of_ranges(("x_mm", "yaw_deg"), Ranges())
+    kept(tmp_path / "other" / "posenet", "posenet", POSENET, variables, targets)
+    with pytest.raises(UserError, match="other reads x_mm, yaw_deg: an edge is followed by edge_mm and edge_deg"):
+        perceptions(tmp_path / "other", Experiment("small", "none"), ("sheared",))
+
+
+def test_confidence_of_crisp_grey_and_black(images):
+    assert confidence(np.float32(images[0] / 255)[..., None]) == pytest.approx(1)
+    assert confidence(np.full((8, 8, 1), 0.5, np.float32)) == pytest.approx(0.5)
+    assert confidence(np.zeros((8, 8, 1), np.float32)) == 0
