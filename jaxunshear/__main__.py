@@ -3,14 +3,11 @@
 import os
 import sys
 
-from jaxunshear.memory import restart_with_large_pages
-
 INTERRUPTED = 130
 
 
 def run() -> int:
     """One command, in a process of its own."""
-    restart_with_large_pages()
     try:
         from jaxunshear.cli import main
     except MemoryError:

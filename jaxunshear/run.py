@@ -19,7 +19,7 @@ from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
-from jaxunshear.settings.stored import from_json, to_json
+from jaxunshear.settings.stored import from_json, to_json, with_version
 from jaxunshear.storage import Json, read_object, write_json
 from jaxunshear.training.kept_out import exams_of
 from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, taken_over
@@ -95,7 +95,7 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
             )
         if changed:
             (folder / TIMES).unlink(missing_ok=True)  # of the making of other data
-    write_json(path, wanted)
+    write_json(path, with_version(wanted))
 
 
 def _make_data(experiment: Experiment, data: Path, spread: Spread) -> bool:

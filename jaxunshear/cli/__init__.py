@@ -29,7 +29,7 @@ from jaxunshear.cli import (
     unshear,
 )
 from jaxunshear.cli.fields import help_on, split_question
-from jaxunshear.environment import check_environment, check_links, settle
+from jaxunshear.environment import check_environment, check_links
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_new_file, check_new_folder
@@ -75,7 +75,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command. Returns 0; 1 if a check does not hold; 2 after an error that the user can fix (one line); 130 when interrupted."""
     argv = sys.argv[1:] if argv is None else list(argv)
     warnings.formatwarning = _noted
-    settle()
     try:
         return _run(argv)
     except UserError as error:

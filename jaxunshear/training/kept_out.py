@@ -8,7 +8,6 @@ from typing import NamedTuple
 from jaxunshear.dataset.digests import folders_in, pairs_in
 from jaxunshear.settings.configs import RECORDED_SET, set_name, version_of
 from jaxunshear.settings.data import PairedData, Recorded
-from jaxunshear.settings.earlier import LATER
 from jaxunshear.settings.experiment import Experiment, further_tests
 from jaxunshear.settings.stimuli import stimulus_names
 from jaxunshear.storage import Json
@@ -73,7 +72,6 @@ def _recorded(origin: Origin, ours: Recorded, entire: bool) -> str:
     learnt = f"learnt from recordings that are tested (digest {', '.join(sorted(shared))})"
     if entire:
         return f"{learnt}: test on others, or use weights that have not seen them"
-    theirs = LATER | theirs
     names = [name for name in ("split", "seed", "test", "validation") if theirs[name] != getattr(ours, name)]
     other = [f"paired.{name} {theirs[name]}" for name in names]
     other += ["another table of pairs"] if pairs_in(theirs["digest"]) != pairs_in(ours.digest) else []
