@@ -41,7 +41,7 @@ from jaxunshear.training.devices import Devices, devices_for
 from jaxunshear.training.events import open_events
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
-from jaxunshear.training.start import Start, started
+from jaxunshear.training.start import Start, begin_from
 from jaxunshear.training.step import State, fresh, learning_rate, make_step, optimiser_of
 from jaxunshear.training.tasks import Batch, Task, Tree
 
@@ -80,21 +80,21 @@ def train(
     *,
     epoch_images: int,
     origin: object = None,
-    taken_over: Sequence[object] = (),
+    data: Sequence[str] = (),
     start: Start | None = None,
 ) -> Summary:
     """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
 
     Batches are those of the task. `epoch_images` examples are one epoch. `origin` is any JSON that says where the data come from,
-    `taken_over` a list of more that was learnt through others (`training/origin.py`); a folder trained from other origins or with
-    other settings is refused.
+    `data` the digests of all that was learnt (`training/start.py`); a folder trained from other origins or with other settings is
+    refused.
     `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
     Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
     """
     folder = Path(folder)
     asked = {"kind": task.kind, "net": asdict(task.net), "training": asdict(training), "seed": seed}
     asked |= {"epoch_images": epoch_images, "targets": to_json(task.targets), "origin": origin}
-    asked |= {"taken_over": taken_over} | ({"slides": to_json(task.slides)} if task.slides else {})
+    asked |= {"data": data} | ({"slides": to_json(task.slides)} if task.slides else {})
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
         return stored.read(folder / checkpoint.SUMMARY, Summary, AGAIN)
@@ -123,7 +123,7 @@ def first_state(task: Task, optimiser: optax.GradientTransformation, key: Array,
 
     def first(key: Array, given: Tree) -> State:
         variables = task.init(key)
-        return fresh(started(variables, given) if start else variables, optimiser)
+        return fresh(begin_from(variables, given) if start else variables, optimiser)
 
     return jax.jit(first, compiler_options=run_once())(key, start.variables if start else None)
 
