@@ -38,6 +38,7 @@ IDLE = {  # settings of results that are gone, at the values at which they did n
     "mirror": False,
     "hidden_pins": 0.0,
     "label_weight": 0.0,
+    "precision": "float32",
 }
 COMPUTING = (
     *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
