@@ -10,6 +10,7 @@ definition before and after it.
 """
 
 import ast
+import dataclasses
 import hashlib
 import json
 import shlex
@@ -18,12 +19,11 @@ import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from jaxunshear.cli import read_base
 from jaxunshear.plain import plain
 from jaxunshear.results.rows import Source
-from jaxunshear.settings.earlier import LATER, without_later
 from jaxunshear.settings.stored import to_json
 from jaxunshear.storage import Json
 
@@ -31,6 +31,15 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 PACKAGES = PACKAGE, *TOOLS = ("jaxunshear", "verification", "benchmarks")
 NAMES = ("name", "claim", "digest", "tap_folder", "slide_folder")  # settings that decide no figure
+IDLE = {  # settings of results that are gone, at the values at which they did nothing
+    "shear_noise": 0.0,
+    "residual": 0,
+    "both_sides": False,
+    "mirror": False,
+    "hidden_pins": 0.0,
+    "label_weight": 0.0,
+    "precision": "float32",
+}
 COMPUTING = frozenset(
     (
         *("scene", "contact", "image", "dataset", "model", "training", "evaluation", "metrics"),
@@ -179,21 +188,33 @@ def command_today(command: str) -> str:
 def differences(name: str) -> dict[str, tuple[object, object]]:
     """Return the settings of a run or sweep that its command gives otherwise today: then, now.
 
-    Names and places are left out, and settings that do nothing: those that came later or went, and
-    those that the version that made the result did not have.
+    Names and places are left out. A setting that came later has its default then; one that went has,
+    today, the value at which it did nothing.
     """
     held = read_result(name)
     stored = held.get("base") or held.get("settings")
     if not stored:
         return {}
     words = [_today(word) for word in shlex.split(held["command"])[1:]]
-    then, now = (_flat(without_later(each)) for each in (stored, plain(to_json(read_base(words)))))
-    compared = [field for field in {**then, **now} if field in then or _last(field) in LATER]
+    experiment = read_base(words)
+    now = _flat(plain(to_json(experiment)))
+    then = _flat(plain(_defaults(experiment))) | _flat(stored)
+    gone = {field: IDLE.get(_last(field)) for field in then.keys() - now.keys()}
     return {
-        field: (then.get(field), now.get(field))
-        for field in compared
-        if then.get(field) != now.get(field) and _last(field) not in NAMES
+        field: (then[field], value)
+        for field, value in {**now, **gone}.items()
+        if then[field] != value and _last(field) not in NAMES
     }
+
+
+def _defaults(group: Any) -> Json:
+    """Return the defaults of the fields of a dataclass and of the groups in it."""
+    found = {}
+    for field in dataclasses.fields(group):
+        value = getattr(group, field.name)
+        default = None if field.default is dataclasses.MISSING else field.default
+        found[field.name] = _defaults(value) if dataclasses.is_dataclass(value) else default
+    return found
 
 
 def _last(field: str) -> str:

@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import typing
 
+from jaxunshear.version import __version__ as __version__
+
 if typing.TYPE_CHECKING:
     from pathlib import Path
 
     from jaxunshear.api import Model
-
-__version__ = "0.2.0"
 
 
 def load_model(name: str | Path, like: str | Path | None = None, force: bool = False) -> Model:

@@ -4,14 +4,11 @@ import os
 import sys
 from importlib import import_module
 
-from jaxunshear.memory import restart_with_large_pages
-
 INTERRUPTED = 130
 
 
 def run(program: str = "jaxunshear.cli") -> int:
     """Run the `main` of a program, in a process of its own."""
-    restart_with_large_pages()
     try:
         main = import_module(program).main
     except MemoryError:

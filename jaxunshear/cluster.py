@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from jaxunshear.environment import cores, settle
+from jaxunshear.environment import check_variables, cores
 from jaxunshear.errors import UserError
 
 if TYPE_CHECKING:
@@ -134,6 +134,6 @@ def _made(reference: "ray.ObjectRef[object]") -> object:
 
 def _after(work: bytes, *_: object) -> object:
     """A pickled call, when those that the last arguments stand for have ended."""
-    settle()  # a worker's machine has variables of its own, and JAX reads them when the call is unpickled
+    check_variables()  # a worker's machine has its own
     function, arguments = pickle.loads(work)
     return function(*arguments)

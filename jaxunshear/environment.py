@@ -4,11 +4,10 @@ import errno
 import os
 import subprocess
 import sys
-import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import cache
 
-from jaxunshear.errors import Note, UserError
+from jaxunshear.errors import UserError
 from jaxunshear.storage import cache_folder
 
 # Of JAX's variables those of devices, caches and messages; others decide keys, number types or what is allowed
@@ -25,28 +24,11 @@ DEVICE_COUNT = "JAXUNSHEAR_DEVICES"  # how many a training is spread over, see `
 SECONDS = 120  # a GPU on a busy machine needs some
 
 
-def settled(environment: Mapping[str, str]) -> dict[str, str]:
-    """`environment` without what would change results under the same name. Figures go to files, whatever a notebook draws on."""
-    kept = {
-        name: value for name, value in environment.items() if not name.startswith("JAX_") or name.startswith(HEEDED)
-    }
-    if not kept.get("HOME"):
-        kept.pop("HOME", None)  # empty would mean /
-    return kept | {"MPLBACKEND": "agg"}
-
-
-def settle() -> None:
-    """Makes this process's environment a `settled` one, before JAX and Matplotlib read it; notes what it sets aside."""
-    new = settled(os.environ)
-    aside = [name for name in os.environ if name not in new]
-    for name in aside:
-        del os.environ[name]
-    os.environ.update(new)
-    reported = ", ".join(sorted(name for name in aside if name.startswith("JAX_")))
-    if reported:
-        warnings.warn(
-            f"set aside, since it would give other results under the same name: {reported}", Note, stacklevel=2
-        )
+def check_variables() -> None:
+    """Raise UserError if a variable of JAX in the environment would change results."""
+    found = sorted(name for name in os.environ if name.startswith("JAX_") and not name.startswith(HEEDED))
+    if found:
+        raise UserError(f"{', '.join(found)}: would give other results under the same name: unset it")
 
 
 def cores() -> int:
@@ -55,8 +37,9 @@ def cores() -> int:
 
 
 def check_environment() -> None:
-    """Raises UserError, before there is work to lose, where the environment names no place for a cache, devices that are not there, or
-    flags of XLA that round otherwise, or layers or a number of devices that there cannot be."""
+    """Raises UserError, before there is work to lose, where the environment names no place for a cache, devices that are not there,
+    variables or flags that would change results, or layers or a number of devices that there cannot be."""
+    check_variables()
     cache_folder()
     kernels_asked()
     devices_asked()

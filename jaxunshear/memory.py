@@ -1,13 +1,11 @@
-"""Memory in large pages, and freed memory kept in the process. Does not import JAX when it is imported.
+"""Freed memory is kept in the process. Does not import JAX when it is imported.
 
 XLA allocates one block for a step's intermediate arrays and frees it after each step; glibc returns such large blocks
 to the kernel, and getting them back, page by page, cost a third of a training step on two cores. What other threads than the
-first allocate is returned whatever one asks for. So computations run in the thread that calls them, and what is left
-comes in pages of 2 MB instead of 4 kB.
+first allocate is returned whatever one asks for. So computations run in the thread that calls them.
 """
 
 import ctypes
-import os
 import sys
 
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # malloc.h
@@ -27,15 +25,3 @@ def keep_freed_memory() -> None:
     if mallopt is not None:
         mallopt(_M_MMAP_MAX, 0)
         mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
-
-
-def restart_with_large_pages() -> None:
-    """Runs this very command anew, once, with glibc set to ask for large pages: it reads that when a process starts.
-
-    Does nothing where the C library is another, where GLIBC_TUNABLES is set already, or for an interpreter that was not started
-    from a command line.
-    """
-    if not sys.platform.startswith("linux") or "GLIBC_TUNABLES" in os.environ or len(sys.orig_argv) < 2:
-        return
-    os.environ["GLIBC_TUNABLES"] = "glibc.malloc.hugetlb=1"
-    os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])

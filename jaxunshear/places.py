@@ -1,13 +1,11 @@
-"""Places for results: refused before there is work to lose, where nothing can be written or something would be lost."""
+"""Places for results: refused before there is work to lose, where something would be lost."""
 
 import contextlib
 import json
-import os
-import tempfile
 from pathlib import Path
 
 from jaxunshear.errors import UserError
-from jaxunshear.storage import follow_link, is_device, read_object_if_sound
+from jaxunshear.storage import read_object_if_sound
 
 
 def check_new_file(path: Path | None, option: str = "--json") -> None:
@@ -21,11 +19,6 @@ def check_new_file(path: Path | None, option: str = "--json") -> None:
         raise UserError(f"{option} {path}: {above} is a file: name a file in a folder")
     if path.is_file() and path.stat().st_size and not _measured(path):
         raise UserError(f"{option} {path} holds something else, which would be lost: name another file")
-    if is_device(path):
-        if not os.access(path, os.W_OK):
-            raise UserError(f"{option} {path} cannot be written: name another file")
-        return
-    _check_writable(follow_link(path).parent, f"{option} {path}")
 
 
 def _measured(path: Path) -> bool:
@@ -48,16 +41,6 @@ def check_new_folder(path: Path | None, option: str = "--out") -> None:
     above = _file_above(path)
     if above is not None:
         raise UserError(f"{option} {path}: {above} is a file: name another folder")
-    _check_writable(path.absolute(), f"{option} {path}")
-
-
-def _check_writable(folder: Path, named: str) -> None:
-    """By a file without a name in it, or in the nearest folder above that is there: rights alone say nothing about file systems."""
-    place = next(above for above in (folder, *folder.parents) if above.exists())
-    try:
-        tempfile.TemporaryFile(dir=place).close()
-    except OSError as error:
-        raise UserError(f"{named}: {place} cannot be written ({error.strerror or error}): name another place") from None
 
 
 def _file_above(path: Path) -> Path | None:

@@ -20,7 +20,7 @@ from jaxunshear.settings.targets import to_json
 from jaxunshear.storage import read_object, write_json, write_text
 
 PARTS = {name: kind.released for name, kind in REGISTRY.items() if kind.released is not None}
-ORIGINS = ("origin", "taken_over", "start")  # what they learnt from goes with the weights
+ORIGINS = ("origin", "data", "start")  # what they learnt from goes with the weights
 NEEDED = (DISENTANGLED, POSENET)
 CARD = "README.md"
 READ = {  # columns of a simulated model's card

@@ -12,17 +12,16 @@ from pathlib import Path
 
 from jaxunshear.cluster import Spread, here
 from jaxunshear.errors import UserError
-from jaxunshear.folders import model_folder
 from jaxunshear.locks import locked
 from jaxunshear.results.run import Results
 from jaxunshear.results.times import TIMES, read_times
 from jaxunshear.settings import configs
 from jaxunshear.settings.experiment import Experiment, recorded_of, training_of
 from jaxunshear.settings.registry import TEACHER, TRAINABLE
-from jaxunshear.settings.stored import from_json, to_json
+from jaxunshear.settings.stored import from_json, to_json, with_version
 from jaxunshear.storage import Json, read_object, write_json
-from jaxunshear.training.kept_out import exams_of
-from jaxunshear.training.origin import check_kept_out, check_origin, origin_of, taken_over
+from jaxunshear.training.origin import check_origin, origin_of
+from jaxunshear.training.start import Start, data_of, start_folder
 
 TEACHER_SEED = 1000  # beyond the run's own
 LOCK = "run.lock"  # a row of a sweep has a lock of its own
@@ -38,7 +37,7 @@ def run_stages(
     """
     for network in TRAINABLE:
         if network in stages:
-            check_start(experiment, network)  # before data are made in vain
+            start_folder(experiment, network)  # refused before data are made in vain
     folder = Path(out) / experiment.name
     with locked(folder / LOCK, wait=False) as free:
         if not free:
@@ -95,7 +94,7 @@ def _keep_settings(experiment: Experiment, folder: Path) -> None:
             )
         if changed:
             (folder / TIMES).unlink(missing_ok=True)  # of the making of other data
-    write_json(path, wanted)
+    write_json(path, with_version(wanted))
 
 
 def _make_data(experiment: Experiment, data: Path, spread: Spread) -> bool:
@@ -141,7 +140,6 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
     from jaxunshear.training.examples import FRAME, open_examples, stored_of
     from jaxunshear.training.few_pairs import few_pairs, taps_of, with_alike, with_taps
     from jaxunshear.training.loop import train
-    from jaxunshear.training.start import Start
 
     seed = experiment.seed + (TEACHER_SEED if network == TEACHER else 0)
     training, examples = training_of(experiment, network), open_examples(experiment, network, data, folder)
@@ -157,7 +155,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         batches = with_taps(batches, taps_of(experiment, data), beside, seed)
     if training.alike_weight:
         batches = with_alike(batches, full, beside, seed)
-    begin = start_folder(training.start, network)
+    begin = start_folder(experiment, network)
     summary = train(
         task,
         training,
@@ -167,7 +165,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         folder / network,
         epoch_images=examples.epoch,
         origin=origin_of(experiment, network),
-        taken_over=taken_over(experiment, network, folder, begin),
+        data=data_of(experiment, begin),
         start=Start(load_best(begin), digest_of(begin)) if begin else None,
     )
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"
@@ -176,25 +174,6 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         f"best validation loss {loss} at step {summary.best_step} of {summary.steps}"
     )
     return True
-
-
-def check_start(experiment: Experiment, network: str) -> None:
-    """Raises UserError where the weights that `network` is to go on from are not there, or may know what the experiment tests."""
-    begin = start_folder(training_of(experiment, network).start, network)
-    if begin:
-        check_kept_out(begin, exams_of(experiment))
-
-
-def start_folder(model: str, network: str) -> Path | None:
-    """Where `network` of the weights to go on from lies, if any are asked for. Raises UserError where it is not there."""
-    if not model:
-        return None
-    folder = model_folder(Path(model))
-    if not (folder / network / "model.json").is_file():
-        raise UserError(
-            f"start: {folder} holds no {network}: name a run that trained it, or released weights that have it"
-        )
-    return folder / network
 
 
 def _halfway(experiment: Experiment, stage: str, folder: Path, data: Path) -> bool:

@@ -168,7 +168,7 @@ def bad_commands(tmp_path: Path) -> list[tuple[list, str]]:
         (["unshear", tmp_path / "none.png", "--model", run, "--out", tmp_path / "out"], "none.png does not exist"),
         (["unshear", image, "--model", tmp_path / "none", "--out", tmp_path / "out"], "no experiment.json"),
         (["unshear", image, "--model", run, "--out", tmp_path / "out"], "not valid JSON"),
-        (["unshear", image, "--model", other, "--out", tmp_path / "out"], "does not fit this version"),
+        (["unshear", image, "--model", other, "--out", tmp_path / "out"], "does not fit version"),
         (["unshear", image, "--model", untrained, "--out", tmp_path / "out"], "holds no trained network"),
         (["pose", image, "--model", untrained], "holds no trained network"),
         (["pose", tmp_path / "none", "--model", untrained], "does not exist"),
@@ -248,20 +248,16 @@ def test_an_interrupt_promises_nothing_where_no_work_is_kept(monkeypatch, comman
 @pytest.mark.parametrize(
     "words",
     [
-        ("pins", "IMAGE", "--out", "/proc/new"),
-        ("pins", "IMAGE", "--json", "/proc/new/a.json"),
-        ("calibrate", "recordings", "--out", "/proc/new"),
-        ("servo", "--out", "/proc/new"),
-        ("stream", "IMAGE", "--images", "/proc/new"),
-        ("stream", "IMAGE", "--lines", "/proc/new/a"),
+        ("sensors", "draw", "tactip331", "--out", "/proc/new/a.png"),
+        ("doctor", "IMAGE", "--json", "/proc/new/a.json"),
         ("run", DEMO, "--out", "/proc/new"),
     ],
 )
-def test_a_place_that_cannot_be_written_is_refused_before_any_work(command, no_stage, tmp_path, words):
+def test_a_place_that_cannot_be_written_is_named(command, tmp_path, words):
     Image.fromarray(np.eye(64, dtype=np.uint8) * 255).save(tmp_path / "a.png")
     answer = command(*(tmp_path / "a.png" if word == "IMAGE" else word for word in words))
     is_one_line(answer)
-    assert "/proc cannot be written" in answer.err and "name another place" in answer.err
+    assert "/proc/new" in answer.err
 
 
 def test_a_bug_keeps_its_traceback(run_with):

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from jaxunshear.environment import settled
+from jaxunshear.environment import check_variables
+from jaxunshear.errors import UserError
 from jaxunshear.storage import cache_folder
-from jaxunshear.sweep import tasks
+from jaxunshear.sweep.tasks import Order
+from jaxunshear.sweep.work import attempt
 
 ROOT = Path(__file__).resolve().parents[1]
-DRAWN = "from jaxunshear.environment import settle; settle(); import jax; print(jax.random.uniform(jax.random.key(0), 9).tolist())"
-BITS = {"JAX_ENABLE_X64": "1", "JAX_DEFAULT_PRNG_IMPL": "rbg", "JAX_THREEFRY_PARTITIONABLE": "0"}
+BITS = ("JAX_ENABLE_X64", "JAX_DEFAULT_PRNG_IMPL", "JAX_THREEFRY_PARTITIONABLE")
 
 
 def process(*words: object, **variables: str) -> subprocess.CompletedProcess:
@@ -23,39 +24,37 @@ def process(*words: object, **variables: str) -> subprocess.CompletedProcess:
     )
 
 
-def test_what_decides_results_is_set_aside():
-    kept = {"PATH": "/bin", "JAX_PLATFORMS": "cpu", "JAX_COMPILATION_CACHE_DIR": "/c", "JAXUNSHEAR_CACHE": "/d"}
-    more = {"JAX_NUMPY_RANK_PROMOTION": "raise", "JAX_RANDOM_SEED_OFFSET": "1", "HOME": "", "MPLBACKEND": "module://x"}
-    assert settled(kept | BITS | more) == kept | {"MPLBACKEND": "agg"}
+def test_what_decides_results_is_refused(monkeypatch):
+    for name, value in {"JAX_PLATFORMS": "cpu", "JAX_COMPILATION_CACHE_DIR": "/c", "JAXUNSHEAR_CACHE": "/d"}.items():
+        monkeypatch.setenv(name, value)
+    check_variables()
+    for name in BITS:
+        monkeypatch.setenv(name, "1")
+    with pytest.raises(UserError, match=r"^JAX_DEFAULT_PRNG_IMPL, JAX_ENABLE_X64, JAX_.*: would .* unset it$"):
+        check_variables()
 
 
-def test_numbers_drawn_do_not_depend_on_it(tmp_path):
-    """Where a program comes from the cache, XLA may say more, on some machines."""
-    usual, other = (process("-c", DRAWN, JAX_COMPILATION_CACHE_DIR=str(tmp_path), **more) for more in ({}, BITS))
-    assert usual.stdout == other.stdout != ""
-    assert usual.stderr == "" and all(name in other.stderr for name in BITS)
-
-
-def test_processes_of_a_sweep_are_spared_it_too(tmp_path, monkeypatch):
+def test_processes_of_a_sweep_refuse_it_too(monkeypatch, tmp_path):
     """Those on other machines of a cluster take theirs from there."""
     monkeypatch.setenv("JAX_ENABLE_X64", "1")
-    (tmp_path / "task.json").write_text('{"kind": "row"}')
-    tasks.carry_out(
-        tmp_path, "row", [sys.executable, "-c", "import os; raise SystemExit('JAX_ENABLE_X64' in os.environ)"]
-    )
-    assert "exit code 0" in (tmp_path / "row.json").read_text()
+    outcome = attempt(Order(kind="row"), tmp_path)
+    assert outcome.status == "failed" and "JAX_ENABLE_X64" in outcome.reason
 
 
-@pytest.mark.parametrize("name", ["module://matplotlib_inline.backend_inline", "nonsense"])
-def test_a_notebooks_backend_draws_nothing_here(tmp_path, name):
+def test_a_notebooks_backend_draws_nothing_here(tmp_path):
     words = ("-m", "jaxunshear", "sensors", "draw", "tactip331", "--out", tmp_path / "a.png")
-    answer = process(*words, MPLBACKEND=name)
+    answer = process(*words, MPLBACKEND="module://matplotlib_inline.backend_inline")
     assert (answer.returncode, answer.stderr) == (0, "")
 
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("JAX_PLATFORMS", "nowhere"), ("XLA_FLAGS", "--nonsense"), ("XLA_FLAGS", "--xla_cpu_enable_fast_math=true")],
+    [
+        ("JAX_PLATFORMS", "nowhere"),
+        ("JAX_ENABLE_X64", "1"),
+        ("XLA_FLAGS", "--nonsense"),
+        ("XLA_FLAGS", "--xla_cpu_enable_fast_math=true"),
+    ],
 )
 def test_devices_and_flags_that_cannot_be_are_reported_before_any_work(tmp_path, name, value):
     words = ("-m", "jaxunshear", "run", "experiments/tiny.py", "--out", tmp_path / "runs", "--data", tmp_path / "sets")

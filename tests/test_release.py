@@ -42,7 +42,7 @@ EXPERIMENT = Experiment(
     paired=PairedData(preprocess=SEEN),
     pose=PoseData(preprocess=SEEN),
 )
-LEARNT = {"origin": {"set": "tactip_paired"}, "taken_over": [{"set": "tactip_pose"}], "start": "1234"}
+LEARNT = {"origin": {"set": "tactip_paired"}, "data": ["ab"], "start": "1234"}
 RESULTS = {
     "settings": asdict(EXPERIMENT),
     "metric": {"ms_ssim": "ms_ssim@2", "image_px": SIZE},

@@ -106,8 +106,6 @@ def _settings() -> Iterator[NetworkCase]:
         yield steps_case(f"{field} that cannot be", SHALLOW, training, expects=(REFUSED,), words=(field,))
     yield steps_case(ENTANGLED, replace(SHALLOW, disentangled=False))
     yield steps_case("of the usual 128 px and widths", UnshearNet(), replace(TRAINING, batch=2), steps=SAVED_EVERY)
-    for rounded in (SHALLOW, POSENET):
-        yield steps_case("in bfloat16", rounded, replace(TRAINING, precision="bfloat16"))
 
 
 def _decays(net: Net) -> Iterator[NetworkCase]:

@@ -17,7 +17,6 @@ from jaxunshear.cli import (
     doctor,
     explore,
     export,
-    logs,
     release,
     report,
     stages,
@@ -36,7 +35,6 @@ MODULES: tuple[ModuleType, ...] = (
     stages,
     report,
     compare,
-    logs,
     ablate,
     release,
     export,
@@ -53,7 +51,7 @@ GROUPS = {  # of `jaxunshear --help`
         *("doctor", "fit", "run", "data", "train", "evaluate", "report", "release", "export", "unshear", "pose"),
         *("pins", "stream", "geometry", "servo", "reconstruct", "explore", "sensors", "stimuli"),
     ),
-    "study": ("sweep", "compare", "logs", "ablate", "validate", "calibrate"),
+    "study": ("sweep", "compare", "ablate", "validate", "calibrate"),
 }
 CONTINUED = ("run", "data", "train", "fit", "sweep", "servo")  # what keeps work that is half done
 FIELDS_HELP = """

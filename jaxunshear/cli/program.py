@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from jaxunshear.environment import check_environment, check_links, settle
+from jaxunshear.environment import check_environment, check_links
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
 from jaxunshear.places import check_new_file, check_new_folder
@@ -41,7 +41,6 @@ def report_errors(work: Callable[[], int], continued: bool = False) -> int:
     was stopped.
     """
     warnings.formatwarning = _noted
-    settle()
     try:
         return work()
     except UserError as error:

@@ -23,7 +23,6 @@ def add_parser(commands: Commands) -> None:
     add_like(parser)
     add_force(parser)
     parser.add_argument("--fps", metavar="N", type=float, help="play a folder or video at this rate, as a camera would")
-    parser.add_argument("--precision", choices=("float32", "bfloat16"), default="float32", help="(float32)")
     parser.add_argument("--lines", metavar="FILE", type=Path, help="for the JSON lines (default: standard output)")
     shown = parser.add_mutually_exclusive_group()
     shown.add_argument("--images", metavar="DIR", type=Path, help="for unsheared images (default: within the lines)")
@@ -49,7 +48,7 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> Streamed:
     source = Path(arguments.source)
     like = arguments.like or (source if source.is_dir() else None)
     frame = frame_for(like, experiment) if like else None
-    robot = robot_of(folder, experiment, arguments.precision, frame, arguments.force)
+    robot = robot_of(folder, experiment, frame, arguments.force)
     frames, live = frames_of(arguments.source, robot.preprocess, arguments.fps)
     truth = truth_of(arguments.source, experiment)
     with _lines(arguments.lines) as lines:

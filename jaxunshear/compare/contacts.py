@@ -11,7 +11,6 @@ import numpy as np
 from jaxunshear.compare.runs import Run, same_inputs, same_test
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.networks import load
-from jaxunshear.folders import load_settings
 from jaxunshear.image.png import eight_bit
 from jaxunshear.metrics import ms_ssim, scales_that_fit
 from jaxunshear.report import montage, words
@@ -73,8 +72,7 @@ def unsheared_by(run: Run, first: Run, sheared: np.ndarray) -> np.ndarray:
         return _stored(run, sheared)
     if not same_inputs(run, first):
         raise UserError("it reads images, of which the first run has the pins alone")
-    experiment = load_settings(run.folder)
-    network = load(run.folder, (run.shown,), None, experiment.train.precision)
+    network = load(run.folder, (run.shown,))
     outputs, _ = network(np.zeros_like(sheared)[..., None], sheared[..., None])
     return eight_bit(np.asarray(outputs.images[run.shown])[..., 0])
 

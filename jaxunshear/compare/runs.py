@@ -17,7 +17,6 @@ from jaxunshear.results.stored import read
 from jaxunshear.results.sweep import Outcome
 from jaxunshear.settings.configs import differences
 from jaxunshear.settings.data import RENDERED
-from jaxunshear.settings.earlier import LATER, without_later
 from jaxunshear.settings.registry import TRAINABLE
 from jaxunshear.storage import read_object_if_sound
 from jaxunshear.sweep.scores import Measured, read_tests, same_contacts
@@ -97,8 +96,7 @@ def _with_own(run: Run) -> Measured:
 def settings_apart(runs: Sequence[Run]) -> dict[str, list[str]]:
     """By dotted name of each setting that is not the same in all runs: its value in each."""
     held = [run.results.settings for run in runs]
-    plain = [without_later(dict(settings)) for settings in held]
-    names = dict.fromkeys(name for other in plain[1:] for name in differences(plain[0], other))
+    names = dict.fromkeys(name for other in held[1:] for name in differences(dict(held[0]), dict(other)))
     return {name: [_value(settings, name) for settings in held] for name in sorted(names) if name not in NAMES}
 
 
@@ -106,8 +104,7 @@ def _value(settings: object, name: str) -> str:
     """As a command line writes it; a dash where a run has no such setting."""
     for part in name.split("."):
         if not isinstance(settings, dict) or part not in settings:
-            later = LATER.get(name.rpartition(".")[2])
-            return "\u2013" if later is None else _text(later)
+            return "\u2013"
         settings = settings[part]
     return _text(settings)
 

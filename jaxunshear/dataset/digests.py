@@ -21,11 +21,6 @@ def folders_in(digest: str) -> set[str]:
     return {part for part in digest.split("+") if part and not part.startswith("p")}
 
 
-def pairs_in(digest: str) -> set[str]:
-    """That of the table of pairs, if there is one."""
-    return {part for part in digest.split("+") if part.startswith("p")}
-
-
 def _folder_digest(folder: Path) -> str:
     digest, recordings = hashlib.sha256(), read_folder(str(folder), Preprocess())
     for file, name in zip(recordings.files, recordings.names, strict=True):

@@ -23,7 +23,6 @@ from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
 from jaxunshear.evenly import evenly
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import provenance
-from jaxunshear.model.layers import in_precision
 from jaxunshear.progress import Progress
 from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
@@ -84,7 +83,7 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     @jax.jit
     def run(tap: Array, sheared: Array, key: Array) -> tuple[dict[str, Array], dict[str, Array]]:
         tap, sheared = (images.astype(np.float32) / 255 for images in (tap, sheared))
-        drawn = draw_cells(net, variables, in_precision(sheared, experiment.train.precision), SPOILT, key)
+        drawn = draw_cells(net, variables, sheared, SPOILT, key)
         return drawn, cell_scores(drawn, tap, sheared)
 
     found: list[dict[str, np.ndarray]] = []

@@ -74,7 +74,7 @@ def evaluate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str
         results, gathered, further, names = _simulated(experiment, run_dir, data_dir)
     results = replace(
         results,
-        ms_per_image=ms_per_image(run_dir, experiment.networks, experiment.train.precision),
+        ms_per_image=ms_per_image(run_dir, experiment.networks),
         time_s=read_times(run_dir) | {"evaluate": time.perf_counter() - started},
         **read_trained(run_dir, experiment.networks),
         **provenance(command),
@@ -100,7 +100,7 @@ def _simulated(experiment: Experiment, run_dir: Path, data_dir: Path) -> Scored:
         raise UserError(f"the test split in {data_dir} is empty: nothing to evaluate; raise paired.poses")
     over = over_pins(experiment)
     taps = None if over else training_taps(pairs.split("train", BATCH, ("canonical", "stimulus", "pose_id")))
-    run = load(run_dir, experiment.networks, taps, experiment.train.precision, examples.pins if over else None)
+    run = load(run_dir, experiment.networks, taps, examples.pins if over else None)
     inputs = PINS if over else IMAGES
     lattice = undeformed(experiment.sensor, paired.camera, paired.preprocess)
     readers = readers_of(experiment, data_dir, run_dir)

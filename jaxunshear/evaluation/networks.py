@@ -14,7 +14,6 @@ from jaxunshear.evaluation.cells import draw_cells
 from jaxunshear.evaluation.score import LEARNT_SHEARED, Outputs, image_scores
 from jaxunshear.image.dots import dots
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.layers import in_precision
 from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.unshearing import unshear
 from jaxunshear.settings.registry import DISENTANGLED, POSENET, POSENET_SHEARED, UNSHEARING
@@ -30,7 +29,6 @@ def load(
     run_dir: Path,
     names: Sequence[str],
     taps: np.ndarray | None = None,
-    precision: str = "float32",
     pins: Pins | None = None,
 ) -> Run:
     """A function (tap, sheared) -> (outputs, image scores), both images (B, S, S, 1) uint8 in {0, 255}; jitted as one.
@@ -45,30 +43,28 @@ def load(
     targets = {name: read_targets(folder) for name, folder in folders.items()}
     if pins is not None:
         return partial(jax.jit(pin_run_of(nets, targets, pins)), variables)
-    return partial(jax.jit(run_of(nets, targets, precision)), variables, taps)
+    return partial(jax.jit(run_of(nets, targets)), variables, taps)
 
 
 def run_of(
-    nets: Mapping[str, Net], targets: Mapping[str, Targets], precision: str = "float32"
+    nets: Mapping[str, Net], targets: Mapping[str, Targets]
 ) -> Callable[[Json, Array | None, Array, Array], tuple[Outputs, dict[str, Array]]]:
     """The function (variables, taps or None, tap, sheared) of these networks (settings and pose targets by name), not yet jitted.
 
     Images are uint8 in {0, 255}: taps (M, S, S, 1), tap and sheared (B, S, S, 1). Scores are (B,) each.
-    Networks that unshear are given images in `precision`.
     """
 
     def run(variables: Variables, taps: Array | None, tap: Array, sheared: Array) -> tuple[Outputs, dict[str, Array]]:
         tap, sheared = tap.astype(np.float32) / 255, sheared.astype(np.float32) / 255
         images, cells, poses = {"tap": tap, "sheared": sheared}, {}, {}
-        given = in_precision(sheared, precision)
         if taps is not None:
             images |= baseline_images(taps, tap, sheared)
         for kind in UNSHEARING:
             if kind == DISENTANGLED and kind in nets:
-                cells = draw_cells(nets[kind], variables[kind], given)
+                cells = draw_cells(nets[kind], variables[kind], sheared)
                 images[kind] = cells["DC(z_p)"]
             elif kind in nets:
-                images[kind] = unshear(nets[kind], variables[kind], given)
+                images[kind] = unshear(nets[kind], variables[kind], sheared)
         if POSENET in nets:
             answers = {kind: posenet.predict(nets[POSENET], variables[POSENET], x) for kind, x in images.items()}
             poses = {kind: posenet.pose_from_outputs(answer, targets[POSENET]) for kind, answer in answers.items()}

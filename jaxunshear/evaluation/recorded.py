@@ -66,7 +66,7 @@ def what_to_test(
 def networks_of(experiment: Experiment, run_dir: Path, stored: RecordedSet) -> Run:
     """The networks of a run, for contacts of a recorded set. Raises UserError where one is missing."""
     pins = pins_of(stored.frame) if over_pins(experiment) else None
-    return load(run_dir, experiment.networks, None, experiment.train.precision, pins)
+    return load(run_dir, experiment.networks, None, pins)
 
 
 def gathered_of(

@@ -9,7 +9,6 @@ import numpy as np
 from jax import Array
 
 from jaxunshear.model import pinnets, posenet
-from jaxunshear.model.layers import in_precision
 from jaxunshear.model.parts import Net, Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import unshear
@@ -20,25 +19,25 @@ from jaxunshear.training.checkpoint import load_best, read_net
 CALLS = 40
 
 
-def ms_per_image(run_dir: Path, names: Sequence[str], precision: str) -> dict[str, dict[str, float]]:
+def ms_per_image(run_dir: Path, names: Sequence[str]) -> dict[str, dict[str, float]]:
     """`median` and `p95` of milliseconds from a host's image to a host's answer, of each network in `run_dir`; compilation apart."""
     found = {}
     for name in names:
         net = read_net(Path(run_dir) / name)
-        answer = function_of(name, net, "float32" if name in POSENETS else precision)
+        answer = function_of(name, net)
         variables = load_best(Path(run_dir) / name)
         found[name] = timed(ready(answer, variables), _input_of(net, variables))
     return found
 
 
-def function_of(name: str, net: Net, precision: str) -> Callable[[Variables, Array], Array]:
+def function_of(name: str, net: Net) -> Callable[[Variables, Array], Array]:
     """The network called `name` as (variables, images) -> its answer: images (B, S, S, 1) in [0, 1] unsheared, or PoseNet's
     outputs (B, K). Networks over pins take these, (B, P, 2) px, in the place of images."""
     if isinstance(net, PinNet):
         read: Any = pinnets.unshear if isinstance(net, PinUnshear) else pinnets.predict
         return lambda variables, pins: read(net, variables, pins)
     answer: Any = posenet.predict if name in POSENETS else unshear
-    return lambda variables, images: answer(net, variables, in_precision(images, precision))
+    return lambda variables, images: answer(net, variables, images)
 
 
 def _input_of(net: Net, variables: Variables) -> np.ndarray:

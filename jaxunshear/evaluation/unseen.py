@@ -29,8 +29,7 @@ from jaxunshear.settings.experiment import Experiment, recorded_of
 from jaxunshear.storage import read_object
 from jaxunshear.training.checkpoint import check_finished, read_targets
 from jaxunshear.training.examples import FRAME
-from jaxunshear.training.kept_out import Exam
-from jaxunshear.training.origin import check_kept_out
+from jaxunshear.training.start import check_unseen
 
 
 def score_recordings(experiment: Experiment, run_dir: Path, recordings: Path, data_dir: Path, command: str) -> Results:
@@ -52,7 +51,7 @@ def score_recordings(experiment: Experiment, run_dir: Path, recordings: Path, da
         )
     settings = replace(settings, tap_folder=str(recordings), slide_folder=str(recordings), digest=digest, pairs="")
     for network in experiment.networks:
-        check_kept_out(run_dir / network, [Exam(settings, entire=True)])
+        check_unseen(run_dir / network, [digest])
     contacts = everything(settings)
     folder = Path(data_dir) / ".partial" / f"unseen-{digest}"
     stored = _prepared(experiment, run_dir, contacts, settings, folder)

@@ -20,7 +20,6 @@ from jaxunshear.image.framing import undeformed
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import followed, motions_of
 from jaxunshear.model import posenet
-from jaxunshear.model.layers import in_precision
 from jaxunshear.model.parts import Net, Tree, Variables
 from jaxunshear.model.ready import ready
 from jaxunshear.model.unshearing import predict, unshear
@@ -121,24 +120,24 @@ def in_batches(run: Callable[[np.ndarray], Tree], given: np.ndarray, at_once: in
     return jax.tree.map(lambda *values: np.concatenate(values), *parts)
 
 
-def forward_of(nets: Mapping[str, Net], targets: Mapping[str, Targets], precision: str = "float32") -> Forward:
+def forward_of(nets: Mapping[str, Net], targets: Mapping[str, Targets]) -> Forward:
     """Return the function of networks by name, in the order in which they run, a PoseNet last; `targets` by network."""
 
     def forward(variables: Variables, given: Array) -> tuple[Array, dict[str, Array]]:
         seen = unit(given) if given.dtype == np.uint8 else given
         *unshearing, reader = nets.items()
         for name, net in unshearing:
-            seen = unshear(net, variables[name], in_precision(seen, precision))
+            seen = unshear(net, variables[name], seen)
         name, net = reader
         return seen, posenet.pose_from_outputs(predict(net, variables[name], seen), targets[name])
 
     return forward
 
 
-def load_forward(model: Path, way: str, precision: str = "float32") -> tuple[Forward, Variables, Targets]:
+def load_forward(model: Path, way: str) -> tuple[Forward, Variables, Targets]:
     """A way of looking, its networks' variables and the poses that it reads, from the folder of a run. Raises `UserError`."""
     nets, variables, targets = trained(model, WAYS[way])
-    return forward_of(nets, targets, precision), variables, targets[WAYS[way][-1]]
+    return forward_of(nets, targets), variables, targets[WAYS[way][-1]]
 
 
 def lattice_of(experiment: Experiment) -> Lattice:

@@ -1,7 +1,6 @@
 """The layers of all networks over images: convolution, batch normalisation, ReLU (paper, appendix A).
 
-The precision is that of the images given: kernels are rounded to it, so bfloat16 images give bfloat16 products, logits and
-gradients of kernels, which are kept in float32 from there on, as are parameters and statistics.
+The precision is that of the images given.
 """
 
 import flax.linen as nn
@@ -13,11 +12,6 @@ from jaxtyping import Float
 INIT = nn.initializers.normal(0.02)  # paper, appendix B
 MOMENTUM = 0.9  # of the running statistics
 EPSILON = 1e-5
-
-
-def in_precision(images: Float[Array, "*B"], precision: str) -> Float[Array, "*B"]:
-    """Images as a network of this precision ("float32", "bfloat16") is to be given them; wider ones stay as they are in float32."""
-    return images.astype(jnp.bfloat16) if precision == "bfloat16" else images
 
 
 class Down(nn.Module):
@@ -68,8 +62,7 @@ class Up(nn.Module):
 
 
 class Last(nn.Module):
-    """4x4 transposed convolution of stride 2, with bias: (B, H, W, C) -> (B, 2H, 2W, 1), in float32 or wider: the bias' gradient is a
-    sum over all pixels, more than bfloat16 can count."""
+    """4x4 transposed convolution of stride 2, with bias: (B, H, W, C) -> (B, 2H, 2W, 1)."""
 
     @nn.compact
     def __call__(self, x: Array, train: bool) -> Array:

@@ -69,7 +69,7 @@ def _test(cell: CellResult) -> dict[str, str]:
 def points(summary: SweepResult, metric: str, cost: str) -> tuple[list[str], np.ndarray, np.ndarray]:
     """Labels, means over seeds of the cost, and of the metric, of all cells that have both.
 
-    Milliseconds are those of all cells with the same network in the same precision, since nothing else distinguishes them. MS-SSIM of
+    Milliseconds are those of all cells with the same network, since nothing else distinguishes them. MS-SSIM of
     other scales than the reference's (other image sizes) is another quantity, and left out.
     """
     found = []
@@ -86,7 +86,7 @@ def points(summary: SweepResult, metric: str, cost: str) -> tuple[list[str], np.
 
 
 def _network(cell: CellResult) -> dict[str, str]:
-    return {name: value for name, value in cell.settings.items() if name.startswith(("unshear.", "train.precision"))}
+    return {name: value for name, value in cell.settings.items() if name.startswith("unshear.")}
 
 
 def _spent(cell: CellResult, cost: str) -> list[float]:

@@ -8,7 +8,7 @@ from jaxunshear.results.rows import Machine, Source, Versions
 from jaxunshear.settings.targets import Target
 
 EVALUATED = "run `jaxunshear evaluate` again"  # what makes a file of it anew
-Settings = Mapping[str, Any]  # as `settings.stored.to_json` makes them, of this version or an earlier one
+Settings = Mapping[str, Any]  # as `settings.stored.to_json` makes them
 Notes = Mapping[str, str | int]  # what exactly a name of a table stands for
 Scores = Mapping[str, float | None]  # by target or shape
 Table = Mapping[str, Scores]  # by kind of contact

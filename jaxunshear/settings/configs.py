@@ -9,7 +9,6 @@ from typing import Any
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.data import PairedData, PoseData, Ranges, Recorded
-from jaxunshear.settings.earlier import without_later
 from jaxunshear.settings.image import FITTED_CAMERA, FLUSH_CAMERA, Preprocess
 from jaxunshear.settings.sensor import FITTED_FRICTION, TACTIP_331, TACTIP_331_FITTED, TACTIP_331_FLUSH, Sensor
 from jaxunshear.storage import Json
@@ -96,7 +95,7 @@ def describe(settings: Settings, sensor: Sensor) -> dict:
         "set": set_name(settings),
         "version": version_of(settings),
         "sensor": dataclasses.asdict(sensor),
-        "settings": without_later(fields),
+        "settings": fields,
     }
     return json.loads(json.dumps(full))
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.earlier import MOVED
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.types import check_types
 
@@ -66,8 +65,6 @@ def _failure(path: Path, error: BaseException) -> str:
         return "is not text: name a Python file"
     if isinstance(error, SyntaxError):
         return f"has a syntax error in line {error.lineno}: {error.msg}"
-    if isinstance(error, ModuleNotFoundError) and error.name in MOVED:
-        return f"was written for an earlier version: write {MOVED[error.name]} where it imports from {error.name}"
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
     where = f" in line {lines[-1]}" if lines else ""
     return f"fails{where}: {type(error).__name__}: {' '.join(str(error).split())}"

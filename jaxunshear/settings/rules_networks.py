@@ -137,14 +137,17 @@ def _exchange(experiment: Experiment) -> Iterator[Rule]:
 def _few_pairs(experiment: Experiment) -> Iterator[Rule]:
     """What learning from a share of the pairs takes, and from taps without a slide."""
     simulated, over_images, training = recorded_of(experiment) is None, experiment.train, experiment.train_pins
-    for name, share in (("train", over_images.paired_share), ("train_pins", training.paired_share)):
-        yield share == 1 or simulated, f"{name}.paired_share", "is of simulated pairs: use paired.labelled"
-    for name, each in (("train", over_images), ("train_pins", training)):
-        yield (
-            each.paired_share == 1 or not exchanged(each),
-            f"{name}.paired_share",
-            "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
-        )
+    yield over_images.paired_share == 1, "train.paired_share", "is for networks over pins: leave it at 1"
+    yield (
+        training.paired_share == 1 or simulated,
+        "train_pins.paired_share",
+        "is of simulated pairs: use paired.labelled",
+    )
+    yield (
+        training.paired_share == 1 or not exchanged(training),
+        "train_pins.paired_share",
+        "leaves slides without their partners: leave it at 1, or swap_weight and agreement_weight at 0",
+    )
     for field in ("tap_weight", "alike_weight"):
         weight = getattr(training, field)
         yield not getattr(over_images, field), f"train.{field}", "is for networks over pins: leave it at 0"

@@ -5,10 +5,13 @@ import typing
 from typing import Any
 
 from jaxunshear.errors import UserError
-from jaxunshear.settings.earlier import GONE, LATER, is_later
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.types import Hint, describe, fits, groups, hints, origin
 from jaxunshear.storage import Json
+from jaxunshear.version import __version__
+
+VERSION = "version"  # of the package that wrote the settings beside it
+OTHERS = "files of version 0.2.0 and earlier are not read"  # these do not name their version
 
 
 def to_json(experiment: Experiment) -> Json:
@@ -17,9 +20,32 @@ def to_json(experiment: Experiment) -> Json:
 
 
 def from_json(data: object, source: str = "experiment.json") -> Experiment:
-    """The inverse of `to_json`; unknown and missing fields and wrong types are refused by name, but those that an earlier version did not
-    write (`earlier.py`)."""
-    return build(data, Experiment, source, "")
+    """Return the experiment that `to_json` wrote, with or without the version.
+
+    Raises UserError naming fields that are unknown, missing or of a wrong type, or another version.
+    """
+    return build(without_version(data, source) if isinstance(data, dict) else data, Experiment, source, "")
+
+
+def with_version(settings: Json) -> Json:
+    """Add the version of the package, which reads only its own files, to `settings`."""
+    return {VERSION: __version__} | settings
+
+
+def without_version(stored: Json, source: object) -> Json:
+    """Return `stored` without its version. Raises UserError if that is not ours."""
+    wrote = stored.get(VERSION, __version__)
+    if _minor(wrote) != _minor(__version__):
+        raise UserError(
+            f"{source} was written by jaxunshear {wrote}, and this is {__version__}: "
+            "use that version, or make it again in another folder"
+        )
+    return {name: value for name, value in stored.items() if name != VERSION}
+
+
+def _minor(version: object) -> list[str]:
+    """Return major and minor version: those of a patch read each other's files."""
+    return str(version).split(".")[:2]
 
 
 def build(data: object, kind: Hint, source: str, name: str) -> Any:
@@ -38,21 +64,21 @@ def build(data: object, kind: Hint, source: str, name: str) -> Any:
 def _group(data: object, kinds: list[type], source: str, name: str) -> Any:
     """Settings of whichever of `kinds` has the fields in `data`."""
     if not isinstance(data, dict):
-        raise UserError(f"{source} does not fit this version: {name or 'its top level'} is no group; run it again")
-    given = {field: value for field, value in data.items() if field not in GONE or not is_later(field, value)}
-    own = min(kinds, key=lambda each: len(_misfits(given, hints(each), name)))
+        raise UserError(
+            f"{source} does not fit version {__version__}: {name or 'its top level'} is no group; run it again"
+        )
+    own = min(kinds, key=lambda each: len(_misfits(data, hints(each), name)))
     fields = hints(own)
-    if misfits := _misfits(given, fields, name):
-        raise UserError(f"{source} does not fit this version: {', '.join(misfits)}; run it again")
-    values = LATER | given
-    parts = {field: build(values[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in fields.items()}
+    if misfits := _misfits(data, fields, name):
+        raise UserError(f"{source} does not fit version {__version__}: {', '.join(misfits)}; {OTHERS}: run it again")
+    parts = {field: build(data[field], hint, source, f"{name}.{field}".lstrip(".")) for field, hint in fields.items()}
     return own(**parts)
 
 
 def _misfits(given: Json, fields: dict[str, Hint], group: str) -> list[str]:
-    """Say which settings of a group this version no longer has, and which a file lacks that are not LATER."""
+    """Say which settings of a group this version does not have, and which a file lacks."""
     gone = {field: value for field, value in given.items() if field not in fields}
-    lacking = fields.keys() - given.keys() - LATER.keys()
+    lacking = fields.keys() - given.keys()
     return [
         *(f"{group}.{field} = {value!r} is no setting".lstrip(".") for field, value in sorted(gone.items())),
         *(f"{group}.{field} is missing".lstrip(".") for field in sorted(lacking)),

@@ -41,13 +41,12 @@ class Training:
     agreement_weight: float = 0.0
     # the numbers of z_s are the slide in the sensor's frame, shifts before turns, as many as it has room for, each over half of its range
     slide_weight: float = 0.0
-    # share of the simulated training poses, drawn by seed, whose slides have their tap; the other slides are left out
+    # over pins: share of the simulated training poses, drawn by seed, whose slides have their tap; other slides are left out
     paired_share: float = 1.0
     tap_weight: float = 0.0  # over pins: taps without a slide, those that PoseNet learns from, come out as they went in
     alike_weight: float = 0.0  # over pins: two slides to one pose, whether they have a tap or not, are unsheared alike
     pose_weight: float = 0.0  # of what a PoseNet reads off the unsheared image, against `pose_target`
     pose_target: Literal["tap", "label"] = "tap"  # what the same PoseNet reads off the tap; or "label", the true pose
-    precision: Literal["float32", "bfloat16"] = "float32"  # of the convolutions
     averaging: float = 0.99  # decay of the exponential moving average of the weights; 0 switches it off
     shift: float = 0.015  # random image shifts, largest, as a fraction of the image size (the paper: 1-2 %)
     start: str = ""  # weights to go on from: released ones by name, or a run's folder; none: fresh ones

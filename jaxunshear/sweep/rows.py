@@ -16,7 +16,6 @@ from itertools import zip_longest
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import VERSION, floats
 from jaxunshear.settings.data import Pairing, PoseData, Recorded
-from jaxunshear.settings.earlier import without_later
 from jaxunshear.settings.experiment import Experiment, needed, over_pins, recorded_of, without_pair_losses
 from jaxunshear.settings.fields import replaced, show
 from jaxunshear.settings.networks import without_codes, without_direct, without_pin_codes, without_turns
@@ -96,7 +95,7 @@ def row_digest(experiment: Experiment, ablation: bool) -> str:
     """Eight hexadecimal digits of all that decides a row's numbers; names, claims and the networks' order do not."""
     networks = tuple(sorted(experiment.networks))
     full = dataclasses.replace(experiment, name="", claim="", networks=networks)
-    return _digest({"experiment": without_later(to_json(full)), "ablation": ablation})
+    return _digest({"experiment": to_json(full), "ablation": ablation})
 
 
 def training_part(experiment: Experiment, network: str) -> Experiment:
@@ -130,7 +129,7 @@ def training_part(experiment: Experiment, network: str) -> Experiment:
         part = _without_direct(part)
     if REGISTRY[network].does == "unshears" and not REGISTRY[network].codes:
         part = dataclasses.replace(part, unshear=without_codes(part.unshear))
-    own = _digest({"experiment": without_later(to_json(part)), "network": network})
+    own = _digest({"experiment": to_json(part), "network": network})
     return dataclasses.replace(part, name=f"{network}_seed-{experiment.seed}-{own}")
 
 

@@ -16,7 +16,6 @@ from jaxunshear.report.frontier_figure import frontier_figure
 from jaxunshear.report.sweep_figure import sweep_figure
 from jaxunshear.results.stored import write
 from jaxunshear.results.sweep import SweepResult
-from jaxunshear.run import check_start
 from jaxunshear.settings.experiment import trained
 from jaxunshear.settings.sweep import Sweep
 from jaxunshear.storage import write_bytes
@@ -26,6 +25,7 @@ from jaxunshear.sweep.rows import Row, cells_of, reference_of, rows_of
 from jaxunshear.sweep.scores import Measured, read_tests
 from jaxunshear.sweep.summary import summarise
 from jaxunshear.sweep.tasks import LOCK, WORKER, carry_out, read_outcome
+from jaxunshear.training.start import start_folder
 
 Thing = TypeVar("Thing")
 
@@ -76,7 +76,7 @@ def _run_rows(
         return
     for row in left:
         for network in trained(row.experiment):
-            check_start(row.experiment, network)
+            start_folder(row.experiment, network)
     task = plan.data_task(folder, left, data)
     carry_out(task.folder, task.kind, worker, quiet=False)
     made = read_outcome(task.folder, task.kind)

@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from jaxunshear.environment import settled
 from jaxunshear.errors import UserError
 from jaxunshear.results.run import Settings
 from jaxunshear.results.stored import read, write
@@ -88,7 +87,6 @@ def carry_out(folder: Path, kind: str, worker: Sequence[str] = WORKER, quiet: bo
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=output,
-            env=settled(os.environ),  # a machine of a cluster has its own
             start_new_session=True,  # Ctrl-C is for the sweep, which then ends its tasks
         )
         try:

@@ -15,9 +15,10 @@ import traceback
 from dataclasses import replace
 from pathlib import Path
 
+from jaxunshear.environment import check_variables
 from jaxunshear.errors import UserError
 from jaxunshear.locks import locked
-from jaxunshear.memory import keep_freed_memory, restart_with_large_pages
+from jaxunshear.memory import keep_freed_memory
 from jaxunshear.results.rows import Summary
 from jaxunshear.results.stored import read, write
 from jaxunshear.results.sweep import Outcome
@@ -72,6 +73,7 @@ def attempt(order: Order, folder: Path) -> Outcome:
     """What the task made, or why it failed, and what it took. A full disk is no failure of the task: raised."""
     began = time.perf_counter()
     try:
+        check_variables()  # a machine of a cluster has its own
         made = {"data": _data, "training": _training, "row": _row}[order.kind](order, folder)
         outcome = repeated(order, made)
     except UserError as error:
@@ -186,5 +188,4 @@ def _trained(order: Order, folder: Path) -> Outcome:
 
 
 if __name__ == "__main__":
-    restart_with_large_pages()
     sys.exit(main(Path(sys.argv[1]), int(sys.argv[2])))

@@ -26,8 +26,8 @@ import orbax.checkpoint as ocp
 from jaxunshear import storage
 from jaxunshear.errors import UserError, first_line
 from jaxunshear.model.parts import Net, Variables, leaves_of
-from jaxunshear.settings.earlier import LATER, is_later
 from jaxunshear.settings.networks import PinPoseNet, PinRenderer, PinUnshear, PoseNet, UNet, UnshearNet
+from jaxunshear.settings.stored import OTHERS, with_version, without_version
 from jaxunshear.settings.targets import Targets, from_json
 from jaxunshear.storage import Json
 
@@ -171,11 +171,10 @@ def write_settings(folder: Path, settings: Json) -> None:
     settings."""
     path = Path(folder) / MODEL
     if not path.exists():
-        return storage.write_json(path, settings)
-    old, new = _flat(storage.read_object(path)), _flat(storage.plain(settings))
+        return storage.write_json(path, with_version(settings))
+    old, new = _flat(_read_model(path)), _flat(storage.plain(settings))
     for name in old | new:
-        idle = (name not in old and is_later(name, new[name])) or (name not in new and is_later(name, old[name]))
-        if old.get(name) != new.get(name) and not idle:
+        if old.get(name) != new.get(name):
             change = f"{name} = {old.get(name)}, now {new.get(name)}"
             raise UserError(f"{folder} holds a training with {change}: delete the folder or use another name")
 
@@ -186,13 +185,17 @@ def read_net(folder: Path) -> Net:
     if not path.exists():
         raise UserError(f"{folder} holds no trained model (no {MODEL}): train first, or name another folder")
     try:
-        stored = storage.read_object(path)
+        stored = _read_model(path)
         kind = NETS[stored["kind"]]
-        fields = LATER | stored["net"]
-        fields = {field.name: fields[field.name] for field in dataclasses.fields(kind)}
+        fields = {field.name: stored["net"][field.name] for field in dataclasses.fields(kind)}
         return kind(**{name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()})
     except (KeyError, TypeError) as error:
-        raise UserError(f"{path} lacks or misnames {error}: delete {folder} and train again") from error
+        raise UserError(f"{path} lacks or misnames {error} ({OTHERS}): delete {folder} and train again") from error
+
+
+def _read_model(path: Path) -> Json:
+    """Read model.json without its version. Raises UserError if another version wrote it."""
+    return without_version(storage.read_object(path), path)
 
 
 def read_slides(folder: Path) -> Targets:

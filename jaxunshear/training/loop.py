@@ -38,10 +38,11 @@ from jaxunshear.storage import Json
 from jaxunshear.training import checkpoint
 from jaxunshear.training.ahead import ahead
 from jaxunshear.training.devices import Devices, devices_for
+from jaxunshear.training.events import open_events
 from jaxunshear.training.guard import check_state, check_terms
 from jaxunshear.training.losses import kernel_sizes
-from jaxunshear.training.start import Start, started
-from jaxunshear.training.step import State, fresh, make_step, optimiser_of
+from jaxunshear.training.start import Start, begin_from
+from jaxunshear.training.step import State, fresh, learning_rate, make_step, optimiser_of
 from jaxunshear.training.tasks import Batch, Task, Tree
 
 Batches = Callable[[int], Iterator[Batch]]
@@ -79,21 +80,21 @@ def train(
     *,
     epoch_images: int,
     origin: object = None,
-    taken_over: Sequence[object] = (),
+    data: Sequence[str] = (),
     start: Start | None = None,
 ) -> Summary:
     """Train the network of `task` into `folder`, or go on where it stopped, or return at once if finished.
 
     Batches are those of the task. `epoch_images` examples are one epoch. `origin` is any JSON that says where the data come from,
-    `taken_over` a list of more that was learnt through others (`training/origin.py`); a folder trained from other origins or with
-    other settings is refused.
+    `data` the digests of all that was learnt (`training/start.py`); a folder trained from other origins or with other settings is
+    refused.
     `start`: weights to go on from in the place of fresh ones, wherever they have the same parts.
     Raises UserError (a loss or a state that is not finite, a damaged checkpoint, settings that do not fit).
     """
     folder = Path(folder)
     asked = {"kind": task.kind, "net": asdict(task.net), "training": asdict(training), "seed": seed}
     asked |= {"epoch_images": epoch_images, "targets": to_json(task.targets), "origin": origin}
-    asked |= {"taken_over": taken_over} | ({"slides": to_json(task.slides)} if task.slides else {})
+    asked |= {"data": data} | ({"slides": to_json(task.slides)} if task.slides else {})
     checkpoint.write_settings(folder, asked | ({"start": start.digest} if start else {}))
     if (folder / checkpoint.SUMMARY).exists():
         return stored.read(folder / checkpoint.SUMMARY, Summary, AGAIN)
@@ -106,9 +107,13 @@ def train(
     state, reached = _restored(folder, first_state(task, optimiser, key_init, start), task.rank)
     _write_log(folder, reached.history)
     step = make_step(task, training, optimiser, key_steps)
+    rate = learning_rate(training, length.steps, steps_per_epoch)
     with native.taking("xla") if devices.mesh else contextlib.nullcontext():  # what is compiled cannot be split
-        with contextlib.closing(ahead(iter(batches(reached.step)), devices.with_batch)) as stream:
-            state = _run(step, state, reached, length, task, training, stream, validation, folder, devices)
+        with (
+            contextlib.closing(ahead(iter(batches(reached.step)), devices.with_batch)) as stream,
+            open_events(folder, reached.step, rate) as log,
+        ):
+            state = _run(step, state, reached, length, task, training, stream, validation, folder, devices, log)
         parameters = sum(leaf.size for leaf in jax.tree.leaves(state.params))
         return _ended(task, parameters, reached, length, folder, devices)
 
@@ -118,7 +123,7 @@ def first_state(task: Task, optimiser: optax.GradientTransformation, key: Array,
 
     def first(key: Array, given: Tree) -> State:
         variables = task.init(key)
-        return fresh(started(variables, given) if start else variables, optimiser)
+        return fresh(begin_from(variables, given) if start else variables, optimiser)
 
     return jax.jit(first, compiler_options=run_once())(key, start.variables if start else None)
 
@@ -145,6 +150,7 @@ def _run(
     validation: Validation,
     folder: Path,
     devices: Devices,
+    log: Callable[[Json], None],
 ) -> State:
     """All steps that are left, with their checkpoints. Returns the last state; `reached` goes along."""
     state, batch = devices.with_state(state), next(stream)
@@ -173,6 +179,7 @@ def _run(
             scores = _mean_terms(validate, state.average, validation())
             sizes = {name: float(size) for name, size in measure(state.params).items()}
             _keep(state, reached, length, {"train": last, "validation": scores, "kernels": sizes}, task.rank, folder)
+            log(reached.history[-1])
             began = time.perf_counter()
     return state
 

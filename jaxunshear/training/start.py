@@ -1,42 +1,64 @@
-"""Training that goes on from weights there are: `train.start`."""
+"""Fine-tuning, `train.start`: a training begins from weights that have not learnt its tests. Loads JAX late."""
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-
+from jaxunshear.dataset.digests import folders_in
 from jaxunshear.errors import UserError
-from jaxunshear.model.parts import Tree, leaves_of
+from jaxunshear.folders import model_folder
+from jaxunshear.settings.configs import fingerprint
+from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.experiment import Experiment, further_tests, simulated_of, training_of
+from jaxunshear.settings.stored import OTHERS
+from jaxunshear.storage import read_object
 
 
 class Start(NamedTuple):
-    """Where a training begins, and what it is called in model.json."""
-
-    variables: Tree
-    digest: str
+    variables: Any
+    digest: str  # of these weights, kept in model.json
 
 
-def started(fresh: Tree, start: Tree) -> Tree:
-    """`fresh` variables with those of `start` in the places of its own; modules of `start` that it lacks are left out, and parts
-    that `start` lacks (released weights hold no shear code and no DS) stay fresh.
+def start_folder(experiment: Experiment, network: str) -> Path | None:
+    """Find the weights of `network` to begin from, if any. Raises UserError if they are missing or learnt the tests."""
+    if not (model := training_of(experiment, network).start):
+        return None
+    folder = model_folder(Path(model)) / network
+    if not (folder / "model.json").is_file():
+        raise UserError(f"start: {folder.parent} holds no {network}: name a run or released weights that have it")
+    tests = {fingerprint(test, experiment.sensor) for test in further_tests(experiment).values()}
+    check_unseen(folder, folders_in(paired.digest) if isinstance(paired := experiment.paired, Recorded) else tests)
+    return folder
 
-    Raises UserError where a shape differs, a module of its own has fewer layers than that of `start`, or nothing of `start` has a place.
-    """
+
+def data_of(experiment: Experiment, start: Path | None) -> list[str]:
+    """Return the digests of the data of `experiment` and of what the weights in `start` learnt from."""
+    if isinstance(experiment.paired, Recorded):
+        own = folders_in(experiment.paired.digest)
+    else:
+        own = {fingerprint(each, experiment.sensor) for each in simulated_of(experiment, "this")}
+    return sorted(own.union(read_object(start / "model.json")["data"] if start else ()))
+
+
+def check_unseen(folder: Path, digests: Iterable[str]) -> None:
+    """Raise UserError if the network in `folder` learnt from data of one of `digests`, or may have."""
+    learnt = read_object(folder / "model.json").get("data")
+    seen = ", ".join(sorted(set(digests).intersection(learnt or ())))
+    if seen or learnt is None:
+        of = f"data that are tested (digest {seen})" if seen else f"unknown data ({OTHERS})"
+        raise UserError(f"{folder} learnt from {of}: use other weights or data")
+
+
+def begin_from(fresh: Any, start: Any) -> Any:
+    """Return `fresh` variables with those of `start` in their places. Raises UserError if a shape or layer differs."""
+    from jax import tree
+
+    from jaxunshear.model.parts import leaves_of
+
     own, given = leaves_of(fresh), leaves_of(start)
-    modules = {_module(name) for name in own}
-    misplaced = next((name for name in given if name not in own and _module(name) in modules), None)
-    if misplaced:
-        raise UserError(f"start: {misplaced} is there and has no place here: use that network's settings")
-    taken = {name: given[name] for name in own if name in given}
-    if not taken:
-        raise UserError("start: these weights have nothing in common with the network: name those of another")
-    for name, leaf in taken.items():
-        there, here = jnp.shape(leaf), jnp.shape(own[name])
-        if there != here:
-            raise UserError(f"start: {name} is {there} there and {here} here: use that network's settings")
-    return jax.tree.unflatten(jax.tree.structure(fresh), (own | taken).values())
-
-
-def _module(name: str) -> str:
-    """Of a leaf: params.E of params.E.First_0.kernel."""
-    return ".".join(name.split(".")[:2])
+    modules = {name.split(".")[1] for name in own}  # E of params.E.First_0.kernel
+    kept = {name: leaf for name, leaf in given.items() if name.split(".")[1] in modules}
+    wrong = next((name for name, leaf in kept.items() if name not in own or own[name].shape != leaf.shape), None)
+    if wrong or not kept:
+        raise UserError(f"start: {wrong or 'no part'} of these weights fits the network: use that network's settings")
+    return tree.unflatten(tree.structure(fresh), (own | kept).values())

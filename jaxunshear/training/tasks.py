@@ -13,7 +13,6 @@ from jaxunshear.dataset.factorial import OTHER_IMAGE, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unet, unshearnet
 from jaxunshear.model.decoded import Decoded
-from jaxunshear.model.layers import in_precision
 from jaxunshear.model.parts import Net, Tree
 from jaxunshear.settings import networks
 from jaxunshear.settings.targets import Targets, true_values
@@ -80,7 +79,7 @@ def unshear_task(
     def validate(variables: Tree, batch: Batch) -> dict[str, Array]:
         batch = _as_floats(batch)
         canonical = batch["canonical"]
-        images = in_precision(batch["sheared"], training.precision)  # as it will be put to use
+        images = batch["sheared"]
         named = {}
         if isinstance(net, networks.UNet):
             image = unet.unshear(net, variables, images)
@@ -99,14 +98,12 @@ def unshear_task(
 def _decoded(
     net: networks.UnshearNet | networks.UNet, training: Training, variables: Tree, batch: Batch
 ) -> tuple[Decoded, Tree]:
-    seen = partial(in_precision, precision=training.precision)
     if isinstance(net, networks.UNet):
-        return unet.reconstruct(net, variables, seen(batch["sheared"]))
+        return unet.reconstruct(net, variables, batch["sheared"])
     parted = net.disentangled and net.apart
     alike = batch.get(SWAPPED_IMAGE, batch["canonical"]) if parted and training.agreement_weight else None
     other = batch[OTHER_IMAGE] if parted and training.swap_weight else None
-    partners = (None if images is None else seen(images) for images in (alike, other))
-    return unshearnet.reconstruct(net, variables, seen(batch["sheared"]), *partners)
+    return unshearnet.reconstruct(net, variables, batch["sheared"], alike, other)
 
 
 def supervise(found: Decoded, canonical: Array, off: Callable[[Array, Array], Array]) -> Array:
@@ -147,7 +144,7 @@ def posenet_task(net: networks.PoseNet, training: Training, targets: Targets) ->
     weights = posenet.output_weights(targets)
 
     def terms(variables: Tree, batch: Batch, key: Array) -> tuple[dict[str, Array], Tree]:
-        images = in_precision(_unit(batch["image"]), training.precision)
+        images = _unit(batch["image"])
         outputs, batch_stats = posenet.predict_training(net, variables, images)
         return {"pose": losses.pose(outputs, posenet.pose_targets(batch, targets), weights)}, batch_stats
 

@@ -249,7 +249,7 @@ def test_a_shear_code_that_is_taught_the_slide_says_it(folder, tmp_path):
 
 
 def test_fewer_pairs_train_beside_taps(folder, tmp_path):
-    """In a full training: taps, and slides of one pose, are terms of it, and of no validation; its weights say what they know."""
+    """In a full training: taps, and slides of one pose, are terms of it, and of no validation."""
     training = dataclasses.replace(
         EXPERIMENT.train_pins, swap_weight=0.0, agreement_weight=0.0, paired_share=0.1, tap_weight=0.5, alike_weight=0.5
     )
@@ -261,7 +261,6 @@ def test_fewer_pairs_train_beside_taps(folder, tmp_path):
     assert not {"tap", "alike"} & set(last["validation"])
     full = json.loads((folder / "runs" / "toy" / "disentangled" / "model.json").read_text())
     model = json.loads((place / "model.json").read_text())
-    assert [origin["set"] for origin in model["taken_over"]] == ["tactip_pose"]
     assert model["epoch_images"] == full["epoch_images"]
 
 

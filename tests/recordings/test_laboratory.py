@@ -199,11 +199,9 @@ def test_a_copy_of_what_a_run_began_from_is_not_taken_for_unseen(command, pins_r
     other = made.edge(tmp_path / "other", 20, 20, seed=51)
     run = shutil.copytree(pins_run, tmp_path / "run")
     model = json.loads((run / "disentangled" / "model.json").read_text())
-    started = {name: model["origin"][name] for name in ("set", "version", "settings")}
-    started["settings"] = started["settings"] | {"digest": f"{digest_of((str(other),))}+0123456789abcdef"}
-    write_json(run / "disentangled" / "model.json", model | {"taken_over": [started]})
+    write_json(run / "disentangled" / "model.json", model | {"data": [digest_of((str(other),)), "0123456789abcdef"]})
     answer = command("evaluate", run, "--recordings", other, "--data", place / "datasets")
-    assert answer.code == 2 and "disentangled learnt from recordings that are tested" in answer.err
+    assert answer.code == 2 and "disentangled learnt from data that are tested" in answer.err
 
 
 def test_poses_have_the_labels_names_and_their_errors_are_printed(command, pins_run, slides, tmp_path):

@@ -6,7 +6,7 @@ import made
 import numpy as np
 import pytest
 
-from jaxunshear.dataset.digests import digest_of, folders_in, pairs_in
+from jaxunshear.dataset.digests import digest_of, folders_in
 from jaxunshear.dataset.recorded import survey
 from jaxunshear.errors import UserError
 from jaxunshear.settings.configs import config_name
@@ -196,4 +196,3 @@ def test_a_folder_is_known_beside_others(tmp_path):
     table.write_text("slide,tap\n")
     both = digest_of((taps, slides), str(table))
     assert folders_in(both) == {digest_of((taps,)), digest_of((slides,))} and len(folders_in(both)) == 2
-    assert pairs_in(both) and not pairs_in(digest_of((taps, slides)))

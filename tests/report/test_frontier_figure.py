@@ -138,10 +138,10 @@ def test_cells_of_one_network_take_equally_long_for_an_image():
     assert cost == pytest.approx({"small": 5, "middling": 5, "wasteful": 3, "large": 5})
 
 
-def test_another_precision_takes_its_own_time_for_an_image():
+def test_another_network_takes_its_own_time_for_an_image():
     made = summary(THREE)
     for cell in made["cells"]:
         cell["settings"] = {}
-    made["cells"][3]["settings"] = {"train.precision": "bfloat16"}
+    made["cells"][3]["settings"] = {"unshear.widths": "8,8"}
     cost = dict(zip(*points(record(made), "pose/disentangled/edge_mm", "ms_per_image")[:2], strict=True))
     assert cost == pytest.approx({"small": 3, "middling": 3, "wasteful": 3, "large": 9})

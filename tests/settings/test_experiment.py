@@ -170,10 +170,6 @@ def test_train_share_of_the_rules_is_that_of_the_split():
             "from jaxunshear.settings.experiment import Experiment\nexperiment = Experiment(name='x')",
             "missing 1 required",
         ),
-        (
-            "from jaxunshear.experiment import Experiment",
-            "write jaxunshear.settings.experiment where it imports from jaxunshear.experiment",
-        ),
         ("setup = 1", "defines no variable `experiment`"),
         ("sweep = 1", "defines a sweep: run it with `jaxunshear sweep"),
         ("experiment = {'name': 'x'}", "of type dict, not Experiment"),

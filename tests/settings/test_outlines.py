@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.plain import plain
 from jaxunshear.settings.configs import config_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
@@ -18,7 +17,6 @@ from jaxunshear.settings.rules import validate
 from jaxunshear.settings.sensor import TACTIP_331
 from jaxunshear.settings.stimuli import MOST_CORNERS, Outline
 from jaxunshear.settings.stored import from_json, to_json
-from jaxunshear.training.kept_out import exams_of, known
 
 SQUARE = ((0, 0), (20, 0), (20, 20), (0, 20))
 PLUS = ((1, 1), (1, 3), (-1, 3), (-1, 1), (-3, 1), (-3, -1), (-1, -1), (-1, -3), (1, -3), (1, -1), (3, -1), (3, 1))
@@ -199,12 +197,6 @@ def test_files_are_named_on_the_command_line(tmp_path):
 def test_rules_between_shapes(changes, reason):
     with pytest.raises(UserError, match=reason):
         validate(dataclasses.replace(PLAIN, **changes))
-
-
-def test_weights_that_know_an_outline_are_known_by_its_name():
-    origin = {"set": "tactip_paired", "version": "3.0.0", "settings": plain(dataclasses.asdict(PLAIN.paired))}
-    new = dataclasses.replace(PLAIN, paired=PairedData(stimuli=("leaf",)), unseen=(Outline("square", SQUARE),))
-    assert "knows square" in known(origin, exams_of(new)[1])
 
 
 def test_an_experiment_file_has_shapes_and_a_sensor_of_its_own(tmp_path):

@@ -31,7 +31,8 @@ def refusal(words: str) -> str:
 def test_posenets_training_has_no_losses_of_pairs(field, value, default):
     line = refusal(f"--train_posenet.{field} {value}")
     assert line.startswith(f"--train_posenet.{field} ") and line.endswith(f"unshear: leave it at {default}")
-    validate(override(PLAIN, [f"--train.{field}", value]))
+    if field != "paired_share":
+        validate(override(PLAIN, [f"--train.{field}", value]))
 
 
 def test_a_teachers_training_is_judged_where_there_is_one():
@@ -174,9 +175,7 @@ def test_what_codes_of_images_that_are_apart_take():
     assert refusal(f"{taught} --train.swap_weight 1").startswith("--train.swap_weight 1.0: takes simulated slides")
     validate(override(PLAIN, f"{taught} --train.agreement_weight 1".split()))
     for field in ("swap_weight", "agreement_weight"):
-        shared = f"{taught} --paired.poses_a_slide 2 --train.{field} 1"
-        validate(override(PLAIN, shared.split()))
-        assert "without their partners" in refusal(f"{shared} --train.paired_share 0.5")
+        validate(override(PLAIN, f"{taught} --paired.poses_a_slide 2 --train.{field} 1".split()))
 
 
 @pytest.mark.parametrize(
@@ -186,6 +185,7 @@ def test_what_codes_of_images_that_are_apart_take():
         ("--unshear.input pins --train_pins.paired_share 1.1", "use a share above 0"),
         ("--train.tap_weight 1", "is for networks over pins"),
         ("--train.alike_weight 1", "is for networks over pins"),
+        ("--train.paired_share 0.1", "is for networks over pins"),
         ("--unshear.input pins --paired.slides 1 --train_pins.alike_weight 1", "takes two slides to a pose"),
         ("--unshear.input pins --train_pins.tap_weight -1", "must not be below zero"),
         ("--unshear.input pins --targets edge_mm --pins.turned 1 --train_pins.tap_weight 1", "pins as they are"),

@@ -11,9 +11,14 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
+from jaxunshear.folders import RELEASED, load_settings
 from jaxunshear.model import unshearnet
+from jaxunshear.settings.configs import fingerprint
+from jaxunshear.settings.data import Recorded, RecordedTaps
+from jaxunshear.settings.experiment import Experiment, further_tests
+from jaxunshear.storage import write_json
 from jaxunshear.training import checkpoint, loop
-from jaxunshear.training.start import Start, started
+from jaxunshear.training.start import Start, begin_from, check_unseen, data_of, start_folder
 from jaxunshear.training.tasks import unshear_task
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -25,7 +30,7 @@ def tree(value, **shapes):
 
 
 def test_what_both_have_is_taken_and_nothing_else():
-    found = started(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
+    found = begin_from(tree(0.0, E=(2, 3), DS=(4,)), tree(1.0, E=(2, 3), other=(5,)))
     assert jax.tree.map(np.shape, found) == jax.tree.map(np.shape, tree(0.0, E=(2, 3), DS=(4,)))
     assert float(found["params"]["E"]["kernel"].min()) == 1 and float(found["params"]["DS"]["kernel"].max()) == 0
 
@@ -33,18 +38,75 @@ def test_what_both_have_is_taken_and_nothing_else():
 @pytest.mark.parametrize(
     ("start", "line"),
     [
-        (tree(1.0, E=(3, 2)), r"params.E.kernel is \(3, 2\) there and \(2, 3\) here"),
+        (tree(1.0, E=(3, 2)), r"params.E.kernel of these"),
         (
             {"params": {"E": {"kernel": jnp.ones((2, 3)), "Same_0": jnp.ones(3)}}},
-            r"params.E.Same_0 is there and has no place",
+            r"params.E.Same_0 of these",
         ),
-        (tree(1.0, other=(2, 3)), "nothing in common"),
-        ({}, "nothing in common"),
+        (tree(1.0, other=(2, 3)), "no part of these"),
+        ({}, "no part of these"),
     ],
 )
 def test_weights_that_do_not_fit_are_refused(start, line):
     with pytest.raises(UserError, match=line):
-        started(tree(0.0, E=(2, 3)), start)
+        begin_from(tree(0.0, E=(2, 3)), start)
+
+
+NETWORK = "disentangled"
+SIMULATED = Experiment(name="small", claim="none", networks=(NETWORK,), other_jitters_mm=(1.0,))
+RECORDED = replace(SIMULATED, paired=Recorded(digest="aa+pcc+bb"), pose=RecordedTaps(), other_jitters_mm=())
+
+
+def beginning(experiment, folder):
+    return replace(experiment, train=replace(experiment.train, start=str(folder)))
+
+
+def keep(folder, **model):
+    write_json(folder / NETWORK / "model.json", model)
+    return folder / NETWORK
+
+
+def test_what_was_learnt_through_others_is_known(tmp_path):
+    first = keep(tmp_path / "first", data=data_of(SIMULATED, None))
+    second = keep(tmp_path / "second", data=data_of(RECORDED, first))
+    own = [fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose)]
+    assert json.loads((second / "model.json").read_text())["data"] == sorted(["aa", "bb", *own])
+    with pytest.raises(UserError, match=rf"second/{NETWORK} learnt from data that are tested \(digest bb\): use"):
+        check_unseen(second, ["bb", "cc"])
+    check_unseen(second, ["cc"])
+
+
+def test_weights_are_refused_where_they_learnt_from_what_is_tested(tmp_path):
+    """Sets of one seed share their splits, recordings may have been split otherwise."""
+    (test,) = further_tests(SIMULATED).values()
+    for experiment, data, refused in (
+        (SIMULATED, data_of(SIMULATED, None), False),
+        (SIMULATED, [fingerprint(test, SIMULATED.sensor)], True),
+        (RECORDED, data_of(SIMULATED, None), False),
+        (RECORDED, ["bb"], True),
+    ):
+        folder = keep(tmp_path, data=data)
+        if refused:
+            with pytest.raises(UserError, match=data[0]):
+                start_folder(beginning(experiment, tmp_path), NETWORK)
+        else:
+            assert start_folder(beginning(experiment, tmp_path), NETWORK) == folder
+
+
+def test_weights_that_do_not_say_what_they_learnt_from_are_refused(tmp_path):
+    keep(tmp_path, kind="unshear")
+    with pytest.raises(UserError, match=r"learnt from unknown data \(files of version 0\.2\.0"):
+        start_folder(beginning(SIMULATED, tmp_path), NETWORK)
+    with pytest.raises(UserError, match=f"start: nowhere holds no {NETWORK}"):
+        start_folder(beginning(SIMULATED, "nowhere"), NETWORK)
+    assert start_folder(SIMULATED, NETWORK) is None
+
+
+@pytest.mark.parametrize("name", ["standard", "skin"])
+def test_released_weights_say_what_they_learnt_from(name):
+    experiment = load_settings(RELEASED / name)
+    for model in (RELEASED / name).glob("*/model.json"):
+        assert json.loads(model.read_text())["data"] == data_of(experiment, None)
 
 
 def trained(folder, start):

@@ -67,7 +67,6 @@ class Robot(NamedTuple):
 def robot_of(
     model: Path,
     experiment: Experiment,
-    precision: str,
     frame: PinFrame | None,
     force: bool = False,
 ) -> Robot:
@@ -77,7 +76,7 @@ def robot_of(
     """
     least = ANY if force else ENOUGH
     if not isinstance(experiment.paired, Recorded) and not over_pins(experiment):
-        step = step_of(model, experiment, precision)
+        step = step_of(model, experiment)
         return Robot(step, experiment.paired.preprocess, None, expected_by(model, experiment), least)
     perceive = perceiver(model, experiment, recorded_too=False, frame=frame)
     size = perceive.preprocess.size
@@ -94,9 +93,9 @@ def robot_of(
     return Robot(step_on, perceive.preprocess, perceive.view, perceive.expected, least)
 
 
-def step_of(model: Path, experiment: Experiment, precision: str) -> Step:
+def step_of(model: Path, experiment: Experiment) -> Step:
     """Return what a frame is perceived by, of networks over images; compiled already."""
-    forward, variables, targets = load_forward(model, DISENTANGLED, precision)
+    forward, variables, targets = load_forward(model, DISENTANGLED)
     names = names_of(targets)
     run = ready(perceive_of(forward, names), variables)
     size = experiment.paired.preprocess.size

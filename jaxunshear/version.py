@@ -1,0 +1,3 @@
+"""The version of the package, for files that name who wrote them."""
+
+__version__ = "0.3.0.dev0"

@@ -1,0 +1,65 @@
+"""TensorBoard's event files hold what log.jsonl holds, also of a training that was stopped."""
+
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from jaxunshear.report.history import read_lines
+from jaxunshear.training.events import open_events, scalars
+from jaxunshear.training.step import learning_rate
+
+sys.path.insert(0, str(Path(__file__).parent))
+import small
+
+tensorboardx = pytest.importorskip("tensorboardX")
+
+
+def read(folder):
+    """Return the events of all files in a folder: records of a length, its check, the event, its check."""
+    from tensorboardX.proto.event_pb2 import Event
+
+    found = []
+    for path in sorted(folder.glob("events.out.tfevents.*")):
+        data = path.read_bytes()
+        while data:
+            (size,) = struct.unpack("<Q", data[:8])
+            found.append(Event.FromString(data[12 : 12 + size]))
+            data = data[16 + size :]
+    return found
+
+
+def points(folder):
+    """Return step and value of each figure, by tag."""
+    found = {}
+    for event in read(folder):
+        for value in event.summary.value:
+            found.setdefault(value.tag, []).append((event.step, value.simple_value))
+    return found
+
+
+def test_a_training_writes_what_its_log_says(tmp_path):
+    small.train(tmp_path)
+    lines, found = read_lines(tmp_path / "log.jsonl"), points(tmp_path)
+    rate = learning_rate(small.TRAINING, 12, 4)
+    assert len(lines) == 3 and found.keys() == {*scalars(lines[0]), "learning_rate"}
+    for line in lines:
+        for tag, value in (scalars(line) | {"learning_rate": float(rate(line["step"] - 1))}).items():
+            assert (line["step"], np.float32(value)) in found[tag]
+
+
+def test_one_that_goes_on_drops_what_a_stopped_one_wrote_beyond(tmp_path):
+    with open_events(tmp_path, 4, lambda step: 0.5) as log:
+        log({"step": 8, "train": {"loss": 1.0}, "validation": {"loss": None}})
+    start, event = read(tmp_path)[1:]
+    assert (start.step, start.session_log.status) == (5, 1)
+    assert {value.tag for value in event.summary.value} == {"train/loss", "learning_rate"}
+
+
+def test_without_the_extra_nothing_is_written(tmp_path, absent):
+    absent("tensorboardX.event_file_writer")
+    with open_events(tmp_path, 0, lambda step: 0.5) as log:
+        log({"step": 8})
+    assert not list(tmp_path.iterdir())
