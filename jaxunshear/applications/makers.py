@@ -2,7 +2,7 @@
 
 voronoi   the paper's: the growth of the pins' cells, where the pins are, as a height map; no classifier. Cells grow most over an edge:
           what the ridge of the map surrounds is the object
-skin      another height map: where the skin's outer face stands, by the inverse of `inverse.py` and the dome's own shape; above one level,
+skin      another height map: where the skin's outer face stands, by the inverse of `geometry.py` and the dome's own shape; above one level,
           `parting_level`, lies the object
 evidence  a logistic regression determines which pins lie over the object; a band that closes is filled
 
@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.applications.geometry import relative_growth, smoothed
-from jaxunshear.applications.inverse import indentation_of, learnt
+from jaxunshear.applications.geometry import fit_inverse, indentation_of, relative_growth, smoothed
 from jaxunshear.applications.occupancy import NEAR_MM, evidence, learn
 from jaxunshear.applications.reconstruct import Fused, filled_shape, interpolated, ridge_shape, skin_places
 from jaxunshear.image.lattice import Lattice
@@ -42,7 +41,7 @@ def makers_of(
     followed = ~np.isnan(motion[:, 0, 0])
     motion, distance = motion[followed], distance[followed]
     near = np.linalg.norm(rest, axis=-1) < NEAR_MM
-    inverse = learnt(lattice, motion, indentation_mm[followed])
+    inverse = fit_inverse(lattice, motion, indentation_mm[followed])
     tips = pin_tips(sensor)[:, :2]
     px_per_mm = np.sum((lattice.place - lattice.middle) * tips) / np.sum(tips**2)
     towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)

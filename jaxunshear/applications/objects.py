@@ -11,7 +11,7 @@ import numpy as np
 from jaxunshear.applications import fresh, perception
 from jaxunshear.applications.contour import Contour, outline
 from jaxunshear.applications.fresh import FreshContacts, fresh_contacts
-from jaxunshear.applications.geometry_ways import known_motions
+from jaxunshear.applications.geometry import known_motions
 from jaxunshear.applications.makers import Maker, makers_of
 from jaxunshear.applications.perception import Unshear
 from jaxunshear.applications.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target

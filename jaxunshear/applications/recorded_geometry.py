@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxunshear.applications.geometry_ways import Way
+from jaxunshear.applications.geometry import Way
 from jaxunshear.applications.perception import Unshear
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.image.lattice import Lattice

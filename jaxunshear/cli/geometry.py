@@ -25,8 +25,8 @@ def add_parser(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScores:
+    from jaxunshear.applications.geometry import INVERSE
     from jaxunshear.applications.geometry_scores import geometry
-    from jaxunshear.applications.geometry_ways import INVERSE
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.report import geometry_figure
     from jaxunshear.settings.image import Preprocess

@@ -50,7 +50,7 @@ def _geometry(results: Json, folder: Path) -> Markup:
     head = ["image", "by", "correlation", "error, mm rms", "pins not sure", "ms an image"]
     lead = (
         "How far the skin is pressed in, from the pins, against the simulator's own indentation: by the areas of their Voronoi cells, "
-        "by how these change, and by the inverse of the dome's compliance or one learnt from taps. Contacts that no network has seen, "
+        "and by an inverse of the skin learnt from taps. Contacts that no network has seen, "
         "each with a 95 % interval over contacts, of one training. Images whose pins are not identified for sure are left out and counted."
     )
     return page.section(

@@ -61,7 +61,7 @@ def test_untouched_skin_stands_as_the_dome_does(makers):
 
 
 def test_small_images_are_refused():
-    from jaxunshear.applications.geometry_ways import known_motions
+    from jaxunshear.applications.geometry import known_motions
 
     blank = np.zeros((2, 32, 32), np.uint8)
     none = np.zeros((2, 0))
