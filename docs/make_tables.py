@@ -390,7 +390,7 @@ def refit() -> str:
 
 KINDS = ("tap", "sheared", "entangled", "disentangled")
 TRAINED = ("disk", "clover", "teardrop")  # shapes that the networks have seen
-MADE = ("voronoi", "skin", "evidence")
+MADE = ("voronoi", "skin")
 
 
 def geometry() -> str:
@@ -455,7 +455,7 @@ def objects() -> str:
     runs, looks = runs_of("reconstruct"), {"disentangled": "unsheared", "sheared": "sheared"}
     lines = [
         "| | " + " | ".join(f"{made}, {shown}" for made in MADE for shown in looks.values()) + " |",
-        "|---|" + "---|" * 6,
+        "|---|" + "---|" * len(MADE) * len(looks),
     ]
     for shape, shown in _shapes(runs[0]).items():
         rows = [

@@ -119,9 +119,9 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     answer = command("reconstruct", *words)
     assert answer.code == 0, answer.err
     found = json.loads((out / "reconstruct.json").read_text())
-    assert len(found["rows"]) == 9 and all(0 <= row["iou"] < 0.4 for row in found["rows"])
-    assert {row["object"] for row in found["rows"]} == {"voronoi", "skin", "evidence"}
-    assert all((out / f"disk-{name}.png").is_file() for name in ("object", "skin", "voronoi"))
+    assert len(found["rows"]) == 6 and all(0 <= row["iou"] < 0.4 for row in found["rows"])
+    assert {row["object"] for row in found["rows"]} == {"voronoi", "skin"}
+    assert all((out / f"disk-{name}.png").is_file() for name in ("skin", "voronoi"))
     answer = command("reconstruct", *words[:-1], "disk,leaf")
     assert answer.code == 2 and "--stimulus leaf" in answer.err
     course, walks = servo.stored_walks(out / "disk.npz")

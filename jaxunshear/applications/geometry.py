@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
-from scipy.spatial import Delaunay, Voronoi, cKDTree
+from scipy.spatial import Voronoi, cKDTree
 from sklearn.linear_model import Ridge
 
 from jaxunshear.applications.fresh import FreshContacts
@@ -114,14 +114,6 @@ def cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     side = np.linalg.norm(cells.vertices[ends[:, 0]] - cells.vertices[ends[:, 1]], axis=-1)
     # every side makes a triangle with each of its two pins, of half their distance in height
     return np.bincount(pairs.ravel(), np.repeat(width * side / 4, 2), len(points))[: len(motion)]
-
-
-def smoothed(lattice: Lattice, heights: np.ndarray) -> np.ndarray:
-    """Heights (..., P) averaged over each pin and its neighbours: half a pixel of noise in a pin is a tenth of its cell."""
-    start, neighbours = Delaunay(lattice.place).vertex_neighbor_vertices
-    count = np.diff(start)
-    around = np.add.reduceat(heights[..., neighbours], start[:-1], axis=-1)
-    return (heights + around) / (1 + count)
 
 
 def surface(place: np.ndarray, heights: np.ndarray, cells: int) -> np.ndarray:

@@ -87,8 +87,7 @@ def _objects(results: Json, folder: Path) -> Markup:
 
     lead = (
         "The shape that each walk's images enclose, against the true one: area shared over area of either, mean of the walks; below, "
-        "the outlines' mean and largest distance in mm. By height maps of the pins' cells (voronoi) or of where the skin stands, and by "
-        "learnt evidence."
+        "the outlines' mean and largest distance in mm. By height maps of the pins' cells (voronoi) or of where the skin stands."
     )
     names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
     pictures = (_picture(folder / f"{name}-{file}.png") for name in names for file, _ in PICTURES.values())

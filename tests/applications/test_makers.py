@@ -1,10 +1,10 @@
-"""From pins to objects without a classifier: where a level is set, and that what is not known stays so."""
+"""From pins to objects: where a level is set, and that what is not known stays so."""
 
 import numpy as np
 import pytest
 
 from jaxunshear.applications.fresh import FreshContacts
-from jaxunshear.applications.makers import EVIDENCE, SKIN, VORONOI, makers_of, parting_level
+from jaxunshear.applications.makers import SKIN, VORONOI, makers_of, parting_level
 from jaxunshear.applications.reconstruct import skin_places
 from jaxunshear.errors import UserError
 from jaxunshear.image.framing import undeformed
@@ -43,7 +43,7 @@ def makers():
 
 def test_makers_agree_on_what_they_are_given(makers):
     made, motion = makers
-    assert list(made) == [VORONOI, SKIN, EVIDENCE] and [each.in_mm for each in made.values()] == [False, True, False]
+    assert list(made) == [VORONOI, SKIN] and [each.in_mm for each in made.values()] == [False, True]
     gaps = motion[:3].copy()
     gaps[1] = np.nan
     for maker in made.values():
