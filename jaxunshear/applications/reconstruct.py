@@ -17,6 +17,7 @@ from skimage.measure import find_contours
 from skimage.morphology import reconstruction
 from skimage.segmentation import watershed
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.applications.contour import Contour, off
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.sensor import Sensor
@@ -48,10 +49,7 @@ def skin_places(sensor: Sensor) -> np.ndarray:
 
 def to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Places (P, 2) or (T, P, 2) mm of the sensor frame, seen from points (T, 3) x, y mm and yaw deg: (T, P, 2) mm of the target frame."""
-    yaw = np.radians(point[:, 2])[:, None]
-    x = point[:, 0, None] + np.cos(yaw) * place[..., 0] - np.sin(yaw) * place[..., 1]
-    y = point[:, 1, None] + np.sin(yaw) * place[..., 0] + np.cos(yaw) * place[..., 1]
-    return np.stack([x, y], -1)
+    return point[:, None, :2] + rotate_2d(place, np.radians(point[:, 2])[:, None])
 
 
 def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: float) -> Fused:

@@ -16,6 +16,7 @@ import numpy as np
 from sklearn.kernel_ridge import KernelRidge
 from sklearn.model_selection import PredefinedSplit, cross_val_predict
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.calibration.alignment import STEPS, Matter, find_frame, read_labels
 from jaxunshear.calibration.calibrate import IMAGES, LEAST_LABELLED
 from jaxunshear.calibration.calibrated import SHIPPED, Calibrated
@@ -246,14 +247,13 @@ def explained_by_labels(contacts: Motions, motion: np.ndarray) -> np.ndarray:
 def _features(contacts: Motions) -> np.ndarray:
     """Place and depth, heading, tilt, slide and turn as the sensor feels them: (N, F) of unit spread."""
     count, yaw = len(contacts), contacts.yaw
-    cos, sin = np.cos(yaw), np.sin(yaw)
     end, slide = contacts.tip[:, 1], contacts.tip[:, 1] - contacts.tip[:, 0]
-    own = np.stack([cos * slide[:, 0] + sin * slide[:, 1], cos * slide[:, 1] - sin * slide[:, 0], slide[:, 2]], -1)
+    own = np.column_stack([rotate_2d(slide[:, :2], -yaw), slide[:, 2]])
     turn = contacts.turn
     axis = turn[count:].inv().apply([0, 0, 1.0])  # the object's normal in the sensor's frame
     twist = (turn[:count].inv() * turn[count:]).as_rotvec()
     place = end[:, [0, 2]] if contacts.across else end[:, [2]]
-    columns = np.column_stack([place, cos, sin, axis[:, :2], own, twist])
+    columns = np.column_stack([place, np.cos(yaw), np.sin(yaw), axis[:, :2], own, twist])
     spread = columns.std(axis=0)
     varied = spread > 1e-6
     return (columns[:, varied] - columns[:, varied].mean(axis=0)) / spread[varied]
