@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.downstream import servo
-from jaxunshear.downstream.geometry_ways import WAYS
+from jaxunshear.downstream.geometry import WAYS
 from jaxunshear.plain import plain
 from jaxunshear.results.applications import WalkScores
 from jaxunshear.results.stored import SCHEMA, record_of
@@ -119,9 +119,9 @@ def test_servo_then_reconstruct(command, brief, tmp_path, model):
     answer = command("reconstruct", *words)
     assert answer.code == 0, answer.err
     found = json.loads((out / "reconstruct.json").read_text())
-    assert len(found["rows"]) == 9 and all(0 <= row["iou"] < 0.4 for row in found["rows"])
-    assert {row["object"] for row in found["rows"]} == {"voronoi", "skin", "evidence"}
-    assert all((out / f"disk-{name}.png").is_file() for name in ("object", "skin", "voronoi"))
+    assert len(found["rows"]) == 6 and all(0 <= row["iou"] < 0.4 for row in found["rows"])
+    assert {row["object"] for row in found["rows"]} == {"voronoi", "skin"}
+    assert all((out / f"disk-{name}.png").is_file() for name in ("skin", "voronoi"))
     answer = command("reconstruct", *words[:-1], "disk,leaf")
     assert answer.code == 2 and "--stimulus leaf" in answer.err
     course, walks = servo.stored_walks(out / "disk.npz")
@@ -166,9 +166,9 @@ def test_geometry_scores_and_draws(command, brief, tmp_path, model):
         for k in ("tap", "sheared", "disentangled", "untouched")
         for w in WAYS
     }
-    assert rows["all/tap/growth"]["contacts"] == 15 and rows["all/disentangled/inverse"]["unmatched"] == 15
-    assert rows["all/tap/growth"]["correlation"] > 0.3 and "correlation" not in rows["all/disentangled/inverse"]
-    assert rows["all/tap/inverse"]["correlation"] > 0.9 and rows["all/tap/compliance"]["correlation"] > 0.9
+    assert rows["all/tap/areas"]["contacts"] == 15 and rows["all/disentangled/inverse"]["unmatched"] == 15
+    assert rows["all/tap/areas"]["correlation"] > 0.3 and "correlation" not in rows["all/disentangled/inverse"]
+    assert rows["all/tap/inverse"]["correlation"] > 0.9
     assert rows["all/untouched/inverse"]["largest_mm"] == 0 and rows["all/untouched/areas"]["largest_mm"] > 0
     assert (tmp_path / "out" / "geometry.png").is_file()
 

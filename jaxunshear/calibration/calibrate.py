@@ -12,14 +12,13 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.calibration.alignment import CREDIBLE, read_labels
 from jaxunshear.calibration.calibrated import Calibrated
-from jaxunshear.calibration.comparison import compared
 from jaxunshear.calibration.fit import Fitted, fit
-from jaxunshear.calibration.matching import CREDIBLE, read_labels
 from jaxunshear.calibration.prediction import Values, skin_to_gel
 from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.rendering import contact_tips, fit_housing, fit_pin_radius
-from jaxunshear.calibration.report import curves, rows_of, table
+from jaxunshear.calibration.report import compared, curves, rows_of, table
 from jaxunshear.calibration.sampling import Recorded, sample
 from jaxunshear.calibration.statistics import Seen
 from jaxunshear.errors import UserError

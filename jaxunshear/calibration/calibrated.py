@@ -1,10 +1,9 @@
-"""A sensor, a camera and a friction that are validated together: read from a file, and with single values changed.
+"""A sensor, a camera and a friction that are validated together, shipped or read from a file.
 
 known = read_calibration(Path("runs/calibration/calibration.json"))
-with_value(known, "friction", 0.3).friction  # 0.3
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from jaxunshear.calibration.prediction import Values, skin_to_gel
@@ -54,22 +53,3 @@ def read_calibration(file: Path) -> Calibrated:
             f"--calibration {file}: {type(error).__name__} {error}: give a calibration.json of `jaxunshear calibrate --out`"
         ) from None
     return Calibrated(f"calibration {file.name}", sensor, camera, friction, used)
-
-
-def value_of(known: Calibrated, name: str) -> float:
-    """A field of `Sensor` or `Camera`, `friction`, or `skin_to_gel` (the skin's modulus over the gel's)."""
-    if name in ("friction", "skin_to_gel"):
-        return getattr(known.values, name)
-    return getattr(known.sensor if hasattr(known.sensor, name) else known.camera, name)
-
-
-def with_value(known: Calibrated, name: str, value: float) -> Calibrated:
-    """The same with one value changed, named as for `value_of`."""
-    if name == "friction":
-        return replace(known, friction=value)
-    if name == "skin_to_gel":
-        return replace(known, sensor=replace(known.sensor, gel_modulus_mpa=known.sensor.skin_modulus_mpa / value))
-    changed: Json = {name: value}
-    if hasattr(known.sensor, name):
-        return replace(known, sensor=replace(known.sensor, **changed))
-    return replace(known, camera=replace(known.camera, **changed))

@@ -1,8 +1,10 @@
 """A sample of the images of a recording, folder by folder, at the size they have."""
 
 import contextlib
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from jaxunshear.settings.image import Preprocess
 from jaxunshear.settings.sensor import Sensor
 
 SIZES_PX = (128, 440)  # least and most; raw frames are made 256
+ALIGNED_BY = 100  # images of a folder, at most
+SHARE = 3  # of a folder's images at most one in so many aligns it
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,54 @@ def sample(path: Path, images: int, seed: int) -> tuple[list[Recorded], list[str
     chosen = [_choose(recordings.moves, rows, count, generator) for rows in folders]
     parts, more = load(recordings, chosen)
     return parts, notes + more
+
+
+class Parts(NamedTuple):
+    """One folder's images: those that show how labels and images go together, and those compared."""
+
+    align: Recorded
+    scored: Recorded
+
+
+def split_folders(path: Path, each: int | None, seed: int, used: Collection[str]) -> tuple[list[Parts], list[str]]:
+    """Split every folder of recordings at `path` in two parts, and give notes.
+
+    `each`: images of a folder that are compared, at most; None: all. What `used` names (images as
+    `Recorded.names` has them, or the end of such a name) is not compared; it aligns before others
+    do. Raises `UserError` where nothing is left to compare.
+    """
+    recordings, notes = open_recordings(path)
+    generator, spent = np.random.default_rng(seed), are_among(recordings.names, used)
+    align, scored = [], []
+    for rows in rows_by_folder(recordings):
+        rows = generator.permutation(rows)
+        seen = spent[rows]
+        fresh, count = rows[~seen], min(ALIGNED_BY, -(-len(rows) // SHARE))
+        if seen.any():
+            folder = recordings.names[rows[0]].rpartition("/")[0] or path.name
+            fitted = f"{int(seen.sum())} of {len(rows)} images, which the calibration was fitted to"
+            notes.append(f"{folder}: {fitted}, are not compared")
+        missing = max(0, count - int(seen.sum()))
+        align.append(np.sort(np.concatenate([rows[seen][:count], fresh[:missing]])))
+        scored.append(np.sort(fresh[missing:][:each]))
+    if not any(len(rows) for rows in scored):
+        raise UserError(f"{path}: the calibration was fitted to all its images: compare with others")
+    kept = [(a, s) for a, s in zip(align, scored, strict=True) if len(s)]
+    first, more = load(recordings, [pair[0] for pair in kept])
+    second, still = load(recordings, [pair[1] for pair in kept])
+    by_name = {part.name: part for part in first}
+    return [Parts(by_name[part.name], part) for part in second if part.name in by_name], notes + more + still
+
+
+def are_among(names: Collection[str], used: Collection[str]) -> np.ndarray:
+    """Mark the names that are `used`, (N,) bool, wherever their folders were given from.
+
+    Of two names of one image, given from higher up and from lower down, one ends with the other.
+    """
+    ends = tuple(f"/{name}" for name in used)
+    return np.array(
+        [f"/{name}".endswith(ends) or any(end.endswith(f"/{name}") for end in ends) for name in names], bool
+    )
 
 
 def open_recordings(path: Path) -> tuple[Recordings, list[str]]:

@@ -10,10 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.calibration.alignment import Matter, find_frame
+from jaxunshear.calibration.alignment import Matter, find_frame, read_labels
 from jaxunshear.calibration.calibrated import Calibrated
 from jaxunshear.calibration.labels import Frame, framed, motions
-from jaxunshear.calibration.matching import read_labels
 from jaxunshear.calibration.prediction import displacements
 from jaxunshear.calibration.statistics import Seen, camera_turn
 from jaxunshear.calibration.validation import places, settled

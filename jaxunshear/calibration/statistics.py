@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from skimage.measure import label
 
+from jaxunshear.angles import rotation_2d
 from jaxunshear.image.fitting import fit_lattice, layout_of
 from jaxunshear.image.lattice import Lattice, spacing_of
 from jaxunshear.image.pins import Found, find_pins
@@ -56,7 +57,7 @@ class Seen(NamedTuple):
 
 def camera_turn(angle: float, mirrored: bool = False) -> np.ndarray:
     """(2, 2): px @ this are px of a camera that is not mirrored, and turned by `angle` rad from column towards row."""
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    turn = rotation_2d(-angle)
     return np.diag([1.0, -1.0]) @ turn if mirrored else turn
 
 

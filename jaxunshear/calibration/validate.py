@@ -1,35 +1,44 @@
-"""Recordings in, how far the simulated pins follow the recorded ones out; see `validation` for what is compared.
+"""How far the simulated pins follow the recorded ones; see `validation` for what is compared.
 
 results = validate(Path("recordings/edge"))
 results["rows"]  # [{"name": "r2.tap", "unit": "1", "value": 0.71, "contacts": 398}, ...]
+
+Some contacts of each folder show how its labels and images go together; others are compared.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from typing import NamedTuple
 
-from jaxunshear.calibration.calibrate import IMAGES
+import numpy as np
+from sklearn.kernel_ridge import KernelRidge
+from sklearn.model_selection import PredefinedSplit, cross_val_predict
+
+from jaxunshear.angles import rotate_2d
+from jaxunshear.calibration.alignment import STEPS, Matter, find_frame, read_labels
+from jaxunshear.calibration.calibrate import IMAGES, LEAST_LABELLED
 from jaxunshear.calibration.calibrated import SHIPPED, Calibrated
-from jaxunshear.calibration.folders import Folder, align, compare, read_folder
-from jaxunshear.calibration.gains import Scored, gains, gains_table, refitted
-from jaxunshear.calibration.held_out import Parts, held_out
-from jaxunshear.calibration.labels import Frame
-from jaxunshear.calibration.sampling import sample
-from jaxunshear.calibration.validation import Row, rows_of
+from jaxunshear.calibration.labels import Frame, Motions, framed, motions
+from jaxunshear.calibration.prediction import displacements
+from jaxunshear.calibration.sampling import Parts, sample, split_folders
+from jaxunshear.calibration.statistics import Seen, less_mean
+from jaxunshear.calibration.validation import Compared, Row, centred, mm_per_px, rows_of, settled
 from jaxunshear.errors import UserError
-from jaxunshear.storage import Json, write_bytes, write_json, write_text
+from jaxunshear.progress import Progress
+from jaxunshear.storage import Json, write_bytes, write_text
 
 EACH = 400  # contacts of a folder
-FITTED_TO = (
-    "edge_2d/shear/csv_train",
-    "edge_2d/tap/csv_train",
-)  # what the shipped preset was fitted to, of IMAGES and seed 0
+CHUNK = 50  # contacts between two steps of the progress
+# what the shipped preset was fitted to, of IMAGES and seed 0
+FITTED_TO = ("edge_2d/shear/csv_train", "edge_2d/tap/csv_train")
 CEILING = "ceiling: a regression from the labels of these contacts, which more of them raise: from few it may lie below"
-GAINED = (
-    "r2 gained: on contacts that the refit never saw, by this value alone with the object's frame found anew; frame: by finding it, "
-    "before the refit; all: by the full refit"
-)
+FOLDS = 5
+WIDTHS = (1.0, 1.5, 2.2, 3.3, 5.0)  # of the kernel, in standard deviations of the features
+RIDGES = (1e-4, 1e-3, 1e-2, 1e-1)
 
-Log = Callable[[str], None]
+LeftOut = list[dict[str, str]]  # image, why
 
 
 def validate(
@@ -38,65 +47,52 @@ def validate(
     each: int | None = EACH,
     seed: int = 0,
     out: Path | None = None,
-    log: Log = print,
+    log: Callable[[str], None] = print,
     as_labelled: bool = False,
-    refit: Path | None = None,
 ) -> Json:
-    """Compares `each` contacts of every folder at `path` (None: all), drawn at random, that the calibration has not seen.
+    """Compare simulated with recorded pins in contacts that the calibration has not seen.
 
-    `as_labelled`: with edge and tilt of the object where the labels have them. `refit`: a file for the calibration, refitted pin by pin
-    to the images that align the folders, which is then compared; rows say what each value gained.
+    `each` contacts of every folder at `path` are drawn at random (None: all). `as_labelled`: with
+    edge and tilt of the object where the labels have them.
 
-    Returns `rows` (name, unit, value, contacts), `notes`, and `left_out` (image, why). With `out`, writes validate.txt and
-    validate.png there, which show no recorded image. Raises `UserError` where nothing can be compared.
+    Returns `rows` (name, unit, value, contacts), `notes`, and `left_out` (image, why). With `out`,
+    writes validate.txt and validate.png there, which show no recorded image. Raises `UserError`
+    where nothing can be compared.
     """
     path = Path(path)
-    notes: list[str] = [f"{calibrated.name}; contacts drawn with seed {seed}"]
-    used = _used(path, calibrated, notes)
-    split, more = held_out(path, each, seed, used)
+    notes = [f"{calibrated.name}; contacts drawn with seed {seed}"]
+    parts, more = split_folders(path, each, seed, _used(path, calibrated, notes))
     notes += more
-    folders, left_out = _folders(split, calibrated, notes)
-    scored, lost = _scored(folders, calibrated, as_labelled, [folder.start for folder in folders], notes)
-    if not scored:
+    compared: list[Compared] = []
+    left_out: LeftOut = []
+    for part in parts:
+        found = _compare_folder(part, calibrated, as_labelled, notes, left_out)
+        compared += [] if found is None else [found]
+    if not compared:
         raise UserError(f"{path}: no folder has labelled contacts that can be compared: {notes[-1]}")
-    gained: list[Row] = []
-    if refit is not None:
-        folders, aligned = [part.folder for part in scored], [part.aligned for part in scored]
-        known, frames = refitted(folders, calibrated, used, aligned, as_labelled)
-        write_json(
-            refit, {"preset": known.preset, "image_names": known.used, "notes": [f"{calibrated.name}, refitted"]}
-        )
-        notes.append(f"{refit.name}: refitted to the contacts that align; the rest of this is of it")
-        again, lost = _scored(folders, known, as_labelled, frames, notes)
-        if not again:
-            raise UserError(f"{path}: after the refit no folder can be compared: {notes[-1]}")
-        gained = gains(scored, again, calibrated, known, as_labelled)
-        scored = again
-    left_out += lost
     for why in sorted({one["why"] for one in left_out}):
         names = [one["image"] for one in left_out if one["why"] == why]
-        notes.append(f"{len(names)} left out, {why}: {', '.join(names[:5])}{' ...' if len(names) > 5 else ''}")
-    notes += [CEILING, GAINED] if gained else [CEILING]
-    compared = [part.compared for part in scored]
+        some = f"{', '.join(names[:5])}{' ...' if len(names) > 5 else ''}"
+        notes.append(f"{len(names)} left out, {why}: {some}")
+    notes.append(CEILING)
     rows = rows_of(compared)
-    tables = [table(rows), gains_table(gained)] if gained else [table(rows)]
-    text = "\n\n".join(tables) + "\n" + "".join(f"\nnote: {note}" for note in notes)
+    text = table(rows) + "\n" + "".join(f"\nnote: {note}" for note in notes)
     log(text)
     if out is not None:
         from jaxunshear.calibration.validate_figure import validate_figure
 
         write_text(Path(out) / "validate.txt", text + "\n")
         write_bytes(Path(out) / "validate.png", validate_figure(compared))
-    return {"rows": rows + gained, "notes": notes, "left_out": left_out}
+    return {"rows": rows, "notes": notes, "left_out": left_out}
 
 
-def table(rows: list[Json]) -> str:
-    """A line for taps, slides and each part of them."""
+def table(rows: list[Row]) -> str:
+    """Print a line for taps, slides and each ring of them."""
     from jaxunshear.table import plain_table
 
     lines: dict[str, Json] = {}
     for row in rows:
-        measure, _, part = row["name"].partition(".")
+        measure, _, part = str(row["name"]).partition(".")
         lines.setdefault(part, {"contacts of": part, "contacts": row["contacts"]})[measure] = row["value"]
     columns = ("contacts of", "contacts", "r2", "ceiling_r2", "residual_px", "residual_mm", "motion_px")
     return plain_table(list(lines.values()), columns)
@@ -113,31 +109,151 @@ def _used(path: Path, calibrated: Calibrated, notes: list[str]) -> tuple[str, ..
     return tuple(name for part in fitted for name in part.names)
 
 
-def _folders(split: list[Parts], calibrated: Calibrated, notes: list[str]) -> tuple[list[Folder], list[dict[str, str]]]:
-    """The folders whose labels go with their images, with a note on the others, and the images left out."""
-    folders, left_out = [], []
-    for parts in split:
-        folder, lost = read_folder(parts, calibrated)
-        left_out += lost
-        if isinstance(folder, str):
-            notes.append(f"{parts.scored.name}: {folder}")
-        else:
-            folders.append(folder)
-    return folders, left_out
+@dataclass(frozen=True)
+class Folder:
+    """A folder's images in two parts: those that align, and those that are compared."""
+
+    name: str
+    matter: Matter
+    start: Frame  # where the search for the frame begins
+    mirrored: bool
+    angle: float  # rad, of the camera, before the frame is found
+    seen: Seen  # compared contacts, as the camera has them
+    contacts: Motions  # of the same
+    images: tuple[str, ...]  # their names
 
 
-def _scored(
-    folders: list[Folder], known: Calibrated, as_labelled: bool, begin: Sequence[Frame], notes: list[str]
-) -> tuple[list[Scored], list[dict[str, str]]]:
-    """The folders aligned, from the frames `begin`, and compared, with notes, and the images left out."""
-    found, left_out = [], []
-    for folder, start in zip(folders, begin, strict=True):
-        aligned = align(folder, known, as_labelled, start)
-        notes.append(f"{folder.name}: {aligned.note}")
-        compared, lost = compare(folder, aligned, known)
-        left_out += lost
-        if compared is None:
-            notes.append(f"{folder.name}: too few contacts converged")
-        else:
-            found.append(Scored(folder, aligned, compared))
-    return found, left_out
+class Aligned(NamedTuple):
+    """What a folder's labels do not give, read off images that are not compared."""
+
+    frame: Frame
+    angle: float  # rad, of the camera
+
+    def note(self, matter: Matter) -> str:
+        frame = self.frame
+        edge = f", edge {frame.across_mm:+.2f} mm from the labels' zero" if matter.side else ""
+        return (
+            f"aligned by {len(matter.contacts)} other contacts: surface at {frame.surface_mm:.2f} mm of the "
+            f"depth axis, tilted by {frame.tilt_x_deg:+.2f} and {frame.tilt_y_deg:+.2f} deg{edge}; "
+            f"camera turned by {np.degrees(self.angle):.1f} deg"
+        )
+
+
+def _compare_folder(
+    parts: Parts, known: Calibrated, as_labelled: bool, notes: list[str], left_out: LeftOut
+) -> Compared | None:
+    """A folder aligned and compared, with notes and the images left out; None where it cannot be."""
+    folder = _read_folder(parts, known, left_out)
+    if isinstance(folder, str):
+        notes.append(f"{parts.scored.name}: {folder}")
+        return None
+    matter = folder.matter
+    frame = find_frame(matter, folder.start, ("surface_mm",) if as_labelled else tuple(STEPS))
+    aligned = Aligned(frame, folder.angle - matter.turn(frame))
+    notes.append(f"{folder.name}: {aligned.note(matter)}")
+    contacts = framed(folder.contacts, frame)
+    moved, converged = _solved(folder.name, contacts, matter.side, known)
+    left_out += _lost(folder.images, ~converged, "out of the simulator's reach, or not converged")
+    kept = np.flatnonzero(converged)
+    if len(kept) < LEAST_LABELLED:
+        notes.append(f"{folder.name}: too few contacts converged")
+        return None
+    seen = folder.seen.turned(folder.mirrored, aligned.angle).take(kept)
+    return _compared(folder.name, seen, contacts.take(kept), moved[kept], known)
+
+
+def _read_folder(parts: Parts, known: Calibrated, left_out: LeftOut) -> Folder | str:
+    """A folder's labelled contacts, or why it has none that can be compared."""
+    align, scored = parts.align, parts.scored
+    seen = align.observe(known.sensor)
+    rows = np.flatnonzero(align.labelled & seen.sure)
+    if len(rows) < LEAST_LABELLED:
+        return f"{len(rows)} images to align by are labelled and followed, fewer than {LEAST_LABELLED}"
+    assert align.poses is not None  # else none would be labelled
+    moves = None if align.moves is None else align.moves[rows]
+    reading = read_labels(seen.take(rows), align.poses[rows], moves, known.values, known.sensor)
+    if reading is None:
+        return "its labels do not go with its images"
+    turned = seen.take(rows).turned(reading.mirrored, reading.angle)
+    compared, labelled = scored.observe(known.sensor), scored.labelled
+    left_out += _lost(scored.names, ~labelled, "its label cannot be read")
+    left_out += _lost(scored.names, labelled & ~compared.sure, "its pins cannot be followed")
+    kept = np.flatnonzero(labelled & compared.sure)
+    if len(kept) < LEAST_LABELLED:
+        return f"{len(kept)} contacts are labelled and followed, fewer than {LEAST_LABELLED}"
+    assert scored.poses is not None  # else none would be labelled
+    return Folder(
+        scored.name,
+        Matter(turned, reading.contacts, reading.side, known.values, known.sensor),
+        Frame(reading.surface_mm),
+        reading.mirrored,
+        reading.angle,
+        compared.take(kept),
+        motions(scored.poses[kept], None if scored.moves is None else reading.sign * scored.moves[kept]),
+        tuple(scored.names[i] for i in kept),
+    )
+
+
+def _compared(name: str, seen: Seen, contacts: Motions, moved: np.ndarray, known: Calibrated) -> Compared:
+    flat, place = settled(known.values, known.sensor, seen.size, seen.place, moved)
+    scale = 128 / seen.size
+    recorded, simulated = centred(seen.place * scale, place * scale)
+    return Compared(
+        name,
+        recorded,
+        simulated,
+        explained_by_labels(contacts, recorded),
+        seen.lattice.shell,
+        np.nanmean(seen.place, axis=0) * scale,
+        mm_per_px(known.values, known.sensor, 128, flat),
+        np.linalg.norm(contacts.tip[:, 1] - contacts.tip[:, 0], axis=-1) < 1e-6,
+    )
+
+
+def _solved(name: str, contacts: Motions, side: int, known: Calibrated) -> tuple[np.ndarray, np.ndarray]:
+    """As `displacements`, some contacts at a time."""
+    values, parts = known.values, []
+    with Progress(f"contacts of {name}", len(contacts), unit="contacts") as progress:
+        for begin in range(0, len(contacts), CHUNK):
+            some = contacts.take(np.arange(begin, min(begin + CHUNK, len(contacts))))
+            parts.append(displacements(known.sensor, some, side, values.friction, 0.0, values.skin_to_gel))
+            progress.advance(len(some))
+    return np.concatenate([moved for moved, _ in parts]), np.concatenate([fine for _, fine in parts])
+
+
+def _lost(names: tuple[str, ...], lost: np.ndarray, why: str) -> LeftOut:
+    return [{"image": names[i], "why": why} for i in np.flatnonzero(lost)]
+
+
+def explained_by_labels(contacts: Motions, motion: np.ndarray) -> np.ndarray:
+    """Predict motions (N, P, 2) px, each from the labels of contacts of other folds.
+
+    Kernel ridge regression, with the width and the ridge that do best over all folds. What is left
+    over is what no simulator of the labelled motion can explain: the robot's errors, the camera's
+    pixels, and for few contacts what the regression has not learnt yet.
+    """
+    x, y = _features(contacts), np.nan_to_num(less_mean(motion)).reshape(len(motion), -1)
+    folds = PredefinedSplit(np.random.default_rng(0).permutation(len(x)) % FOLDS)
+    best, error = np.zeros_like(y), np.inf
+    for width, ridge in product(WIDTHS, RIDGES):
+        model = KernelRidge(alpha=ridge, kernel="rbf", gamma=1 / (2 * width**2 * x.shape[1]))
+        predicted = cross_val_predict(model, x, y, cv=folds)
+        off = np.sum((predicted - y) ** 2)
+        if off < error:
+            best, error = predicted, off
+    return best.reshape(motion.shape)
+
+
+def _features(contacts: Motions) -> np.ndarray:
+    """Place and depth, heading, tilt, slide and turn as the sensor feels them: (N, F) of unit spread."""
+    count, yaw = len(contacts), contacts.yaw
+    end, slide = contacts.tip[:, 1], contacts.tip[:, 1] - contacts.tip[:, 0]
+    own = np.column_stack([rotate_2d(slide[:, :2], -yaw), slide[:, 2]])
+    turn = contacts.turn
+    axis = turn[count:].inv().apply([0, 0, 1.0])  # the object's normal in the sensor's frame
+    twist = (turn[:count].inv() * turn[count:]).as_rotvec()
+    place = end[:, [0, 2]] if contacts.across else end[:, [2]]
+    columns = np.column_stack([place, np.cos(yaw), np.sin(yaw), axis[:, :2], own, twist])
+    spread = columns.std(axis=0)
+    varied = spread > 1e-6
+    return (columns[:, varied] - columns[:, varied].mean(axis=0)) / spread[varied]

@@ -7,22 +7,18 @@ Nobody knows where a pin stands untouched, so that every pin counts less its own
 phases of their own: the simulated motion is interpolated to where the real pins stand.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
 from jaxunshear.calibration.prediction import Values, interpolation_at, seen_at, spread
-from jaxunshear.calibration.statistics import SLIDE_BINS_MM, less_mean
+from jaxunshear.calibration.statistics import less_mean
 from jaxunshear.scene.pins import pin_tips, tips_at
 from jaxunshear.settings.sensor import Sensor
 
 FARTHEST_DEG = 68.0  # from the apex: pins that are seen farther out are taken for standing there
 SETTLING = 3  # rounds in which the places of untouched pins follow from the mean of the touched ones
-PARTS = 3  # of contacts by depth and by distance, equally many
-LEAST = 8  # contacts that a row is worth
-KINDS = ("tap", "slide")
+KINDS = {"tap": True, "slide": False}
 
 
 @dataclass(frozen=True)
@@ -36,23 +32,17 @@ class Compared:
     shell: np.ndarray  # (P,)
     rest: np.ndarray  # (P, 2) places in the image, from its middle
     mm_per_px: np.ndarray  # (P,) at the height of each pin
-    slide_mm: np.ndarray  # (N,) length
-    depth_mm: np.ndarray  # (N,) indentation at the end
-    edge_mm: np.ndarray  # (N,) of the dome's apex from the edge, negative on the object; NaN without an edge
+    taps: np.ndarray  # (N,) bool, of no slide
 
     def take(self, rows: np.ndarray) -> "Compared":
-        names = ("recorded", "simulated", "ceiling", "slide_mm", "depth_mm", "edge_mm")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        return replace(
+            self, **{name: getattr(self, name)[rows] for name in ("recorded", "simulated", "ceiling", "taps")}
+        )
 
     def ring(self, shell: int) -> "Compared":
         here = self.shell == shell
         pins = {name: getattr(self, name)[:, here] for name in ("recorded", "simulated", "ceiling")}
         return replace(self, **pins, shell=self.shell[here], rest=self.rest[here], mm_per_px=self.mm_per_px[here])
-
-    @property
-    def taps(self) -> np.ndarray:
-        """(N,) bool"""
-        return self.slide_mm < 1e-6
 
 
 def stand(values: Values, sensor: Sensor, size: int, rest: np.ndarray) -> np.ndarray:
@@ -115,50 +105,25 @@ Row = dict[str, float | int | str | None]
 
 
 def rows_of(parts: list[Compared]) -> list[Row]:
-    """Scores of taps and slides over all folders, in full and by ring, depth, distance to the edge and length of the slide."""
+    """Score taps and slides over all folders, in full and by ring."""
     rows: list[Row] = []
     for kind, mine in by_kind(parts).items():
-        rows += _scores(kind, mine, full=True)
+        rows += _scores(kind, mine)
         for shell in np.unique(mine[0].shell):
             rows += _scores(f"{kind}.ring.{shell}", [part.ring(shell) for part in mine])
-        for name, chosen in _subsets(mine):
-            rows += _scores(f"{kind}.{name}", chosen)
     return rows
 
 
 def by_kind(parts: list[Compared]) -> dict[str, list[Compared]]:
-    """Taps and slides of every folder that has some; only those kinds that there are."""
-    kinds = {kind: _some(parts, [part.taps == (kind == "tap") for part in parts]) for kind in KINDS}
+    """Part taps from slides, folders without any left out; only those kinds that there are."""
+    kinds = {
+        kind: [part.take(np.flatnonzero(part.taps == tapped)) for part in parts if (part.taps == tapped).any()]
+        for kind, tapped in KINDS.items()
+    }
     return {kind: mine for kind, mine in kinds.items() if mine}
 
 
-def _some(parts: list[Compared], wanted: list[np.ndarray]) -> list[Compared]:
-    """The contacts `wanted` (N,) of each folder, folders without any left out."""
-    return [part.take(np.flatnonzero(here)) for part, here in zip(parts, wanted, strict=True) if here.any()]
-
-
-def _subsets(parts: list[Compared]) -> Iterator[tuple[str, list[Compared]]]:
-    for quantity, field in (("depth", "depth_mm"), ("edge", "edge_mm")):
-        values = np.concatenate([getattr(part, field) for part in parts])
-        if np.isfinite(values).sum() >= PARTS * LEAST and np.ptp(values[np.isfinite(values)]) > 0.1:
-            ends = np.round(np.nanquantile(values, np.linspace(0, 1, PARTS + 1)), 1)
-            ends[0], ends[-1] = np.floor(10 * np.nanmin(values)) / 10, np.ceil(10 * np.nanmax(values)) / 10
-            yield from _binned(parts, quantity, field, list(ends))
-    longest = max(float(part.slide_mm.max()) for part in parts)
-    if longest > 0:
-        yield from _binned(parts, "length", "slide_mm", [*SLIDE_BINS_MM, max(longest, SLIDE_BINS_MM[-1]) + 0.1])
-
-
-def _binned(
-    parts: list[Compared], quantity: str, field: str, ends: list[float]
-) -> Iterator[tuple[str, list[Compared]]]:
-    for low, high in pairwise(ends):
-        chosen = _some(parts, [(getattr(part, field) >= low) & (getattr(part, field) < high) for part in parts])
-        if sum(len(part.recorded) for part in chosen) >= LEAST:
-            yield f"{quantity}.{low:.1f}-{high:.1f}", chosen
-
-
-def _scores(name: str, parts: list[Compared], full: bool = False) -> list[Row]:
+def _scores(name: str, parts: list[Compared]) -> list[Row]:
     recorded = np.concatenate([part.recorded.reshape(-1, 2) for part in parts])
     simulated = np.concatenate([part.simulated.reshape(-1, 2) for part in parts])
     ceiling = np.concatenate([part.ceiling.reshape(-1, 2) for part in parts])
@@ -172,8 +137,6 @@ def _scores(name: str, parts: list[Compared], full: bool = False) -> list[Row]:
         ("motion_px", "px", float(rms(recorded))),
         ("ceiling_r2", "1", r2(recorded, ceiling)),
     ]
-    if full:
-        figures.append(("ceiling_residual_px", "px", float(rms(recorded - ceiling))))
     return [
         {"name": f"{measure}.{name}", "unit": unit, "value": value, "contacts": contacts}
         for measure, unit, value in figures

@@ -22,12 +22,6 @@ def add_parsers(commands: Commands) -> None:
         "--calibration", metavar="FILE", type=Path, help="calibration.json of `calibrate` (default: the fitted preset)"
     )
     parser.add_argument(
-        "--refit",
-        metavar="FILE",
-        type=Path,
-        help="refit sensor, camera and friction pin by pin first; for --calibration",
-    )
-    parser.add_argument(
         "--contacts", metavar="N", type=int, default=400, help="of each folder, at random; 0: all (400)"
     )
     parser.add_argument(
@@ -65,13 +59,7 @@ def _validate(arguments: argparse.Namespace) -> Json:
         raise UserError(f"--seed {arguments.seed}: use 0 or more")
     from jaxunshear.calibration.calibrated import SHIPPED, read_calibration
     from jaxunshear.calibration.validate import validate
-    from jaxunshear.places import check_new_file
 
-    check_new_file(arguments.refit, "--refit")
-    if arguments.refit is not None and arguments.refit.resolve().is_relative_to(arguments.recordings.resolve()):
-        raise UserError(
-            f"--refit {arguments.refit} lies among the recordings in {arguments.recordings}: name another file"
-        )
     calibrated = SHIPPED if arguments.calibration is None else read_calibration(arguments.calibration)
     found = validate(
         arguments.recordings,
@@ -80,6 +68,5 @@ def _validate(arguments: argparse.Namespace) -> Json:
         arguments.seed,
         arguments.out,
         as_labelled=arguments.as_labelled,
-        refit=arguments.refit,
     )
     return {"seed": arguments.seed, **found}

@@ -26,6 +26,7 @@ def add_parser(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScores:
     from jaxunshear.dataset.recordings import read_recordings
+    from jaxunshear.downstream.geometry import INVERSE
     from jaxunshear.downstream.geometry_scores import geometry
     from jaxunshear.downstream.geometry_ways import INVERSE
     from jaxunshear.report import geometry_figure

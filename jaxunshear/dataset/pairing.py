@@ -10,6 +10,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import Delaunay, cKDTree
 
+from jaxunshear.angles import wrap_degrees
 from jaxunshear.settings.targets import RECORDED, Targets
 
 REACH = 0.75  # of the pins' spacing: how far beyond the outermost pins an image moves with them
@@ -18,9 +19,9 @@ SAME_POSE = 1e-3  # mm and deg: labels of one `pose_id` that differ by more are 
 
 def gaps(slides: np.ndarray, taps: np.ndarray) -> np.ndarray:
     """Absolute differences of poses (N, 6), angles the short way round."""
-    apart = np.asarray(slides, np.float64) - taps
+    apart = taps - np.asarray(slides, np.float64)
     angle = np.array([name.endswith("_deg") for name in RECORDED])
-    return np.abs(np.where(angle, (apart + 180) % 360 - 180, apart))
+    return np.abs(np.where(angle, wrap_degrees(apart), apart))
 
 
 def nearest(targets: Targets, slides: np.ndarray, taps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

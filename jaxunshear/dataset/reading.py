@@ -20,11 +20,11 @@ import grain
 import numpy as np
 from PIL import Image
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.dataset.chunks import pack, unpack
 from jaxunshear.dataset.making import damaged, read_metadata, remedy
 from jaxunshear.dataset.siblings import siblings_of
 from jaxunshear.errors import UserError, first_line
-from jaxunshear.scene.scene import turned
 from jaxunshear.settings.configs import MANIFEST, Settings, set_folder
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331, Sensor
@@ -147,7 +147,7 @@ def open_set(
 
 def felt(move: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Slides (N, 2) mm, or (N, 3) with their turn, deg, as the sensor at `pose` (N, 4) or (N, 6) feels them: in its own frame."""
-    return np.concatenate([turned(move[:, :2], -pose[:, 2]), move[:, 2:]], axis=1).astype(np.float32)
+    return np.concatenate([rotate_2d(move[:, :2], np.radians(-pose[:, 2])), move[:, 2:]], axis=1).astype(np.float32)
 
 
 def shifted(examples: Batch, offsets: np.ndarray) -> Batch:

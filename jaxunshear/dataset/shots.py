@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, draw_tilts, edge_labels, make_scenes, turned
+from jaxunshear.angles import rotate_2d
+from jaxunshear.scene.scene import Scenes, draw_moves, draw_poses, draw_tilts, edge_labels, make_scenes
 from jaxunshear.settings.configs import config_name, set_name
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.splits import SPLITS, splits_of
@@ -85,7 +86,7 @@ def draw_paired(settings: PairedData) -> Shots:
         moves = np.zeros((settings.poses, shots, drawn.shape[-1]))
         yaw = poses[:, 0, 2]
         moves[:, slid] = drawn
-        moves[:, slid, :2] = turned(drawn[..., :2], (yaw - yaw[leader])[:, None])
+        moves[:, slid, :2] = rotate_2d(drawn[..., :2], np.radians(yaw - yaw[leader])[:, None])
         pose.append(poses.reshape(-1, poses.shape[-1]))
         move.append(moves.reshape(-1, moves.shape[-1]))
     each = settings.poses * len(settings.stimuli)

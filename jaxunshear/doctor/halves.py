@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from jaxunshear.angles import wrap_degrees
+
 STILL = 1e-6  # mm and degrees: a contact moved by less is a tap
 SAME_POSE = 1e-3  # mm and degrees
 MM_OF_DEGREE = 0.1  # a degree weighs as much in the search for the nearest pose
@@ -72,9 +74,9 @@ def pairing(poses: np.ndarray | None, moves: np.ndarray | None, ids: np.ndarray 
     if not len(tap) or not len(slide):
         return nothing
     near = tap[cKDTree(_places(poses[tap])).query(_places(poses[slide]))[1]]
-    apart = poses[slide] - poses[near]
+    apart = poses[near] - poses[slide]
     mm = float(np.median(np.linalg.norm(apart[:, :3], axis=1)))
-    deg = float(np.median(np.abs(_wrapped(apart[:, 3:])).max(axis=1)))
+    deg = float(np.median(np.abs(wrap_degrees(apart[:, 3:])).max(axis=1)))
     by_id = 0 if ids is None else _same(poses, ids, tap, slide)
     return Pairing(nothing.taps, nothing.slides, by_id, mm, deg)
 
@@ -85,10 +87,6 @@ def _places(poses: np.ndarray) -> np.ndarray:
     return np.hstack([poses[:, :3], RADIUS_MM * np.cos(angles), RADIUS_MM * np.sin(angles)])
 
 
-def _wrapped(degrees: np.ndarray) -> np.ndarray:
-    return (degrees + 180.0) % 360.0 - 180.0
-
-
 def _same(poses: np.ndarray, ids: np.ndarray, tap: np.ndarray, slide: np.ndarray) -> int:
     """How many slides (rows) have a tap of their number and pose."""
     by_id: dict[int, list[int]] = {}
@@ -97,7 +95,7 @@ def _same(poses: np.ndarray, ids: np.ndarray, tap: np.ndarray, slide: np.ndarray
     found = 0
     for row in slide:
         others = by_id.get(int(ids[row]), []) if ids[row] >= 0 else []
-        apart = poses[others] - poses[row]
-        apart[:, 3:] = _wrapped(apart[:, 3:])
+        apart = poses[row] - poses[others]
+        apart[:, 3:] = wrap_degrees(apart[:, 3:])
         found += bool((np.abs(apart) < SAME_POSE).all(axis=1).any())
     return found

@@ -1,19 +1,95 @@
-"""Contact geometry from pins (paper section 4.2; Cramphorn et al. 2018): each pin's Voronoi cell grows where the skin is pressed in.
+"""Contact geometry from pins: by the paper's Voronoi cells, or by the inverse of the skin.
 
->>> heights = relative_growth(lattice, track.motion)           # (P,) growth of each cell's area over the undeformed one
->>> surface(lattice.place, heights, 64)                        # (64, 64) smooth heights over the pins
->>> read_at(lattice.place + track.motion, heights, places)     # the same surface where the pins are, at places (M, 2)
+>>> ways = ways_of(lattice, known)                             # by name, from taps of known indentation
+>>> heights = ways["inverse"](motion)                          # (N, P) mm, from motions (N, P, 2) px
+>>> surface(lattice.place, heights[0], 64)                     # (64, 64) smooth heights over the pins
+>>> read_at(lattice.place + motion[0], heights[0], places)     # the same surface at (M, 2) places
 
-A rim cell has no neighbours outside, and its Voronoi cell would be open. A ring of ghosts, one beyond each rim pin and moving with it,
-closes these cells, at rest and in touch alike; so an undeformed sensor is exactly flat.
+`areas`    the area of each pin's Voronoi cell in the image (paper section 4.2; Cramphorn et al. 2018)
+`inverse`  a linear map of all pins' motion: cells hold only how the skin is stretched, but pins also
+           show where it moved and how it turned. Skin and gel are linear to about 3 mm.
+
+A rim cell has no neighbours outside, and its Voronoi cell would be open. A ring of ghosts, one beyond
+each rim pin and moving with it, closes these cells, at rest and in touch alike.
 """
+
+from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
-from scipy.spatial import Delaunay, Voronoi, cKDTree
+from scipy.spatial import Voronoi, cKDTree
+from sklearn.linear_model import Ridge
 
+from jaxunshear.dataset.fresh import FreshContacts
+from jaxunshear.errors import UserError
 from jaxunshear.image.growing import filled
 from jaxunshear.image.lattice import Lattice
+from jaxunshear.image.tracking import motions_of
+
+AREAS, INVERSE = WAYS = ("areas", "inverse")
+NOISE = 0.06  # spacings by which a pin's coordinates may be off: 0.3 px at 128 px
+FELT_MM = 0.2  # images of the untouched sensor of 128 px give up to 0.1
+
+
+class Way(NamedTuple):
+    heights: Callable[[np.ndarray], np.ndarray]  # motions (N, P, 2) px of all pins -> (N, P)
+    mm: float  # a unit of height
+
+    def __call__(self, motion: np.ndarray) -> np.ndarray:
+        return self.mm * self.heights(motion)
+
+
+def ways_of(lattice: Lattice, known: FreshContacts) -> dict[str, Way]:
+    """Return both ways by name, each with its factor to mm from taps of known indentation."""
+    motion = known_motions(lattice, known)
+    followed = ~np.isnan(motion[:, 0, 0])
+    motion, true = motion[followed], known.indentation_mm[followed]
+    usual = cell_areas(lattice, np.zeros_like(lattice.place)).mean()
+    inverse = fit_inverse(lattice, motion, true)
+    heights: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        AREAS: lambda moved: np.stack([cell_areas(lattice, each) for each in moved]) / usual - 1,
+        INVERSE: lambda moved: indentation_of(inverse, moved),
+    }
+    return {name: Way(each, _factor(each(motion), true)) for name, each in heights.items()}
+
+
+def _factor(heights: np.ndarray, true: np.ndarray) -> float:
+    return float(np.sum(true * heights) / np.sum(heights**2))
+
+
+def known_motions(lattice: Lattice, known: FreshContacts) -> np.ndarray:
+    """Follow the pins of taps: motions (N, P, 2) px.
+
+    Raises `UserError` if hardly any tap shows its pins well enough.
+    """
+    motion = motions_of(lattice, known.tap)
+    sure = np.mean(~np.isnan(motion[:, 0, 0]))
+    if sure < 0.5:
+        raise UserError(
+            f"pins are identified in only {100 * sure:.0f} % of simulated taps of {known.tap.shape[1]} px: "
+            "use a model of larger images (128 px or more)"
+        )
+    return motion
+
+
+def fit_inverse(lattice: Lattice, motion: np.ndarray, indentation: np.ndarray) -> np.ndarray:
+    """Fit the (2P, P) mm/px that turn pin motions into indentation, by ridge regression.
+
+    The taps have motions (N, P, 2) px and indentations (N, P) mm. The ridge is as if the pins were
+    off by NOISE.
+    """
+    ridge = Ridge(len(motion) * (NOISE * lattice.spacing) ** 2, fit_intercept=False)
+    return ridge.fit(motion.reshape(len(motion), -1), indentation).coef_.T
+
+
+def indentation_of(inverse: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """Turn motions (N, P, 2) px into indentation (N, P) mm.
+
+    All of a contact's is zero if no skin is pressed in by FELT_MM: nothing is touched.
+    """
+    found = motion.reshape(len(motion), len(inverse)) @ inverse
+    return np.where(found.max(axis=-1, keepdims=True, initial=0) < FELT_MM, 0.0, found)
 
 
 def relative_growth(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
@@ -38,14 +114,6 @@ def cell_areas(lattice: Lattice, motion: np.ndarray) -> np.ndarray:
     side = np.linalg.norm(cells.vertices[ends[:, 0]] - cells.vertices[ends[:, 1]], axis=-1)
     # every side makes a triangle with each of its two pins, of half their distance in height
     return np.bincount(pairs.ravel(), np.repeat(width * side / 4, 2), len(points))[: len(motion)]
-
-
-def smoothed(lattice: Lattice, heights: np.ndarray) -> np.ndarray:
-    """Heights (..., P) averaged over each pin and its neighbours: half a pixel of noise in a pin is a tenth of its cell."""
-    start, neighbours = Delaunay(lattice.place).vertex_neighbor_vertices
-    count = np.diff(start)
-    around = np.add.reduceat(heights[..., neighbours], start[:-1], axis=-1)
-    return (heights + around) / (1 + count)
 
 
 def surface(place: np.ndarray, heights: np.ndarray, cells: int) -> np.ndarray:

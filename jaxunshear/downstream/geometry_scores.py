@@ -1,7 +1,7 @@
 """How well the contact geometry of taps, sheared and unsheared images agrees with how far the simulator's skin was pressed in.
 
 The truth stands where a camera sees it: at the places of the tap's pins. There a geometry is read off its cubic surface, through its
-heights where the image's pins are. `growth` alone is compared pin by pin, wherever a pin has gone.
+heights where the image's pins are.
 """
 
 import time
@@ -14,8 +14,7 @@ import numpy as np
 
 from jaxunshear.dataset import fresh
 from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts, untouched_images
-from jaxunshear.downstream.geometry import read_at
-from jaxunshear.downstream.geometry_ways import GROWTH, Way, ways_of
+from jaxunshear.downstream.geometry import Way, read_at, ways_of
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.spread import intervals
 from jaxunshear.image.lattice import Lattice
@@ -58,7 +57,7 @@ def geometry(folder: Path, experiment: Experiment, count: int = 300) -> Felt:
     if not networks:
         raise UserError(f"{folder} holds no trained network that unshears: train one first, or name another --model")
     lattice = lattice_of(experiment)
-    ways = ways_of(experiment, lattice, fresh_contacts(experiment, fresh.KNOWN, seed=1))
+    ways = ways_of(lattice, fresh_contacts(experiment, fresh.KNOWN, seed=1))
     contacts = fresh_contacts(experiment, count)
     found = geometry_of(lattice, contacts, untouched_images(experiment, len(contacts.stimulus)), ways, networks)
     scales = {name: way.mm for name, way in ways.items()}
@@ -90,9 +89,8 @@ def geometry_of(
             if len(sure):
                 felt[row, sure] = way(motion[sure])
             ms[kind, name] = 1e3 * (spent + time.perf_counter() - began) / len(given)
-        moving = np.array([name != GROWTH for name in ways])
         for one in sure:
-            felt[moving, one] = read_at(lattice.place + motion[one], felt[moving, one].T, contacts.tap_pins[one]).T
+            felt[:, one] = read_at(lattice.place + motion[one], felt[:, one].T, contacts.tap_pins[one]).T
         height |= {(kind, name): felt[row] for row, name in enumerate(ways)}
     return Geometry(height, ms)
 

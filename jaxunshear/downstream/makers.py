@@ -1,12 +1,11 @@
 """Ways from a walk's pins to the object: what each pin shows, where it is put, and what shape is made of all of it.
 
-voronoi   the paper's: the growth of the pins' cells, where the pins are, as a height map; no classifier. Cells grow most over an edge:
-          what the ridge of the map surrounds is the object
-skin      another height map: where the skin's outer face stands, by the inverse of `inverse.py` and the dome's own shape; above one level,
-          `parting_level`, lies the object
-evidence  a logistic regression determines which pins lie over the object; a band that closes is filled
+Both fuse the surfaces that a walk felt, each a height of the pins near the sensor's axis:
 
-All take the pins near the sensor's axis. `skin` and `evidence` know the poses of 300 taps, `voronoi` nothing.
+voronoi   the paper's: the growth of the pins' cells, where the pins are. Cells grow most over an edge: what the ridge of the map surrounds
+          is the object. It learns from nothing.
+skin      where the skin's outer face stands, by the inverse of `geometry.py` and the dome's own shape; above one level, `parting_level`,
+          lies the object. Inverse and level are from 300 taps of known poses.
 """
 
 from collections.abc import Callable
@@ -14,15 +13,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxunshear.downstream.geometry import relative_growth, smoothed
-from jaxunshear.downstream.inverse import indentation_of, learnt
-from jaxunshear.downstream.occupancy import NEAR_MM, evidence, learn
-from jaxunshear.downstream.reconstruct import Fused, filled_shape, interpolated, ridge_shape, skin_places
+from jaxunshear.downstream.geometry import fit_inverse, indentation_of, relative_growth
+from jaxunshear.downstream.reconstruct import Fused, interpolated, ridge_shape, skin_places
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.sensor import Sensor
 
-VORONOI, SKIN, EVIDENCE = "voronoi", "skin", "evidence"
+VORONOI, SKIN = "voronoi", "skin"
+NEAR_MM = 6.0  # pins from the sensor's axis: farther out the dome curves away from what lies under it
 
 
 class Maker(NamedTuple):
@@ -42,17 +40,17 @@ def makers_of(
     followed = ~np.isnan(motion[:, 0, 0])
     motion, distance = motion[followed], distance[followed]
     near = np.linalg.norm(rest, axis=-1) < NEAR_MM
-    inverse = learnt(lattice, motion, indentation_mm[followed])
+    inverse = fit_inverse(lattice, motion, indentation_mm[followed])
     tips = pin_tips(sensor)[:, :2]
     px_per_mm = np.sum((lattice.place - lattice.middle) * tips) / np.sum(tips**2)
     towards_axis = np.sqrt(1 - np.sum(rest[near] ** 2, axis=-1) / sensor.dome_radius_mm**2)
     undeformed = sensor.dome_radius_mm * (1 - towards_axis)
 
     def growth(motion: np.ndarray) -> np.ndarray:
-        found = np.full(motion.shape[:2], np.nan)
+        found = np.full((len(motion), np.count_nonzero(near)), np.nan)
         sure = ~np.isnan(motion[:, 0, 0])
         if sure.any():
-            found[sure] = relative_growth(lattice, motion[sure])
+            found[sure] = relative_growth(lattice, motion[sure])[:, near]
         return found
 
     def stands(motion: np.ndarray) -> np.ndarray:
@@ -61,23 +59,13 @@ def makers_of(
     def moved(motion: np.ndarray) -> np.ndarray:
         return rest[near] + motion[:, near] / px_per_mm
 
-    def near_growth(motion: np.ndarray) -> np.ndarray:
-        return growth(motion)[:, near]
+    def above(fused: Fused) -> np.ndarray:
+        return np.nan_to_num(interpolated(fused), nan=-np.inf) > level
 
     level = parting_level(stands(motion), distance[:, near] < 0)
-    occupancy = learn(lattice, rest, smoothed(lattice, growth(motion)), distance)
     return {
-        VORONOI: Maker(near_growth, moved, ridge_shape, None, in_mm=False),
-        SKIN: Maker(
-            stands, moved, lambda fused: np.nan_to_num(interpolated(fused), nan=-np.inf) > level, level, in_mm=True
-        ),
-        EVIDENCE: Maker(
-            lambda motion: evidence(occupancy, smoothed(lattice, growth(motion))),
-            lambda motion: np.broadcast_to(rest[near], (len(motion), *rest[near].shape)),
-            filled_shape,
-            0.0,
-            in_mm=False,
-        ),
+        VORONOI: Maker(growth, moved, ridge_shape, None, in_mm=False),
+        SKIN: Maker(stands, moved, above, level, in_mm=True),
     }
 
 

@@ -12,6 +12,7 @@ from jaxunshear.dataset import fresh
 from jaxunshear.dataset.chunks import unpack
 from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts
 from jaxunshear.downstream.contour import Contour, outline
+from jaxunshear.downstream.geometry import known_motions
 from jaxunshear.downstream.geometry_ways import known_motions
 from jaxunshear.downstream.makers import Maker, makers_of
 from jaxunshear.downstream.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target

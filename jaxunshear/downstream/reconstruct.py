@@ -1,10 +1,10 @@
 """Complete objects (paper section 4.4): the contact geometries along a walk, fused onto a grid, and the shape that they enclose.
 
-Each step gives, of the skin around the sensor's axis, how high it stands, or how sure it lies over the object. Put where the sensor
-was, averaged over all steps that touched a cell, this makes a band along the outline. Heights are interpolated to a map of the entire
-object; where they are greatest over its edge, the object is what their ridge surrounds. Of evidence, it is what a closed band surrounds.
+Each step gives, of the skin around the sensor's axis, how high it stands or how its cells have grown. Put where the sensor was,
+averaged over all steps that touched a cell, this makes a band along the outline, which is interpolated to a map of the entire object.
+The object is where the map is above a level; or, of growth, which is greatest over an edge, what the ridge of the map surrounds.
 
-Read `fuse`, then `interpolated`, `ridge_shape` and `filled_shape`.
+Read `fuse`, then `interpolated` and `ridge_shape`.
 """
 
 from typing import NamedTuple
@@ -13,10 +13,11 @@ import numpy as np
 from scipy import ndimage
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import cKDTree
-from skimage.measure import find_contours, label
+from skimage.measure import find_contours
 from skimage.morphology import reconstruction
 from skimage.segmentation import watershed
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.downstream.contour import Contour, off
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.sensor import Sensor
@@ -28,7 +29,7 @@ LEAST = 0.02  # pins a cell, blurred, for it to count as touched
 
 
 class Fused(NamedTuple):
-    """Mean height or evidence on a square grid, rows along y; NaN where nothing was touched."""
+    """Mean height on a square grid, rows along y; NaN where nothing was touched."""
 
     line: np.ndarray  # (K,) mm, target frame: of its columns along x, and of its rows along y
     value: np.ndarray  # (K, K)
@@ -48,10 +49,7 @@ def skin_places(sensor: Sensor) -> np.ndarray:
 
 def to_target(point: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Places (P, 2) or (T, P, 2) mm of the sensor frame, seen from points (T, 3) x, y mm and yaw deg: (T, P, 2) mm of the target frame."""
-    yaw = np.radians(point[:, 2])[:, None]
-    x = point[:, 0, None] + np.cos(yaw) * place[..., 0] - np.sin(yaw) * place[..., 1]
-    y = point[:, 1, None] + np.sin(yaw) * place[..., 0] + np.cos(yaw) * place[..., 1]
-    return np.stack([x, y], -1)
+    return point[:, None, :2] + rotate_2d(place, np.radians(point[:, 2])[:, None])
 
 
 def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: float) -> Fused:
@@ -76,15 +74,6 @@ def fuse(point: np.ndarray, place: np.ndarray, value: np.ndarray, cover_mm: floa
     return Fused((edges[1:] + edges[:-1]) / 2, mean)
 
 
-def filled_shape(fused: Fused) -> np.ndarray:
-    """(K, K) bool: the largest region that was felt to lie over the object, and all that it surrounds."""
-    regions = label(np.nan_to_num(fused.value) > 0, connectivity=1)
-    if regions.max() == 0:
-        return np.zeros(regions.shape, bool)
-    filled = [ndimage.binary_fill_holes(regions == number) for number in _largest(regions)]
-    return max(filled, key=np.count_nonzero)
-
-
 def ridge_shape(fused: Fused) -> np.ndarray:
     """(K, K) bool: what the ridge of the heights surrounds, for heights that are greatest over an edge and lie lower on both sides of it.
 
@@ -100,12 +89,6 @@ def ridge_shape(fused: Fused) -> np.ndarray:
     depth = flooded - heights
     hollow = (depth > DEEP * depth.max()) & (depth > 0)
     return (watershed(heights, np.where(hollow, 2, border.astype(int))) == 2)[1:-1, 1:-1]
-
-
-def _largest(regions: np.ndarray) -> np.ndarray:
-    """Numbers of the few largest regions: a thin band may surround more than a broad speck."""
-    sizes = np.bincount(regions.ravel())[1:]
-    return 1 + np.argsort(sizes)[::-1][:5]
 
 
 def interpolated(fused: Fused) -> np.ndarray:

@@ -19,6 +19,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.contact.simulate import follow
 from jaxunshear.contact.skins import Skins
 from jaxunshear.dataset.chunks import RENDER, pack, render
@@ -252,10 +253,7 @@ def _perceive(
 
 def _moved(point: np.ndarray, move: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """Points (B, 3) after moves (B, 2) and turns (B,) in the sensor frame."""
-    yaw = np.radians(point[:, 2])
-    x, y = move.T
-    dx, dy = np.cos(yaw) * x - np.sin(yaw) * y, np.sin(yaw) * x + np.cos(yaw) * y
-    return point + np.stack([dx, dy, turn], -1)
+    return point + np.column_stack([rotate_2d(move, np.radians(point[:, 2])), turn])
 
 
 def stored_walks(file: Path) -> tuple[Course, Walks]:

@@ -20,9 +20,9 @@ import numpy as np
 import optax
 from flax.typing import VariableDict
 from jaxtyping import Float, Int
-from scipy import linalg
 from sklearn.decomposition import PCA
 from sklearn.ensemble import HistGradientBoostingRegressor
+from sklearn.linear_model import Ridge
 from sklearn.neighbors import KNeighborsRegressor
 from threadpoolctl import threadpool_limits
 
@@ -79,11 +79,15 @@ def fit_linear(codes: Codes, wanted: np.ndarray, others: Codes, groups: np.ndarr
     data = _prepare(codes, wanted, others, groups)
     learnt = ~data.held_out
 
-    def error(r: float) -> float:
-        weights = _solve(data.x[learnt], data.y[learnt], r)
-        return float(np.mean((data.x[data.held_out] @ weights - data.y[data.held_out]) ** 2))
+    def fit(r: float, x: np.ndarray, y: np.ndarray) -> Ridge:
+        return Ridge(r * len(x), fit_intercept=False).fit(x, y)
 
-    return data.unscale(data.others @ _solve(data.x, data.y, min(RIDGES, key=error)))
+    def error(r: float) -> float:
+        found = fit(r, data.x[learnt], data.y[learnt]).predict(data.x[data.held_out])
+        return float(np.mean((found.reshape(len(found), -1) - data.y[data.held_out]) ** 2))
+
+    found = fit(min(RIDGES, key=error), data.x, data.y).predict(data.others)
+    return data.unscale(found.reshape(len(found), -1))
 
 
 def fit_kernel_ridge(
@@ -197,15 +201,6 @@ def _prepare(
 def hold_out(groups: Int[np.ndarray, "N"]) -> np.ndarray:
     """Return which examples (N,) belong to every fifth group."""
     return np.unique(groups, return_inverse=True)[1].reshape(-1) % 5 == 4
-
-
-def _solve(x: np.ndarray, y: np.ndarray, ridge: float) -> np.ndarray:
-    """Solve for the weights (D, K) of ridge regression, by the smaller of the two systems."""
-    if len(x) < x.shape[1]:
-        kernel = x @ x.T + ridge * len(x) * np.eye(len(x))
-        return x.T @ linalg.solve(kernel, y, assume_a="pos")
-    scatter = x.T @ x + ridge * len(x) * np.eye(x.shape[1])
-    return linalg.solve(scatter, x.T @ y, assume_a="pos")
 
 
 def _train(data: _Data, gaussian: bool) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial import cKDTree
 
+from jaxunshear.angles import rotation_2d
 from jaxunshear.errors import UserError
 from jaxunshear.image.lattice import Lattice, make_lattice, shells, shells_of
 from jaxunshear.image.pins import Found, outline
@@ -111,8 +112,7 @@ def _first_guess(frames: list[np.ndarray], layout: Layout) -> np.ndarray:
     radius = np.linalg.norm(flat, axis=-1, keepdims=True)
 
     def guess(turn: float, bend: float) -> np.ndarray:
-        cos, sin = np.cos(turn), np.sin(turn)
-        return centre + rim * (1 + bend * (1 - radius**2)) * flat @ np.array([[cos, sin], [-sin, cos]])
+        return centre + rim * (1 + bend * (1 - radius**2)) * flat @ rotation_2d(-turn)
 
     turns = np.radians(np.arange(-layout.symmetry_deg / 2, layout.symmetry_deg / 2, TURN_DEG))
     off = np.array(

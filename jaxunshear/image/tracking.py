@@ -23,6 +23,7 @@ from jaxtyping import Float
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from jaxunshear.angles import rotation_2d
 from jaxunshear.image.growing import filled, rated, repaired
 from jaxunshear.image.lattice import DEGREES, Lattice
 from jaxunshear.image.measuring import measured
@@ -152,8 +153,7 @@ def _first_motions(lattice: Lattice, found: np.ndarray, usual: Usual | None) -> 
         return
     middle = likeliest.mean(axis=0)
     for angle in np.radians([4, -4, 8, -8]):
-        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        yield (likeliest - middle) @ turn + middle - lattice.place
+        yield (likeliest - middle) @ rotation_2d(-angle) + middle - lattice.place
 
 
 def _searched(lattice: Lattice, found: np.ndarray, usual: Usual) -> np.ndarray:

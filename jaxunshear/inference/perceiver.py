@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 from scipy.linalg import orthogonal_procrustes
 
+from jaxunshear.angles import wrap_degrees
 from jaxunshear.dataset.preparing import LIKE, Frame, frame_of_recordings, to_found, to_image
 from jaxunshear.dataset.recorded_reading import frame_from
 from jaxunshear.dataset.recordings import read_recordings
@@ -204,7 +205,7 @@ def _of_pins(
             drawn = np.asarray(dots(jnp.asarray(places[UNSHEARED]), frame.radius_px, frame.size))[..., 0]
         for pose in poses.values():
             if EDGE in pose:
-                pose[EDGE] = 180 - (180 - pose[EDGE] - degrees) % 360
+                pose[EDGE] = wrap_degrees(pose[EDGE] + degrees)
         return Values(drawn, _in_order(poses, names), places)
 
     preprocess = replace(experiment.paired.preprocess, size=frame.pins_px)

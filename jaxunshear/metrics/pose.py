@@ -5,6 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 from jaxtyping import Float32
 
+from jaxunshear.angles import wrap_degrees
+
 
 def pose_errors(
     predicted: Mapping[str, np.ndarray], true: Mapping[str, np.ndarray]
@@ -21,8 +23,8 @@ def pose_errors(
         a, b = np.asarray(predicted[name], np.float64), np.asarray(true[name], np.float64)
         if a.shape != b.shape or a.ndim != 1:
             raise ValueError(f"{name}: shapes {a.shape} and {b.shape} are not one (B,)")
-        difference = a - b
+        difference = b - a
         if name.endswith("_deg"):
-            difference = (difference + 180) % 360 - 180
+            difference = wrap_degrees(difference)
         errors[name] = np.abs(difference).astype(np.float32)
     return errors

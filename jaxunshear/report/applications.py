@@ -50,7 +50,7 @@ def _geometry(results: Json, folder: Path) -> Markup:
     head = ["image", "by", "correlation", "error, mm rms", "pins not sure", "ms an image"]
     lead = (
         "How far the skin is pressed in, from the pins, against the simulator's own indentation: by the areas of their Voronoi cells, "
-        "by how these change, and by the inverse of the dome's compliance or one learnt from taps. Contacts that no network has seen, "
+        "and by an inverse of the skin learnt from taps. Contacts that no network has seen, "
         "each with a 95 % interval over contacts, of one training. Images whose pins are not identified for sure are left out and counted."
     )
     return page.section(
@@ -87,8 +87,7 @@ def _objects(results: Json, folder: Path) -> Markup:
 
     lead = (
         "The shape that each walk's images enclose, against the true one: area shared over area of either, mean of the walks; below, "
-        "the outlines' mean and largest distance in mm. By height maps of the pins' cells (voronoi) or of where the skin stands, and by "
-        "learnt evidence."
+        "the outlines' mean and largest distance in mm. By height maps of the pins' cells (voronoi) or of where the skin stands."
     )
     names = list(dict.fromkeys(row["stimulus"] for row in results["rows"]))
     pictures = (_picture(folder / f"{name}-{file}.png") for name in names for file, _ in PICTURES.values())

@@ -4,20 +4,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from jaxunshear.dataset.fresh import FreshContacts
-from jaxunshear.downstream.geometry import surface
+from jaxunshear.downstream.geometry import INVERSE, WAYS, surface
 from jaxunshear.downstream.geometry_scores import UNTOUCHED, Geometry, correlation
-from jaxunshear.downstream.geometry_ways import AREAS, INVERSE
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.style import ABREAST, DPI, LABEL, PANEL_IN, png_of
 
 CELLS, WIDTH = 48, 2.7
 TRUTH = "true indentation"
-DRAWN = (AREAS, INVERSE)
 VIEW = {"elev": 42, "azim": -60}
 
 
 def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContacts, geometry: Geometry) -> bytes:
-    """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth; a line for each way of DRAWN."""
+    """A PNG: of every stimulus the contact whose sheared geometry is of middling likeness to the truth; a line for each way."""
     height = {at: each for at, each in geometry.height_mm.items() if at[0] != UNTOUCHED}
     sheared = correlation(np.nan_to_num(height["sheared", INVERSE]), contacts.indentation_mm)
     full = np.all([~np.isnan(each[:, 0]) for each in height.values()], axis=0)
@@ -27,7 +25,7 @@ def of_contacts(lattice: Lattice, names: tuple[str, ...], contacts: FreshContact
         here = np.flatnonzero((contacts.stimulus == index) & full)
         if len(here):
             row = int(here[np.argsort(sheared[here])[len(here) // 2]])
-            for way in DRAWN:
+            for way in WAYS:
                 heights = {kind: height[kind, way][row] for kind in kinds}
                 lines.append((f"{name}, {way}", {TRUTH: contacts.indentation_mm[row], **heights}))
     return _surfaces(lattice, lines, TRUTH)

@@ -1,15 +1,14 @@
-"""Complete objects as they were felt: evidence or heights along the walk, and the shape made of it against the true one."""
+"""Complete objects as they were felt: heights along the walk, and the shape made of it against the true one."""
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from jaxunshear.downstream.makers import EVIDENCE, SKIN, VORONOI
+from jaxunshear.downstream.makers import SKIN, VORONOI
 from jaxunshear.downstream.objects import Solid
 from jaxunshear.report.walk_figure import WORDS
 from jaxunshear.style import ABREAST, DPI, HEAD, LABEL, PANEL_IN, headed, png_of
 
 PICTURES = {  # by maker: the end of a file's name, and what is shown
-    EVIDENCE: ("object", "felt to be over the object (red) or beside it (blue)"),
     SKIN: ("skin", "how high the skin stands, red above the level of the object's edge"),
     VORONOI: ("voronoi", "how the pins' cells have grown (red) or shrunk (blue)"),
 }

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float, Num
 
+from jaxunshear.angles import wrap_degrees
 from jaxunshear.errors import UserError
 from jaxunshear.scene.stimuli import Stimulus, outward_normal, signed_distance, stimulus_of
 from jaxunshear.settings.stimuli import Outline
@@ -61,13 +62,6 @@ def draw_tilts(generator: np.random.Generator, count: int, tilt_deg: float) -> F
     """Tilts in deg, as in `paths.Paths`: uniform over the disk of this radius, so none leans by more."""
     size, way = tilt_deg * np.sqrt(generator.uniform(size=count)), generator.uniform(0, 2 * np.pi, count)
     return size[:, None] * np.stack([np.cos(way), np.sin(way)], axis=-1)
-
-
-def turned(move: Num[np.ndarray, "*B 2"], degrees: Num[np.ndarray, "*#B"]) -> Float[np.ndarray, "*B 2"]:
-    """Offsets turned by angles. By minus the yaw: from the target frame to the sensor's, as the sensor feels them."""
-    cosine, sine = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    x, y = np.moveaxis(move, -1, 0)
-    return np.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
 
 
 def make_scenes(
@@ -128,6 +122,6 @@ def edge_teller(stimulus: Stimulus) -> Callable[[np.ndarray], np.ndarray]:
     def report(point: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 2"]:
         distance, normal = both(jnp.asarray(np.nan_to_num(point[:, :2]), jnp.float32))
         angle = np.degrees(np.arctan2(normal[:, 1], normal[:, 0])) - point[:, 2]
-        return np.stack([np.where(np.isnan(point[:, 0]), np.nan, distance), 180 - (180 - angle) % 360], -1)
+        return np.stack([np.where(np.isnan(point[:, 0]), np.nan, distance), wrap_degrees(angle)], -1)
 
     return report

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxunshear.angles import rotation_2d
 from jaxunshear.calibration.calibrated import SHIPPED
 from jaxunshear.calibration.labels import depth_axis
 from jaxunshear.calibration.simulated_slides import Taps, shear, view_of
@@ -113,8 +114,6 @@ def _drawn(
     again = np.tile(np.arange(len(row)), DRAWN)
     follow = generator.uniform(*FOLLOW, len(again))[:, None, None]
     angle = np.radians(TURNED_DEG) * generator.standard_normal(len(again))
-    cosine, sine = np.cos(angle), np.sin(angle)
-    turn = np.stack([np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)], -2)
-    moved = (taps.pins[row[again]] - rest + follow * motion[again]) @ turn
+    moved = (taps.pins[row[again]] - rest + follow * motion[again]) @ rotation_2d(-angle)
     moved += SHIFTED * spacing_px * generator.standard_normal((len(again), 1, 2))
     return {"row": row[again], "sheared_pins": (rest + moved).astype(np.float32), "move": move[again]}

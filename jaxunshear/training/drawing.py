@@ -16,6 +16,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from jaxunshear.angles import rotate_2d, wrap_degrees
 from jaxunshear.image.lattice import spacing_of
 from jaxunshear.storage import Json
 from jaxunshear.training.turning import ANGLES, Turns, turned, turns_of
@@ -56,7 +57,7 @@ def _turned(turns: Turns, k: Array, batch: Batch) -> Batch:
     after = {name: turned(turns, k, batch[name]) for name in batch if name.endswith("pins")}
     if "edge" in batch:
         degrees = batch["edge"][:, 1] + jnp.degrees(turns.radians[k])
-        after["edge"] = jnp.stack([batch["edge"][:, 0], 180 - (180 - degrees) % 360], -1)
+        after["edge"] = jnp.stack([batch["edge"][:, 0], wrap_degrees(degrees)], -1)
     return after
 
 
@@ -64,8 +65,6 @@ def _before_camera(rest: Array, pins: Array, turned_deg: float, shift_px: float,
     """Pins (B, P, 2) px of sensors that stand turned and shifted before their camera, each by its own."""
     angle, shift = jax.random.split(key)
     radians = jnp.radians(turned_deg) * jax.random.normal(angle, (len(pins), 1))
-    cosine, sine = jnp.cos(radians), jnp.sin(radians)
     middle = rest.mean(axis=0)
-    x, y = jnp.moveaxis(pins - middle[None, None], -1, 0)
-    moved = jnp.stack([cosine * x - sine * y, sine * x + cosine * y], -1)
+    moved = rotate_2d(pins - middle[None, None], radians)
     return middle[None, None] + moved + shift_px * jax.random.normal(shift, (len(pins), 1, 2))

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
+from jaxunshear.angles import wrap_degrees
 from jaxunshear.dataset.factorial import OTHER_IMAGE, SWAPPED_IMAGE
 from jaxunshear.errors import UserError
 from jaxunshear.model import posenet, unet, unshearnet
@@ -206,8 +207,8 @@ def watcher(
 def pose_error_terms(outputs: Array, batch: Batch, targets: Targets) -> dict[str, Array]:
     """Absolute errors in mm and deg by target, each (B,)."""
     got, true = posenet.pose_from_outputs(outputs, targets), true_values(targets, batch)
-    apart = {name: got[name] - true[name] for name in got}
-    return {name: jnp.abs((off + 180) % 360 - 180 if name.endswith("_deg") else off) for name, off in apart.items()}
+    apart = {name: true[name] - got[name] for name in got}
+    return {name: jnp.abs(wrap_degrees(off) if name.endswith("_deg") else off) for name, off in apart.items()}
 
 
 def weighed(named: dict[str, Array], batch: Batch) -> dict[str, Array]:

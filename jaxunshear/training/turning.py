@@ -18,6 +18,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Float
 from scipy.interpolate import RBFInterpolator
 
+from jaxunshear.angles import rotation_2d
 from jaxunshear.dataset import pairing
 from jaxunshear.errors import UserError
 from jaxunshear.settings.targets import Targets
@@ -43,8 +44,7 @@ def turns_of(rest: Float[np.ndarray, "P 2"], sense: int) -> Turns:
     """Of pins that stand untouched at `rest` px: thin-plate splines between them."""
     rest = np.asarray(rest, np.float64)
     radians = 2 * np.pi * np.arange(ANGLES) / ANGLES
-    cosine, sine = np.cos(radians), np.sin(radians)
-    rotation = np.stack([np.stack([cosine, -sine], -1), np.stack([sine, cosine], -1)], -2)
+    rotation = rotation_2d(radians)
     spline = RBFInterpolator(rest, np.eye(len(rest)), neighbors=min(AROUND, len(rest)))
     middle = rest.mean(axis=0)
     mixed = np.stack([spline((rest - middle) @ each + middle) for each in rotation])

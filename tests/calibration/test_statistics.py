@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.comparison import summaries_of
 from jaxunshear.calibration.labels import motions
 from jaxunshear.calibration.problem import Group
 from jaxunshear.calibration.rendering import render
+from jaxunshear.calibration.report import summaries_of
 from jaxunshear.calibration.statistics import (
     central,
     left_behind,

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from jaxunshear.calibration.calibrated import SHIPPED, Calibrated, read_calibration
-from jaxunshear.calibration.held_out import among, held_out
+from jaxunshear.calibration.sampling import are_among, split_folders
 from jaxunshear.calibration.validate import _used, validate
 from jaxunshear.errors import UserError
 from jaxunshear.settings.image import Camera
@@ -57,28 +57,30 @@ def test_images_of_the_calibration_are_not_compared(tmp_path):
     _recording(tmp_path / "all" / "a", 30)
     _recording(tmp_path / "all" / "b", 9)
     used = {f"a/images/image_{i}.png" for i in range(1, 16)}
-    parts, notes = held_out(tmp_path / "all", 12, 0, used)
+    parts, notes = split_folders(tmp_path / "all", 12, 0, used)
     a, b = parts
     assert len(a.scored.names) == 12 and len(a.align.names) == 10 and len(b.scored.names) == 6
     for part in parts:
         assert not set(part.scored.names) & (used | set(part.align.names))
     assert set(a.align.names) <= used
     assert any("15 of 30" in note for note in notes)
-    again, _ = held_out(tmp_path / "all", 12, 0, used)
-    other, _ = held_out(tmp_path / "all", 12, 1, used)
+    again, _ = split_folders(tmp_path / "all", 12, 0, used)
+    other, _ = split_folders(tmp_path / "all", 12, 1, used)
     assert again[0].scored.names == a.scored.names != other[0].scored.names
     with pytest.raises(UserError, match="compare with others"):
-        held_out(tmp_path / "all" / "a", None, 0, {f"images/image_{i}.png" for i in range(1, 31)})
+        split_folders(tmp_path / "all" / "a", None, 0, {f"images/image_{i}.png" for i in range(1, 31)})
 
 
 def test_names_from_higher_up_and_lower_down():
     used = ["tap/images/image_1.png"]
-    assert among(["edge/tap/images/image_1.png", "images/image_1.png", "tap/images/image_11.png"], used).tolist() == [
+    assert are_among(
+        ["edge/tap/images/image_1.png", "images/image_1.png", "tap/images/image_11.png"], used
+    ).tolist() == [
         True,
         True,
         False,
     ]
-    assert not among(["tap/images/image_2.png", "other/images/image_1.png"], used).any()
+    assert not are_among(["tap/images/image_2.png", "other/images/image_1.png"], used).any()
 
 
 def test_what_the_preset_was_fitted_to(tmp_path):

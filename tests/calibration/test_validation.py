@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from jaxunshear.calibration.ceiling import explained_by_labels
 from jaxunshear.calibration.labels import motions
 from jaxunshear.calibration.prediction import Values, interpolation, place_of, probe, skin_to_gel
+from jaxunshear.calibration.validate import explained_by_labels
 from jaxunshear.calibration.validate_figure import validate_figure
 from jaxunshear.calibration.validation import Compared, centred, mm_per_px, places, r2, rows_of, settled, stand
 from jaxunshear.image.lattice import shells
@@ -29,11 +29,7 @@ def _compared(noise_px: float = 0.0, count: int = 30) -> Compared:
     place, rest = place_of(VALUES, SENSOR, 128, _moved(count))
     recorded = place + noise_px * np.random.default_rng(1).standard_normal(place.shape)
     one, other = centred(recorded, place)
-    slide = np.where(np.arange(count) % 2, 0.0, 2.0)
-    depth = np.linspace(1, 4, count)
-    return Compared(
-        "a", one, other, one, shells(SENSOR), rest, np.ones(len(rest)), slide, depth, np.full(count, np.nan)
-    )
+    return Compared("a", one, other, one, shells(SENSOR), rest, np.ones(len(rest)), np.arange(count) % 2 > 0)
 
 
 def _value(rows, name):
@@ -101,13 +97,9 @@ def test_half_the_motion_explains_three_quarters():
     assert np.isnan(r2(0 * one, one))
 
 
-def test_rows_by_depth_ring_and_length():
+def test_rows_of_taps_and_slides_and_by_ring():
     names = {row["name"] for row in rows_of([_compared(NOISE_PX)])}
-    assert {"r2.tap", "r2.slide", "residual_px.tap", "residual_px.slide", "residual_mm.tap", "ceiling_r2.tap"} <= names
-    assert not any(".depth." in name for name in names)  # 15 slides in three depths: fewer than a row is worth
-    many = {row["name"] for row in rows_of([_compared(NOISE_PX, 60)])}
-    assert {"r2.slide.length.2.0-3.0", "r2.tap.ring.10", "r2.slide.depth.2.0-3.0"} <= many
-    assert not any(".edge." in name for name in many)
+    assert {"r2.tap", "r2.slide", "residual_px.tap", "residual_mm.tap", "ceiling_r2.tap", "r2.tap.ring.10"} <= names
 
 
 def test_scale_at_the_height_of_a_pin():

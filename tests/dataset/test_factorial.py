@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.dataset.factorial import (
     FEEDS,
     IMAGE,
@@ -19,7 +20,6 @@ from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import shifted
 from jaxunshear.dataset.shots import draw_paired, slide_leaders
 from jaxunshear.errors import UserError
-from jaxunshear.scene.scene import turned
 from jaxunshear.settings import configs
 from jaxunshear.settings.data import PairedData
 from jaxunshear.settings.sensor import TACTIP_331
@@ -32,7 +32,7 @@ def slides_of(settings, stimulus):
     """Slides as the sensor feels them (poses, slides, 2), and the split of each pose."""
     shots = draw_paired(settings)
     here = (shots.scenes.stimulus == stimulus) & shots.slid
-    felt = turned(shots.scenes.move[here], -shots.scenes.pose[here, 2])
+    felt = rotate_2d(shots.scenes.move[here], -np.radians(shots.scenes.pose[here, 2]))
     return felt.reshape(settings.poses, settings.slides, 2), shots.split[here][:: settings.slides]
 
 

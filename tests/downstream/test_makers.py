@@ -1,10 +1,10 @@
-"""From pins to objects without a classifier: where a level is set, and that what is not known stays so."""
+"""From pins to objects: where a level is set, and that what is not known stays so."""
 
 import numpy as np
 import pytest
 
 from jaxunshear.dataset.fresh import FreshContacts
-from jaxunshear.downstream.makers import EVIDENCE, SKIN, VORONOI, makers_of, parting_level
+from jaxunshear.downstream.makers import SKIN, VORONOI, makers_of, parting_level
 from jaxunshear.downstream.reconstruct import skin_places
 from jaxunshear.errors import UserError
 from jaxunshear.image.framing import undeformed
@@ -43,7 +43,7 @@ def makers():
 
 def test_makers_agree_on_what_they_are_given(makers):
     made, motion = makers
-    assert list(made) == [VORONOI, SKIN, EVIDENCE] and [each.in_mm for each in made.values()] == [False, True, False]
+    assert list(made) == [VORONOI, SKIN] and [each.in_mm for each in made.values()] == [False, True]
     gaps = motion[:3].copy()
     gaps[1] = np.nan
     for maker in made.values():
@@ -61,7 +61,7 @@ def test_untouched_skin_stands_as_the_dome_does(makers):
 
 
 def test_small_images_are_refused():
-    from jaxunshear.downstream.geometry_ways import known_motions
+    from jaxunshear.downstream.geometry import known_motions
 
     blank = np.zeros((2, 32, 32), np.uint8)
     none = np.zeros((2, 0))

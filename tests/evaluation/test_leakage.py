@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from jaxunshear.angles import rotate_2d
 from jaxunshear.dataset.chunks import Engine
 from jaxunshear.dataset.making import make_set
 from jaxunshear.dataset.reading import felt
@@ -21,7 +22,6 @@ from jaxunshear.evaluation import (
 )
 from jaxunshear.report.leakage_figure import leakage_figure
 from jaxunshear.run import run_stages
-from jaxunshear.scene.scene import turned
 from jaxunshear.settings.data import PairedData, PoseData
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.image import Preprocess
@@ -54,7 +54,8 @@ EXPERIMENT = Experiment(
 def simulate(sensor, names, scenes):
     """Pins that move by x and y of the pose and by the slide as the sensor feels it, each its own way. Long slides slip."""
     rng = np.random.default_rng(0)
-    given = np.concatenate([scenes.pose[:, :2] / 5, 3 * turned(scenes.move, -scenes.pose[:, 2]) / 2.5], axis=1)
+    slide = rotate_2d(scenes.move, -np.radians(scenes.pose[:, 2]))
+    given = np.concatenate([scenes.pose[:, :2] / 5, 3 * slide / 2.5], axis=1)
     tips = (given @ rng.normal(size=(4, 2 * sensor.pins))).reshape(len(scenes), sensor.pins, 2)
     converged = np.arange(len(scenes)) != (DROPPED if len(scenes) > DROPPED else -1)
     count = np.zeros(len(scenes), int)

@@ -97,15 +97,6 @@ def test_whitened_codes_have_unit_covariance_and_keep_no_rounding_noise():
     np.testing.assert_allclose(np.cov(white.T), np.eye(3), atol=1e-6)
 
 
-def test_more_numbers_than_examples_give_the_same_ridge():
-    rng = np.random.default_rng(4)
-    x, y = rng.normal(size=(30, 50)), rng.normal(size=(30, 2))
-    full = np.linalg.solve(x.T @ x + 0.1 * 30 * np.eye(50), x.T @ y)
-    np.testing.assert_allclose(probes._solve(x, y, 0.1), full, rtol=1e-9, atol=1e-12)
-    least_squares = np.linalg.lstsq(x[:, :20], y, rcond=None)[0]
-    np.testing.assert_allclose(probes._solve(x[:, :20], y, 0.0), least_squares, rtol=1e-8)
-
-
 @pytest.mark.parametrize("probe", FAMILIES)
 def test_the_same_bits_again(probe, codes):
     wanted = np.sin(codes[:, :1])
