@@ -28,7 +28,6 @@ def run(arguments: argparse.Namespace, out: Path, model: Model) -> GeometryScore
     from jaxunshear.dataset.recordings import read_recordings
     from jaxunshear.downstream.geometry import INVERSE
     from jaxunshear.downstream.geometry_scores import geometry
-    from jaxunshear.downstream.geometry_ways import INVERSE
     from jaxunshear.report import geometry_figure
     from jaxunshear.settings.image import Preprocess
     from jaxunshear.storage import write_bytes

@@ -13,7 +13,6 @@ from jaxunshear.dataset.chunks import unpack
 from jaxunshear.dataset.fresh import FreshContacts, fresh_contacts
 from jaxunshear.downstream.contour import Contour, outline
 from jaxunshear.downstream.geometry import known_motions
-from jaxunshear.downstream.geometry_ways import known_motions
 from jaxunshear.downstream.makers import Maker, makers_of
 from jaxunshear.downstream.reconstruct import CELL_MM, Fused, Likeness, fuse, likeness, skin_places, to_target
 from jaxunshear.downstream.servo import CLOSED, WALKING, Course, Walks, made_with

@@ -8,7 +8,6 @@ import numpy as np
 
 from jaxunshear.dataset.recordings import read_recordings
 from jaxunshear.downstream.geometry import Way
-from jaxunshear.downstream.geometry_ways import Way
 from jaxunshear.image.lattice import Lattice
 from jaxunshear.image.tracking import motions_of
 from jaxunshear.image.understood import expected_of, plausibility, state_doubt
