@@ -22,7 +22,6 @@ STEPS = (
     "explore",
     "report",
     "sweep",
-    "compare",
 )
 FILES = {
     ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
