@@ -20,7 +20,6 @@ COMMANDS = {
     "needs": "operations and time that leaving out an unneeded part saves",
     "pins": "error and time of finding the pins of images",
     "stream": "a robot's perception, a frame at a time, beside the exported file and PyTorch",
-    "strangers": "how many images that are not the sensor's get an answer",
     "data": "processor time and storage of a simulated data set, step by step",
     "input": "whether training waits for its examples",
     "pinnets": "networks over pins, with plain layers and fast ones",
@@ -33,7 +32,6 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "needs": ("size",),
     "pins": ("size", "seed"),
     "stream": ("size",),
-    "strangers": ("recordings", "seed"),
 }
 _ARGUMENTS: dict[str, dict[str, Any]] = {
     "level": {"choices": tuple(LEVELS), "help": "only rows of this level"},
@@ -41,12 +39,6 @@ _ARGUMENTS: dict[str, dict[str, Any]] = {
     "size": {"metavar": "PX", "type": int, "help": "only images of this size"},
     "seed": {"metavar": "N", "type": int, "default": 0, "help": "of the contacts (0)"},
     "out": {"metavar": "DIR", "type": Path, "help": "folder for the figure"},
-    "recordings": {
-        "metavar": "DIR",
-        "type": Path,
-        "action": "append",
-        "help": "of 331 pins, beside simulated ones; repeat it",
-    },
 }
 
 
@@ -133,14 +125,6 @@ def _pins(arguments: argparse.Namespace, keep: Keep) -> Found:
     return rows, plain_table(rows, bench_pins.COLUMNS)
 
 
-def _strangers(arguments: argparse.Namespace, keep: Keep) -> Found:
-    from benchmarks import confidence
-    from jaxunshear.table import plain_table
-
-    rows = confidence.bench(arguments.recordings or [], arguments.seed)
-    return rows, plain_table(rows, ("name", "images", "refused", "accepted", "low", "high", "auc"))
-
-
 def _plain(arguments: argparse.Namespace, keep: Keep) -> Found:
     """Measure what takes no option."""
     from benchmarks import bench_data, bench_explore, bench_input, bench_pin_networks
@@ -164,5 +148,4 @@ _MEASURES: dict[str, Callable[[argparse.Namespace, Keep], Found]] = {
     "needs": _needs,
     "pins": _pins,
     "stream": _stream,
-    "strangers": _strangers,
 }

@@ -68,7 +68,6 @@ TOOL_PROGRAMS = {  # the same, of `python -m`
     **{f"benchmarks {name}": (f"benchmarks.bench_{name}",) for name in ("sim", "needs", "pins", "data", "input")},
     "benchmarks pinnets": ("benchmarks.bench_pin_networks",),
     "benchmarks explore": ("benchmarks.bench_explore",),
-    "benchmarks strangers": ("benchmarks.confidence",),
 }
 MOVED = {  # how commands of earlier versions begin, and where each is today; the first that fits
     "jaxunshear check identify": "docs/notebooks/identify.ipynb",

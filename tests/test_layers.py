@@ -14,7 +14,6 @@ STEPS = (
     "contact",
     "image",
     "dataset",
-    "doctor",
     "calibration",
     "model",
     "training",
@@ -24,7 +23,6 @@ STEPS = (
     "apps",
     "report",
     "sweep",
-    "compare",
 )
 OUTSIDE = ("verification", "benchmarks", "data_specs")  # no wheel has them
 FILES = {

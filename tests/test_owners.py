@@ -45,7 +45,7 @@ def test_owners_are_known_by_what_they_hold(tmp_path, run):
         ("stream", "RUN", "--lines", "RUN/times.json"),
         ("stream", "camera:9", "--images", "RUN"),
         ("unshear", "RUN", "--out", "RUN"),
-        ("doctor", "RUN", "--out", "RUN/geometry"),
+        ("doctor", "RUN", "--json", "RUN/new.json"),
         ("servo", "--out", "RUN"),
         ("sensors", "draw", "tactip331", "--out", "RUN/montage.png"),
         ("release", "RUN", "--out", "RUN/disentangled"),

@@ -15,7 +15,7 @@ from jaxunshear import folders
 from jaxunshear.errors import UserError
 from jaxunshear.inference import infer
 from jaxunshear.model import posenet, unshearnet
-from jaxunshear.release import card, release
+from jaxunshear.release import make_card, release
 from jaxunshear.results.run import Results
 from jaxunshear.results.stored import record_of
 from jaxunshear.settings import targets
@@ -59,7 +59,7 @@ RESULTS = {
 
 
 def card_of(held):
-    return card(record_of(held, Results, "results.json", "again"), "mine")
+    return make_card(record_of(held, Results, "results.json", "again"), "mine")
 
 
 @pytest.fixture(scope="module")
@@ -111,10 +111,10 @@ def test_a_card_names_the_machine_that_trained_where_another_one_measured():
 def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
     settings = RESULTS["settings"]
     ranges = settings["paired"]["ranges"]
-    assert "mm along each axis. Beyond" in card_of(RESULTS)
+    assert "slides up to 5 mm. Not" in card_of(RESULTS)
     wide = settings | {"paired": settings["paired"] | {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}}
     text = card_of(RESULTS | {"settings": wide})
-    assert "mm along each axis, twisting by up to 5 deg, of a sensor that leans by up to 25 deg. Beyond" in text
+    assert "slides up to 5 mm, twist up to 5 deg, tilt up to 25 deg. Not" in text
 
 
 def test_released_weights_do_what_the_run_does(run, tmp_path):

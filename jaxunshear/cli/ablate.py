@@ -10,7 +10,7 @@ COMMANDS = ("ablate",)
 
 
 def add_parsers(commands: Commands) -> None:
-    text = "show what the decoders make of swapped, blanked, shuffled and foreign codes (the paper's appendix D)"
+    text = "show what the decoders make of swapped, blanked and foreign codes (the paper's appendix D)"
     parser = new_parser(commands, "ablate", text)
     parser.add_argument("run", metavar="RUN_DIR", type=Path, help="for example runs/demo")
     add_data(parser)
@@ -40,7 +40,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     else:
         results = ablation.ablate(experiment, arguments.run, arguments.data, command)
         print(ablation.table(results["rows"]))
-        print(arguments.run / "ablation.png")
     if arguments.json:
         write_json(arguments.json, results)
     return 0

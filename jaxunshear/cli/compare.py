@@ -3,27 +3,25 @@
 import argparse
 from pathlib import Path
 
-from jaxunshear.cli.options import Commands, add_json, new_parser
+from jaxunshear.cli.options import Commands, new_parser
 
 COMMANDS = ("compare",)
 OUT = Path("runs/compare")
 
 
 def add_parsers(commands: Commands) -> None:
-    text = "finished runs side by side on one page: settings, figures with paired intervals, images, training"
+    text = "finished runs side by side: settings that differ, scores with intervals, times"
     parser = new_parser(commands, "compare", text)
-    parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help="folders of runs; the first is the reference")
-    parser.add_argument("--out", metavar="DIR", type=Path, default=OUT, help=f"where the page goes ({OUT})")
-    add_json(parser)
+    text = "folders of runs; the first is the reference"
+    parser.add_argument("runs", metavar="RUN", type=Path, nargs="+", help=text)
+    text = f"where the page goes ({OUT})"
+    parser.add_argument("--out", metavar="DIR", type=Path, default=OUT, help=text)
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
-    from jaxunshear.compare.making import compare
-    from jaxunshear.storage import write_json
+    from jaxunshear.compare import compare
 
-    lines, path, measured = compare(arguments.runs, arguments.out, command)
-    if arguments.json is not None:
-        write_json(arguments.json, measured)
-    print(lines)
+    text, path = compare(arguments.runs, arguments.out)
+    print(text)
     print(f"page: {path}")
     return 0

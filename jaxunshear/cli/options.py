@@ -2,14 +2,14 @@
 
 import argparse
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from jaxunshear.errors import UserError
 from jaxunshear.settings.experiment import Experiment
 from jaxunshear.settings.outlines import touched
 from jaxunshear.settings.stimuli import Touched, stimulus_names
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # of the command line, to add one to
+Commands: TypeAlias = "argparse._SubParsersAction[Any]"  # of a command line, to add one to
 Model = tuple[Path, Experiment]  # the folder and the settings of trained networks
 DEFAULT, SKIN = Path("standard"), Path("skin")  # of the released weights, for simulated touches and for recorded ones
 RAY_CORES = 2  # for each row or chunk

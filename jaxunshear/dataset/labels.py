@@ -137,17 +137,6 @@ def read_targets(table: Table, names: Sequence[str]) -> tuple[Targets, list[Prob
     return Targets(poses, moves, ids), problems + bad_poses + bad_moves + bad_ids
 
 
-def table_of(folder: Path) -> Path | None:
-    """The table that describes the images of a recording."""
-    files = (folder / name for name in TABLES)
-    return next((file for file in files if file.is_file()), None)
-
-
-def columns_of(table: Table, choices: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:
-    """The six columns' names of whichever naming the table uses."""
-    return max(choices, key=lambda choice: len(set(table.columns).intersection(choice)))
-
-
 def no_targets(images: int) -> Targets:
     """Of images that no table names."""
     unknown = np.full((images, 6), np.nan)
@@ -189,7 +178,7 @@ def _six(
 ) -> tuple[np.ndarray, list[Problem]]:
     """The six columns (N, 6) of whichever naming the file uses, NaN in rows that have not all of them."""
     values = np.full((len(rows), 6), np.nan)
-    names = columns_of(table, choices)
+    names = max(choices, key=lambda choice: len(set(table.columns).intersection(choice)))
     lacking = [name for name in names if name not in table.columns]
     if lacking:
         return values, [Problem.at(table.file, f"has no column {', '.join(lacking)}: {what}s are not known")]

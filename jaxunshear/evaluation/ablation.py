@@ -1,17 +1,14 @@
-"""What each decoder makes of codes that are swapped, blanked, shuffled, or another image's: appendix D, and more of it.
+"""Score what each decoder makes of codes that are swapped, blanked, or another image's: appendix D, and more of it.
 
     results = ablate(experiment, Path("runs/demo"), Path("datasets"), command)
 
-A cell is a decoder, the codes it is fed, and the image it ought to draw; a code that the decoder does not use can be spoilt
-without harm. "Another image" is one half the test split further on or, where that one lies at the same pose, the next
-after it at another; only a split of a single pose has none there.
+A cell is a decoder, the codes it is fed, and the image it ought to draw. "Another image" is the one half the test split
+further on.
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
@@ -20,7 +17,6 @@ from jaxunshear.evaluation.cells import SPOILT, draw_cells
 from jaxunshear.evaluation.paper import PAPER
 from jaxunshear.evaluation.score import CELL_METRICS, cell_metrics, target_of
 from jaxunshear.evaluation.spread import OVER, intervals, numbered_poses
-from jaxunshear.evenly import evenly
 from jaxunshear.metrics import ms_ssim_name, scales_that_fit
 from jaxunshear.metrics.machine import provenance
 from jaxunshear.progress import Progress
@@ -28,36 +24,32 @@ from jaxunshear.results.trained import read_trained
 from jaxunshear.settings.experiment import Experiment, over_pins, recorded_of
 from jaxunshear.settings.networks import UnshearNet
 from jaxunshear.settings.registry import DISENTANGLED
-from jaxunshear.storage import Json, write_bytes, write_json
-from jaxunshear.style import png_of
+from jaxunshear.storage import Json, write_json
 from jaxunshear.training.checkpoint import check_finished, load_best, read_net
 from jaxunshear.training.examples import open_examples
 from jaxunshear.training.origin import check_origin
 
 BATCH = 32
 FIELDS = ("canonical", "sheared")
-SHOWN = 6  # contacts in the picture
 SEED = 0
 
 
-def cell_scores(drawn: dict[str, Array], tap: Array, sheared: Array) -> dict[str, Array]:
-    """`<cell>/<metric>` against the cell's target, and `<cell>/<metric> to the other` where a code of another image went in."""
-    images = {"tap": tap, "sheared": sheared}
-    metrics = cell_metrics(tap.shape[1])
-    scores = {}
+def cell_scores(drawn: dict[str, Array], tap: Array, sheared: Array, other: Array) -> dict[str, Array]:
+    """Score images against each cell's target, and those with a code of `other` against that image, too.
+
+    All images (B, S, S, 1); scores (B,) are named `<cell>/<metric>` and `<cell>/<metric> to the other`.
+    """
+    images, metrics, scores = {"tap": tap, "sheared": sheared}, cell_metrics(tap.shape[1]), {}
     for cell, image in drawn.items():
-        target = images[target_of(cell)]
         for metric in CELL_METRICS:
-            scores[f"{cell}/{metric}"] = metrics[metric](image, target)
+            scores[f"{cell}/{metric}"] = metrics[metric](image, images[target_of(cell)])
             if "another" in cell:
-                scores[f"{cell}/{metric} to the other"] = metrics[metric](
-                    image, jnp.roll(target, len(tap) // 2, axis=0)
-                )
+                scores[f"{cell}/{metric} to the other"] = metrics[metric](image, other)
     return scores
 
 
 def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) -> Json:
-    """Scores all cells of the disentangled network in `run_dir` on the test split; writes ablation.json and ablation.png there.
+    """Score all cells of the disentangled network in `run_dir` on the test split; write ablation.json there.
 
     Raises `UserError` where the network or the data set is missing or damaged, or the network is entangled, learnt from
     other data or is not trained to the end.
@@ -81,76 +73,31 @@ def ablate(experiment: Experiment, run_dir: Path, data_dir: Path, command: str) 
     poses = numbered_poses(**labels)
 
     @jax.jit
-    def run(tap: Array, sheared: Array, key: Array) -> tuple[dict[str, Array], dict[str, Array]]:
-        tap, sheared = (images.astype(np.float32) / 255 for images in (tap, sheared))
-        drawn = draw_cells(net, variables, sheared, SPOILT, key)
-        return drawn, cell_scores(drawn, tap, sheared)
+    def run(tap: Array, sheared: Array, other: Array) -> dict[str, Array]:
+        tap, sheared, other = (images.astype(np.float32) / 255 for images in (tap, sheared, other))
+        return cell_scores(draw_cells(net, variables, sheared, SPOILT, other), tap, sheared, other)
 
     found: list[dict[str, np.ndarray]] = []
-    order: list[np.ndarray] = []
-    shown: dict[str, np.ndarray] = {}
     with Progress("ablate", total) as progress:
-        for number, (rows, counts) in enumerate(partners(poses, BATCH)):
-            key = jax.random.fold_in(jax.random.key(SEED), number)
-            batch = pairs.take("test", rows, FIELDS)
-            drawn, scores = jax.device_get(run(batch["canonical"], batch["sheared"], key))
-            found.append({name: value[counts] for name, value in scores.items()})
-            order.append(rows[counts])
-            if not shown and counts.any():
-                shown = _shown(batch, drawn, np.flatnonzero(counts))
-            progress.advance(int(counts.sum()))
-    scores = {name: np.concatenate([part[name] for part in found]) for name in found[0]}
+        for start in range(0, total, BATCH):
+            rows = np.arange(start, start + BATCH)  # all batches are of one size
+            batch = pairs.take("test", rows % total, FIELDS)
+            other = pairs.take("test", (rows + total // 2) % total, FIELDS)
+            found.append(jax.device_get(run(batch["canonical"], batch["sheared"], other["sheared"])))
+            progress.advance(min(BATCH, total - start))
+    scores = {name: np.concatenate([part[name] for part in found])[:total] for name in found[0]}
     results = {
         "experiment": experiment.name,
         "simulated": recorded_of(experiment) is None,
         "metric": {"ms_ssim": ms_ssim_name(scales_that_fit(net.size))},
-        "rows": rows_of(scores, poses[np.concatenate(order)]),
+        "rows": rows_of(scores, poses),
         "contacts": total,
         "seed": SEED,
         **read_trained(run_dir, experiment.networks),
         **provenance(command),
     }
-    write_bytes(Path(run_dir) / "ablation.png", picture(shown))
     write_json(Path(run_dir) / "ablation.json", results)
     return results
-
-
-def _shown(batch: dict[str, np.ndarray], drawn: dict[str, np.ndarray], rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Images (K, S, S) of some of the `rows` of a batch, SHOWN at most, for `picture`."""
-    some = rows[evenly(len(rows), SHOWN)]
-    shown = {name: batch[name][some, ..., 0] / 255 for name in ("sheared", "canonical")}
-    return shown | {name: image[some, ..., 0] for name, image in drawn.items()}
-
-
-def partners(poses: np.ndarray, batch: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Batches of rows of a split, partners half a batch apart; and which of them count. `poses` (N,): number of each row's.
-
-    Partners lie half the split apart; where these are at one pose, each of them counts later, beside the next row at
-    another. All batches are of one size, filled up by rows that have been there. Every row counts once.
-    """
-    total, half = len(poses), (len(poses) + 1) // 2
-    width = min(max(1, batch // 2), half)
-    first = np.arange(half)
-    second = (first + half) % total
-    apart = (poses[first] != poses[second]) | (len(np.unique(poses)) == 1)
-    own = first + half < total  # of an odd number, one row is the partner of two
-    again = np.concatenate([first[~apart], second[~apart & own]])
-    others = np.array([_next_elsewhere(poses, row, half) for row in again], int)
-    none, every = np.zeros(len(again), bool), np.ones(len(again), bool)
-    for left, right, left_counts, right_counts in ((first, second, apart, apart & own), (again, others, every, none)):
-        for start in range(0, len(left), width):
-            place = np.arange(start, start + width)
-            here, new = place % len(left), place < len(left)
-            yield (
-                np.concatenate([left[here], right[here]]),
-                np.concatenate([left_counts[here] & new, right_counts[here] & new]),
-            )
-
-
-def _next_elsewhere(poses: np.ndarray, row: int, far: int) -> int:
-    """The first of the rows from `far` beyond `row` on, around the end, that is at another pose."""
-    rows = (row + far + np.arange(len(poses))) % len(poses)
-    return int(rows[np.argmax(poses[rows] != poses[row])])
 
 
 def rows_of(scores: dict[str, np.ndarray], poses: np.ndarray) -> list[Json]:
@@ -186,18 +133,3 @@ def table(rows: list[Json]) -> str:
             f"{row['ms_ssim']:.3f} [{low:.3f}, {high:.3f}]  {other:12}  {paper}"
         )
     return "\n".join([*lines, f"brackets: 95 % intervals over {OVER}"])
-
-
-def picture(shown: dict[str, np.ndarray]) -> bytes:
-    """PNG: a row a cell, a column a contact; the images (K, S, S) in [0, 1] by name."""
-    from matplotlib.figure import Figure
-
-    count = len(next(iter(shown.values())))
-    figure = Figure(figsize=(1.2 * count + 2.4, 1.2 * len(shown)), layout="constrained", dpi=90)
-    panels = figure.subplots(len(shown), count, squeeze=False)
-    for row, (name, images) in zip(panels, shown.items(), strict=True):
-        for axes, image in zip(row, images, strict=True):
-            axes.imshow(image, cmap="gray", vmin=0, vmax=1, interpolation="nearest")
-            axes.set(xticks=[], yticks=[])
-        row[0].set_ylabel({"canonical": "tap"}.get(name, name), rotation=0, ha="right", va="center", fontsize=8)
-    return png_of(figure)

@@ -21,7 +21,7 @@ def _piece(name: str) -> Callable[..., Markup]:
 
 
 page, opening, section = _piece("page"), _piece("opening"), _piece("section")
-compared, difference = _piece("compared"), _piece("difference")
+compared = _piece("compared")
 card, cards, table = _piece("card"), _piece("cards"), _piece("table")
 montage, caption, figure = _piece("montage"), _piece("caption"), _piece("figure")
 folded, listed, row, soft, code = map(_piece, ("folded", "listed", "row", "soft", "code"))

@@ -10,10 +10,8 @@ import pytest
 from PIL import Image
 
 from jaxunshear.cli import _parser, main
-from jaxunshear.dataset.preparing import LEAST_FRAMES
-from jaxunshear.doctor.doctor import examine
+from jaxunshear.doctor import check_recordings, describe
 from jaxunshear.errors import UserError
-from jaxunshear.report.doctor_text import text_of
 from jaxunshear.scene.pins import pin_lattice
 from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331, Sensor
 
@@ -49,140 +47,75 @@ def recorded(root, sensor=TACTIP_331, slide=0.0, columns=OLDER, images="images",
     return root
 
 
-def works(diagnosis):
-    return [use.command for use in diagnosis.uses if use.works]
+def is_parsed(command):
+    _parser(check=False).parse_args(shlex.split(command)[1:])
+    return True
 
 
-@pytest.mark.parametrize(
-    ("columns", "images", "count", "layout"),
-    [
-        (OLDER, "images", 10, "older layout (images/)"),
-        (OLDER, "frames_bw", 3, "variant of the older layout (frames_bw/)"),
-        (NEWER, "processed_images", 3, "newer layout (processed_images/)"),
-    ],
-)
-def test_taps_and_slides_of_each_layout(tmp_path, columns, images, count, layout):
+@pytest.mark.parametrize(("columns", "images"), [(OLDER, "images"), (OLDER, "frames_bw"), (NEWER, "processed_images")])
+def test_taps_and_slides_of_each_layout(tmp_path, columns, images):
     root = tmp_path / "edge 2d"
-    taps = recorded(root / "tap" / "train", columns=columns, images=images, count=count)
-    slides = recorded(root / "shear" / "train", slide=2.0, columns=columns, images=images, count=count)
-    diagnosis = examine(root)
-    assert [(part.name, part.taps, part.slides, part.posed) for part in diagnosis.parts] == [
-        ("shear/train", 0, count, count),
-        ("tap/train", count, 0, count),
-    ]
-    for part in diagnosis.parts:
-        assert part.layout == layout and part.size == (SIZE, SIZE)
-        assert part.seen.pins.sensor == "tactip331" and part.seen.pins.sure == 1
-        assert (part.seen.pins.least, part.seen.pins.most) == (331, 331)
-        assert part.seen.pixels.kind == "binary" and not part.seen.pixels.negative
-        named = {each.name: each for each in part.columns}
-        assert list(named) == columns
-        assert (named[columns[2]].low, named[columns[2]].high, named[columns[2]].unit) == (3, 2 + count, "mm")
-        assert (named[columns[5]].low, named[columns[5]].high, named[columns[5]].unit) == (
-            -100,
-            120 * count - 220,
-            "deg",
-        )
-        assert [each.name for each in part.columns if each.varies] == [columns[1], columns[2], columns[5]]
-    assert (diagnosis.pairing.by_id, diagnosis.pairing.gap_mm, diagnosis.pairing.gap_deg) == (count, 0, 0)
-    assert diagnosis.problems == diagnosis.lacks == ()
-    of_many = (("unshear", root, "--out", "unsheared"), ("pose", root)) if 2 * count >= LEAST_FRAMES else ()
-    assert works(diagnosis) == [
-        shlex.join(["jaxunshear", *map(str, words)])
-        for words in (
-            ("pins", root),
-            *of_many,
-            ("fit", "--taps", taps, "--slides", slides),
-            ("run", "experiments/recorded.py", "--recordings", root),
-        )
-    ]
-    for command in works(diagnosis):
-        _parser().parse_args(shlex.split(command)[1:])
-
-
-def test_too_few_images_to_give_where_pins_stand(tmp_path):
-    (unshear,) = (use for use in examine(recorded(tmp_path / "tap")).uses if " unshear " in use.command)
-    assert not unshear.works and "20 contacts or more" in unshear.why_not and "--like" in unshear.why_not
+    recorded(root / "tap" / "train", columns=columns, images=images)
+    recorded(root / "shear" / "train", slide=2.0, columns=columns, images=images)
+    diagnosis = check_recordings(root)
+    assert [folder.name for folder in diagnosis.folders] == [f"{kind}/train" for kind in ("shear", "tap")]
+    for folder, taps, slides in zip(diagnosis.folders, (0, 3), (3, 0), strict=True):
+        assert (folder.frames, folder.usable, folder.size) == (3, 3, (SIZE, SIZE))
+        assert (folder.pins.layout, folder.pins.median, folder.pins.followed) == ("tactip331", 331, 1)
+        assert not folder.pins.inverted
+        assert (folder.labels.posed, folder.labels.taps, folder.labels.slides) == (3, taps, slides)
+        assert folder.labels.ranges == {"y_mm": (-1, 1), "z_mm": (3, 5), "Rz_deg": (-100, 140)}
+    assert diagnosis.problems == () and diagnosis.advice == ""
+    assert diagnosis.command == f"jaxunshear fit --taps '{root}' --slides '{root}'" and is_parsed(diagnosis.command)
 
 
 def test_one_kind_alone_teaches_poses(tmp_path):
-    for name, slide, lacks in (("tap", 0.0, "no slides: every known move is 0"), ("slide", 1.0, "no taps: no known")):
+    for name, slide in (("tap", 0.0), ("slide", 1.0)):
         root = recorded(tmp_path / name, slide=slide)
-        diagnosis = examine(root)
-        assert len(diagnosis.lacks) == 1 and diagnosis.lacks[0].startswith(lacks)
-        assert works(diagnosis)[-2:] == [
-            f"jaxunshear fit --{name}s {root}",
-            f"jaxunshear run experiments/recorded.py --recordings {root}",
-        ]
-        (note,) = (
-            line for line in text_of(diagnosis) if line.startswith("note: of taps or slides alone networks learn")
-        )
-        assert note.endswith("they unshear by simulated slides" if name == "tap" else "not to unshear")
-
-
-def test_poses_without_moves(tmp_path):
-    root = recorded(tmp_path / "set", columns=OLDER[:6])
-    (fit,) = (use for use in examine(root).uses if " fit " in use.command)
-    assert fit.why_not == "which contacts are taps is not known: name the folders of both yourself"
-    lines = text_of(examine(root))
-    assert "lacking: no moves: whether a contact is a tap or a slide is not known" in lines
-    assert "  contacts: moves not known, 3 with a pose" in lines
+        diagnosis = check_recordings(root)
+        assert diagnosis.command == f"jaxunshear fit --{name}s {root}" and is_parsed(diagnosis.command)
+        assert "read poses, not to unshear" in diagnosis.advice
+        assert ("--paired.pairing simulated" in diagnosis.advice) == (name == "tap")
 
 
 def test_taps_and_slides_in_one_folder(tmp_path):
     root = recorded(tmp_path / "set", slide=1.0)
     file = root / "targets.csv"
     file.write_text(file.read_text().replace("-100,1.0", "-100,0.0"))
-    diagnosis = examine(root)
-    assert (diagnosis.parts[0].taps, diagnosis.parts[0].slides) == (1, 2)
-    assert f"jaxunshear fit --taps {root} --slides {root}" in works(diagnosis)
+    diagnosis = check_recordings(root)
+    assert (diagnosis.folders[0].labels.taps, diagnosis.folders[0].labels.slides) == (1, 2)
+    assert diagnosis.command == f"jaxunshear fit --taps {root} --slides {root}"
 
 
-def test_different_sensors_are_not_put_together(tmp_path):
-    taps = recorded(tmp_path / "tap")
-    recorded(tmp_path / "slide", TACTIP_127, slide=1.0, count=2)
-    diagnosis = examine(tmp_path)
-    assert works(diagnosis)[:2] == [
-        f"jaxunshear pins {tmp_path / 'slide'} --sensor tactip127",
-        f"jaxunshear pins {taps}",
-    ]
-    assert f"jaxunshear fit --taps {taps}" in works(diagnosis)
-    assert f"jaxunshear run experiments/recorded.py --recordings {taps}" in works(diagnosis)
-    assert (diagnosis.pairing.taps, diagnosis.pairing.slides) == (3, 0)
-
-
-def test_folders_above_splits_and_those_beside_others(tmp_path):
-    for split in ("csv_train", "csv_val"):
-        recorded(tmp_path / "edge" / "tap" / split, count=2)
-        recorded(tmp_path / "edge" / "shear" / split, slide=1.0, count=2)
-    edge = tmp_path / "edge"
-    both = [
-        f"jaxunshear fit --taps {edge / 'tap'} --slides {edge / 'shear'}",
-        f"jaxunshear run experiments/recorded.py --recordings {edge}",
-    ]
-    assert works(examine(edge))[-2:] == both
-    recorded(tmp_path / "other", TACTIP_127, count=2)
-    diagnosis = examine(tmp_path)
-    assert works(diagnosis)[-2:] == both
-    assert (diagnosis.pairing.taps, diagnosis.pairing.slides) == (4, 4)
-    recorded(edge / "other", TACTIP_127, count=2)
-    (run,) = (use for use in examine(edge).uses if " run " in use.command)
-    assert run.why_not == f"{edge} holds recordings of another kind too: use `fit`"
+@pytest.mark.parametrize(("count", "command"), [(3, "pins {}"), (20, "unshear {} --out unsheared")])
+def test_poses_without_moves(tmp_path, count, command):
+    """Twenty frames or more show where pins stand, which released weights need."""
+    root = recorded(tmp_path / "set", columns=OLDER[:6], count=count)
+    diagnosis = check_recordings(root)
+    assert diagnosis.command == f"jaxunshear {command.format(root)}" and is_parsed(diagnosis.command)
+    assert ("--like" if count < 20 else "fit --taps DIR --slides DIR") in diagnosis.advice
+    assert "  labels: 3 poses, 0 taps, 0 slides" in "\n".join(describe(diagnosis)) or count > 3
 
 
 def test_other_sensors(tmp_path):
-    recorded(tmp_path / "127", TACTIP_127)
-    diagnosis = examine(tmp_path / "127")
-    assert diagnosis.parts[0].seen.pins.sensor == "tactip127"
-    assert works(diagnosis)[0] == f"jaxunshear pins {tmp_path / '127'} --sensor tactip127"
-    refused = [use for use in diagnosis.uses if not use.works]
-    assert [use.command.split()[1] for use in refused] == ["unshear", "pose"]
-    assert "know 331 pins" in refused[0].why_not
-    recorded(tmp_path / "other", OTHER)
-    diagnosis = examine(tmp_path / "other")
-    assert diagnosis.parts[0].seen.pins.sensor is None
-    assert diagnosis.lacks[-1].startswith("no known sensor in other: about 91 pins")
-    assert works(diagnosis) == [f"jaxunshear pins {tmp_path / 'other'} --layout FILE"]
+    root = recorded(tmp_path / "127", TACTIP_127, columns=OLDER[:6])
+    diagnosis = check_recordings(root)
+    assert diagnosis.folders[0].pins.layout == "tactip127"
+    assert diagnosis.command == f"jaxunshear pins {root} --sensor tactip127"
+    assert diagnosis.advice == "released weights need 331 pins"
+    root = recorded(tmp_path / "other", OTHER)
+    diagnosis = check_recordings(root)
+    assert diagnosis.folders[0].pins.layout is None
+    assert diagnosis.command == f"jaxunshear pins {root} --layout FILE"
+    assert "about 91 pins" in diagnosis.advice
+
+
+def test_different_sensors_are_checked_apart(tmp_path):
+    taps = recorded(tmp_path / "tap")
+    recorded(tmp_path / "slide", TACTIP_127, slide=1.0, count=2)
+    diagnosis = check_recordings(tmp_path)
+    assert diagnosis.command == f"jaxunshear doctor {taps}" and is_parsed(diagnosis.command)
+    assert "check each on its own" in diagnosis.advice
 
 
 @pytest.mark.parametrize("colours", [False, True])
@@ -191,67 +124,58 @@ def test_dark_pins_on_a_light_ground(tmp_path, capsys, colours):
         turned = 255 - image
         return np.stack([turned] * 3, -1) if colours else turned
 
-    recorded(tmp_path / "set", turn=turn)
-    diagnosis = examine(tmp_path / "set")
-    assert diagnosis.parts[0].seen.pixels.negative
-    assert diagnosis.parts[0].seen.pins.sensor == "tactip331"
-    assert "negatives in set: dark pins on a light ground; invert these images first" in diagnosis.lacks
-    assert works(diagnosis) == []
-    assert main(["doctor", str(tmp_path / "set")]) == 1
-    assert "negatives (dark pins on a light ground)" in capsys.readouterr().out
+    root = recorded(tmp_path / "set", turn=turn)
+    diagnosis = check_recordings(root)
+    assert diagnosis.folders[0].pins.inverted and diagnosis.folders[0].pins.layout == "tactip331"
+    assert not diagnosis.usable and "invert the frames" in diagnosis.advice
+    assert main(["doctor", str(root)]) == 1
+    assert "next: no command can use these frames" in capsys.readouterr().out
 
 
-def test_images_without_labels_and_one_image(tmp_path):
-    recorded(tmp_path / "set")
-    diagnosis = examine(tmp_path / "set" / "images")
-    assert diagnosis.parts[0].layout == "images without a table"
-    assert diagnosis.lacks == (
-        f"no labels: no image's pose is known; those of these images lie above, in {tmp_path / 'set'}: "
-        "examine that folder",
-    )
-    diagnosis = examine(tmp_path / "set" / "images" / "image_1.png")
-    assert (diagnosis.parts[0].name, diagnosis.parts[0].layout) == ("image_1.png", "one image")
-    assert diagnosis.images == 1
-    assert works(diagnosis)[0] == f"jaxunshear pins {tmp_path / 'set' / 'images' / 'image_1.png'}"
+def test_images_without_pins_are_not_called_negatives(tmp_path):
+    Image.fromarray(np.add.outer(np.arange(64), np.arange(64)).astype(np.uint8)).save(tmp_path / "plot.png")
+    diagnosis = check_recordings(tmp_path)
+    assert not diagnosis.usable and diagnosis.advice.startswith("no pins are found")
+
+
+def test_one_image(tmp_path):
+    file = recorded(tmp_path / "set") / "images" / "image_1.png"
+    diagnosis = check_recordings(file)
+    assert (diagnosis.folders[0].name, diagnosis.folders[0].frames) == ("image_1.png", 1)
+    assert diagnosis.command == f"jaxunshear pins {file}"
 
 
 def test_what_holds_nothing_is_refused_in_one_line(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("hello")
     for path, says in ((tmp_path, "no images"), (tmp_path / "notes.txt", "no image"), (tmp_path / "a", "not exist")):
         with pytest.raises(UserError, match=says):
-            examine(path)
+            check_recordings(path)
         assert main(["doctor", str(path)]) == 2
         out, err = capsys.readouterr()
         assert out == "" and err.count("\n") == 1 and str(path) in err
 
 
-def test_text_and_files(tmp_path, capsys):
-    recorded(tmp_path / "set")
-    out, file = tmp_path / "out", tmp_path / "found.json"
-    assert main(["doctor", str(tmp_path / "set"), "--out", str(out), "--json", str(file)]) == 0
+def test_text_and_json(tmp_path, capsys):
+    root, file = recorded(tmp_path / "set"), tmp_path / "found.json"
+    (root / "images" / "image_2.png").write_bytes(b"\x89PNG")
+    assert main(["doctor", str(root), "--json", str(file)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[:-1] == text_of(examine(tmp_path / "set"))
-    assert lines[0] == f"{tmp_path / 'set'}: 3 images in 1 folder, 3 with a pose"
-    assert "  labels: pose_2 = y -1 to 1 mm, pose_3 = z 3 to 5 mm, pose_6 = Rz -100 to 140 deg" in lines
-    assert "  contacts: 3 taps, 0 slides, 3 with a pose" in lines
+    diagnosis = check_recordings(root)
+    assert lines[0] == f"{root}: 3 frames in 1 folder"
+    assert f"  frames: 2 of {SIZE} x {SIZE} px" in lines
+    assert "  pins: about 331, layout of tactip331; followed in 100% of 2 sampled frames" in lines
+    assert "left out: 1 of 3 frames (33.3%), 1 cannot be read" in lines
     found = json.loads(file.read_text())
-    assert found == json.loads((out / "doctor.json").read_text())
-    assert found["rows"][0]["seen"]["pins"]["sensor"] == "tactip331"
+    assert found["rows"][0]["pins"]["layout"] == "tactip331"
+    assert found["rows"][0]["left_out"] == {"cannot be read": 1}
+    assert found["problems"][0]["place"].endswith("image_2.png")
+    assert found["next"] == diagnosis.command and found["usable"]
     assert {"command", "machine", "versions"} < found.keys()
-    with Image.open(out / "doctor.png") as figure:
-        assert min(figure.size) > 300
-
-
-def test_results_do_not_go_among_the_recordings(tmp_path, capsys):
-    recorded(tmp_path / "set")
-    assert main(["doctor", str(tmp_path / "set"), "--out", str(tmp_path / "set" / "out")]) == 2
-    assert "lies among the recordings" in capsys.readouterr().err
-    assert not (tmp_path / "set" / "out").exists()
 
 
 def test_real_recordings(real_recordings):
-    (part,) = examine(real_recordings / "surface_3d_sample").parts
-    assert (part.name, part.images, part.slides) == ("train", 40, 40)
-    assert part.seen.pins.sensor == "tactip331" and part.seen.pins.sure == 1
-    (part,) = examine(real_recordings / "raw").parts
-    assert part.seen.pixels.kind == "colour" and part.seen.pins.sensor == "tactip331"
+    (folder,) = check_recordings(real_recordings / "surface_3d_sample").folders
+    assert (folder.name, folder.usable, folder.labels.slides) == ("train", 40, 40)
+    assert folder.pins.layout == "tactip331" and folder.pins.followed == 1
+    (folder,) = check_recordings(real_recordings / "raw").folders
+    assert folder.pins.layout == "tactip331"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jaxunshear.errors import UserError
-from jaxunshear.evaluation.ablation import ablate, cell_scores, partners, picture, rows_of, table
+from jaxunshear.evaluation.ablation import ablate, cell_scores, rows_of, table
 from jaxunshear.evaluation.cells import SPOILT, draw_cells
 from jaxunshear.evaluation.score import target_of
 from jaxunshear.model import unshearnet
@@ -25,41 +25,38 @@ NET = UnshearNet(size=32, widths=(4, 4), pose_channels=3, shear_channels=3)
 def drawn():
     variables = jax.tree.map(lambda x: 20 * x, init(NET, jax.random.key(0)))
     sheared = (np.random.default_rng(0).random((4, 32, 32, 1)) < 0.3).astype(np.float32)
-    return variables, sheared, draw_cells(NET, variables, sheared, SPOILT, jax.random.key(1))
+    return variables, sheared, draw_cells(NET, variables, sheared, SPOILT, jnp.asarray(sheared[::-1]))
 
 
 def test_every_cell_is_drawn_from_its_codes(drawn):
     variables, sheared, images = drawn
     assert set(images) == set(SPOILT)
     z_p, z_s = unshearnet.encode(NET, variables, sheared)
-    blank, further = jnp.zeros_like(z_p), [2, 3, 0, 1]
+    blank = jnp.zeros_like(z_p)
     for cell, logits in {
-        "DC(0)": unshearnet.decode_canonical(NET, variables, blank),
-        "DC(z_p of another)": unshearnet.decode_canonical(NET, variables, z_p[jnp.array(further)]),
+        "DC(z_s)": unshearnet.decode_canonical(NET, variables, z_s),
         "DS(z_p,0)": unshearnet.decode_sheared(NET, variables, z_p, blank),
-        "DS(z_p of another,z_s)": unshearnet.decode_sheared(NET, variables, z_p[jnp.array(further)], z_s),
+        "DS(0,z_s)": unshearnet.decode_sheared(NET, variables, blank, z_s),
+        "DS(z_p,z_s of another)": unshearnet.decode_sheared(NET, variables, z_p, z_s[::-1]),
     }.items():
         np.testing.assert_allclose(images[cell], jax.nn.sigmoid(logits), atol=1e-5)
-    shuffled = images["DC(shuffled z_p)"]
-    assert not np.allclose(shuffled, images["DC(z_p)"], atol=1e-3)
-    again = draw_cells(NET, variables, sheared, SPOILT, jax.random.key(1))["DC(shuffled z_p)"]
-    np.testing.assert_array_equal(shuffled, again)
 
 
 def test_codes_of_two_widths_cannot_change_places():
     net = replace(NET, shear_channels=2)
     variables = init(net, jax.random.key(0))
     found = draw_cells(net, variables, jnp.zeros((2, 32, 32, 1)), SPOILT)
-    assert set(SPOILT) - set(found) == {"DC(z_s)", "DS(z_p,z_p)", "DS(z_s,z_s)"}
+    assert set(SPOILT) - set(found) == {"DC(z_s)", "DS(z_p,z_p)"}
 
 
 def test_rows_give_which_image_was_drawn(drawn):
     _, sheared, images = drawn
-    tap = jnp.asarray(sheared[::-1])
+    tap = jnp.asarray(sheared[[1, 0, 3, 2]])
     # a decoder that draws the image whose shear code it got
-    perfect = {"DS(z_p,z_s of another)": jnp.roll(jnp.asarray(sheared), 2, axis=0), "DS(z_p,z_s)": jnp.asarray(sheared)}
+    perfect = {"DS(z_p,z_s of another)": jnp.asarray(sheared[::-1]), "DS(z_p,z_s)": jnp.asarray(sheared)}
     big = lambda x: jnp.repeat(jnp.repeat(x, 4, axis=1), 4, axis=2)  # noqa: E731  MS-SSIM wants more pixels
-    scores = cell_scores(jax.tree.map(big, perfect), big(tap), big(jnp.asarray(sheared)))
+    own, other = (big(jnp.asarray(images)) for images in (sheared, sheared[::-1]))
+    scores = cell_scores(jax.tree.map(big, perfect), big(tap), own, other)
     rows = {row["name"]: row for row in rows_of({k: np.asarray(v) for k, v in scores.items()}, np.arange(4))}
     foreign, own = rows["DS(z_p,z_s of another)"], rows["DS(z_p,z_s)"]
     assert own["mse"] == 0 and own["ssim"] == pytest.approx(1, abs=1e-5)
@@ -74,39 +71,6 @@ def test_what_is_beside_the_papers_figure_is_multi_scale():
     rows = rows_of({name: np.full(4, value) for name, value in scores.items()}, np.arange(4))
     line = table(rows).splitlines()[1]
     assert line.split()[2:] == ["0.1900", "0.165", "[0.165,", "0.165]", "0.22,", "0.02"]
-
-
-@pytest.mark.parametrize("total", [1, 2, 5, 32, 48, 49, 720])
-def test_every_row_counts_once_beside_one_half_the_split_on(total):
-    parts = list(partners(np.arange(total), 32))
-    assert len({rows.shape for rows, _ in parts}) == 1
-    assert sorted(np.concatenate([rows[counts] for rows, counts in parts])) == list(range(total))
-    for rows, counts in parts:
-        apart = np.abs(rows - np.roll(rows, len(rows) // 2))[counts]
-        assert np.all(apart >= total // 2) and np.all(apart <= (total + 1) // 2)
-
-
-@pytest.mark.parametrize(("total", "poses"), [(5, 2), (12, 6), (49, 3), (720, 8), (720, 360)])
-def test_the_other_image_is_at_another_pose_wherever_there_is_one(total, poses):
-    pose = np.random.default_rng(total).integers(poses, size=total)
-    parts, plain = list(partners(pose, 32)), list(partners(np.arange(total), 32))
-    assert len({rows.shape for rows, _ in parts}) == 1
-    assert sorted(np.concatenate([rows[counts] for rows, counts in parts])) == list(range(total))
-    again = 0
-    for number, (rows, counts) in enumerate(parts):
-        others = np.roll(rows, len(rows) // 2)
-        assert np.all(pose[rows] != pose[others], where=counts)
-        if number < len(plain):  # whoever had a partner at another pose keeps it, and its place
-            np.testing.assert_array_equal(rows, plain[number][0])
-            np.testing.assert_array_equal(counts, plain[number][1] & (pose[rows] != pose[others]))
-            again += np.sum(plain[number][1] & ~counts)
-    assert again > 0
-
-
-def test_images_of_a_single_pose_are_each_others_partners():
-    for (rows, counts), (plain, every) in zip(partners(np.zeros(9, int), 4), partners(np.arange(9), 4), strict=True):
-        np.testing.assert_array_equal(rows, plain)
-        np.testing.assert_array_equal(counts, every)
 
 
 def test_a_half_trained_network_is_not_ablated(tmp_path):
@@ -129,7 +93,3 @@ def test_released_weights_cannot_be_ablated(tmp_path):
 def test_targets():
     assert {target_of(cell) for cell in SPOILT if cell.startswith("DS")} == {"sheared"}
     assert {target_of(cell) for cell in SPOILT if cell.startswith("DC")} == {"tap"}
-
-
-def test_the_picture_is_one(drawn):
-    assert picture({name: image[..., 0] for name, image in drawn[2].items()}).startswith(b"\x89PNG")

@@ -1,0 +1,292 @@
+"""Check a folder of recordings: its frames, its sensor, its labels, and the command to run next.
+
+diagnosis = check_recordings(Path("recordings/edge_2d"))
+print("\n".join(describe(diagnosis)))
+"""
+
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jaxunshear.dataset.labels import Problem
+from jaxunshear.dataset.preparing import LEAST_FRAMES
+from jaxunshear.dataset.recorded import LARGEST_PX, MOVED
+from jaxunshear.dataset.recordings import IMAGE_FOLDERS, Recordings, read_image, read_recordings
+from jaxunshear.errors import UserError
+from jaxunshear.evenly import evenly
+from jaxunshear.image.fitting import fit_lattice, layout_of
+from jaxunshear.image.grey import check_frame, to_grey
+from jaxunshear.image.pins import detect
+from jaxunshear.image.preprocess import common_view, own_view, prepare_frame
+from jaxunshear.image.tracking import follow_all
+from jaxunshear.progress import Progress
+from jaxunshear.settings.image import Preprocess
+from jaxunshear.settings.sensor import TACTIP_127, TACTIP_331
+from jaxunshear.settings.targets import RECORDED, SLIDES
+from jaxunshear.storage import Json
+
+LAYOUTS = (TACTIP_331, TACTIP_127)
+SAMPLED = 40  # frames whose pins are found, shared by the folders
+LEAST_SAMPLED = 8  # in each of many folders
+LEAST_PX = 32  # side of the prepared frames
+LEAST_PINS = 20  # frames with fewer show none
+PINS_RATIO = (0.85, 1.1)  # found pins over a layout's, within which it is tried
+MOST_LISTED = 20  # problems in the text; --json has all
+UNREADABLE, OTHER_SIZE = "cannot be read", "of another size"
+
+
+@dataclass(frozen=True)
+class PinCheck:
+    """What the sampled frames of a folder show."""
+
+    sampled: int
+    median: float  # pins found in a frame
+    layout: str | None  # name of the sensor with this layout; None where no layout fits
+    followed: float  # share of the sampled frames in which every pin is identified
+    inverted: bool  # dark pins on a light ground
+
+
+@dataclass(frozen=True)
+class LabelCheck:
+    """What the labels of a folder's frames are good for."""
+
+    posed: int  # frames with a known pose
+    taps: int  # with a known pose and no move
+    slides: int  # with a known pose and a move
+    ranges: dict[str, tuple[float, float]]  # least and greatest value of each label that varies
+
+
+@dataclass(frozen=True)
+class FolderCheck:
+    """One folder of frames."""
+
+    name: str
+    frames: int
+    left_out: dict[str, int]  # frames by reason
+    size: tuple[int, int]  # width and height of the other frames, px
+    pins: PinCheck | None  # None where no frame can be used
+    labels: LabelCheck
+
+    @property
+    def usable(self) -> int:
+        return self.frames - sum(self.left_out.values())
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What was found at `path`."""
+
+    path: Path
+    folders: tuple[FolderCheck, ...]
+    problems: tuple[Problem, ...]
+    command: str  # to run next; empty where no command can use the frames
+    advice: str  # on that command, or what to do first
+
+    @property
+    def usable(self) -> bool:
+        return bool(self.command)
+
+
+def check_recordings(path: Path) -> Diagnosis:
+    """Read every frame at `path` and find the pins in about SAMPLED of them.
+
+    Raises UserError where no frame can be used.
+    """
+    recordings = read_recordings(path, Preprocess())
+    notes = recordings.notes
+    problems = [note if isinstance(note, Problem) else Problem.of(path, note) for note in notes]
+    rows: dict[Path, list[int]] = {}
+    for row, file in enumerate(recordings.files):
+        rows.setdefault(file.parent, []).append(row)
+    share = max(LEAST_SAMPLED, SAMPLED // len(rows))
+    with Progress(f"doctor {path.name}", len(recordings)) as progress:
+        some = (_check_folder(recordings, own, share, problems, progress) for own in rows.values())
+        folders = tuple(some)
+    if not any(folder.usable for folder in folders):
+        none = f"none of {len(recordings)} images in {path} can be used"
+        raise UserError(f"{none}; the last: {problems[-1]}")
+    command, advice = choose_command(path, folders)
+    return Diagnosis(path, folders, tuple(problems), command, advice)
+
+
+def _check_folder(
+    recordings: Recordings, rows: list[int], share: int, problems: list[Problem], progress: Progress
+) -> FolderCheck:
+    """Check the frames in `rows`, which lie in one folder, and add what is wrong to `problems`."""
+    files = recordings.files
+    sizes: dict[int, tuple[int, int]] = {}
+    left_out: Counter[str] = Counter()
+    for row in rows:
+        try:
+            raw = read_image(files[row])
+            check_frame(raw)
+            sizes[row] = (raw.shape[1], raw.shape[0])
+        except UserError as error:
+            problems.append(Problem.at(files[row], str(error)))
+            left_out[UNREADABLE] += 1
+        progress.advance()
+    width, height = Counter(sizes.values()).most_common(1)[0][0] if sizes else (0, 0)
+    for row, size in sizes.items():
+        if size != (width, height):
+            text = f"{size[0]} x {size[1]} pixels, where most here have {width} x {height}"
+            problems.append(Problem.at(files[row], text))
+            left_out[OTHER_SIZE] += 1
+    alike = [files[row] for row in rows if sizes.get(row) == (width, height)]
+    pins = _check_pins([alike[i] for i in evenly(len(alike), share)])
+    name = _name_folder(recordings.path, files[rows[0]].parent)
+    labels = _check_labels(recordings, rows)
+    return FolderCheck(name, len(rows), dict(left_out), (width, height), pins, labels)
+
+
+def _name_folder(root: Path, folder: Path) -> str:
+    """Name the folder of the labels, which lies above that of the images in most layouts."""
+    if root.is_file() or folder == root:
+        return root.absolute().name
+    home = folder.parent if folder.name in IMAGE_FOLDERS else folder
+    return root.absolute().name if home == root else home.relative_to(root).as_posix()
+
+
+def _check_labels(recordings: Recordings, rows: list[int]) -> LabelCheck:
+    unknown = np.full((len(rows), 6), np.nan)
+    poses = unknown if recordings.poses is None else recordings.poses[rows]
+    moves = unknown if recordings.moves is None else recordings.moves[rows]
+    posed, moved = np.isfinite(poses).all(axis=1), np.isfinite(moves).all(axis=1)
+    slid = (np.abs(moves) > MOVED).any(axis=1)
+    ranges = {}
+    for name, (field, column) in (RECORDED | SLIDES).items():
+        values = poses[posed, column] if field == "pose" else moves[moved, column]
+        if len(values) and np.ptp(values) > MOVED:
+            ranges[name] = (float(values.min()), float(values.max()))
+    both = posed & moved
+    return LabelCheck(int(posed.sum()), int((both & ~slid).sum()), int((both & slid).sum()), ranges)
+
+
+def _check_pins(files: list[Path]) -> PinCheck | None:
+    """Find the pins of frames of one size, or those of their negatives where these fit."""
+    raws = [read_image(file) for file in files]
+    if not raws:
+        return None
+    checked = _follow_pins(raws)
+    if checked.layout is None:
+        negative = _follow_pins([1 - to_grey(raw) for raw in raws], inverted=True)
+        return negative if negative.layout else checked
+    return checked
+
+
+def _follow_pins(raws: list[np.ndarray], inverted: bool = False) -> PinCheck:
+    preprocess = Preprocess(size=int(np.clip(min(raws[0].shape[:2]), LEAST_PX, LARGEST_PX)))
+    view = common_view([own_view(preprocess, raw) for raw in raws])
+    found = [detect(prepare_frame(preprocess, raw, view)) for raw in raws]
+    median = float(np.median([len(each.pins) for each in found]))
+    layout, followed = None, 0.0
+    for sensor in LAYOUTS:
+        if PINS_RATIO[0] * sensor.pins <= median <= PINS_RATIO[1] * sensor.pins:
+            with suppress(UserError):  # as many pins, in another pattern
+                lattice = fit_lattice([each.pins for each in found], layout_of(sensor))
+                followed = float(np.mean([track.sure for track in follow_all(lattice, found)]))
+                layout = sensor.name
+    return PinCheck(len(found), median, layout, followed, inverted)
+
+
+def choose_command(path: Path, folders: Sequence[FolderCheck]) -> tuple[str, str]:
+    """Return the command line to run next, empty where there is none, and advice on it."""
+    usable = [folder for folder in folders if folder.pins]
+    kinds = {(each.size, each.pins.layout, each.pins.inverted) for each in usable if each.pins}
+    pins = usable[0].pins
+    assert pins is not None
+    if len(kinds) > 1:
+        largest = max(usable, key=lambda folder: folder.usable).name
+        advice = "these folders differ in size or sensor: check each on its own"
+        return _join("doctor", path / largest), advice
+    if pins.inverted:
+        return "", "the pins are dark on a light ground: invert the frames, then check them again"
+    if pins.median < LEAST_PINS:
+        return "", "no pins are found: frames must show the light pins of a TacTip on a dark ground"
+    if pins.layout is None:
+        known = " and ".join(f"{sensor.pins} ({sensor.name})" for sensor in LAYOUTS)
+        advice = f"about {pins.median:.0f} pins match no known layout, {known}"
+        file = "FILE gives x and y of each pin, a line each"
+        return _join("pins", path, "--layout", "FILE"), f"{advice}; {file}"
+    released = pins.layout == TACTIP_331.name
+    taps = sum(each.labels.taps for each in usable)
+    slides = sum(each.labels.slides for each in usable)
+    if taps or slides:
+        halves = [option for option, count in (("--taps", taps), ("--slides", slides)) if count]
+        line = _join("fit", *(word for half in halves for word in (half, path)))
+        advice = "" if taps and slides else "these networks learn to read poses, not to unshear"
+        if not slides and released:
+            advice += "; with --unshear.input pins --paired.pairing simulated they unshear"
+        return line, advice
+    if not released:
+        advice = f"released weights need {TACTIP_331.pins} pins"
+        return _join("pins", path, "--sensor", pins.layout), advice
+    if sum(each.usable for each in usable) < LEAST_FRAMES:
+        advice = f"`unshear` needs {LEAST_FRAMES} frames of the same sensor: name them by --like"
+        return _join("pins", path), advice
+    advice = "training needs labels of poses, which these frames lack"
+    if any(each.labels.posed for each in usable):
+        advice = "no moves are known: to train, name a folder each by `fit --taps DIR --slides DIR`"
+    return _join("unshear", path, "--out", "unsheared"), advice
+
+
+def _join(*words: str | Path) -> str:
+    return shlex.join(["jaxunshear", *map(str, words)])
+
+
+def describe(diagnosis: Diagnosis) -> list[str]:
+    """Write the diagnosis as lines of text."""
+    folders = diagnosis.folders
+    frames, usable = sum(each.frames for each in folders), sum(each.usable for each in folders)
+    lines = [f"{diagnosis.path}: {_count(frames, 'frame')} in {_count(len(folders), 'folder')}"]
+    reasons: Counter[str] = Counter()
+    for folder in folders:
+        lines += ["", folder.name, *_describe_folder(folder)]
+        reasons.update(folder.left_out)
+    why = "".join(f", {count} {reason}" for reason, count in reasons.items())
+    lost = f"{frames - usable} of {frames} frames ({1 - usable / frames:.1%}){why}"
+    lines += ["", f"left out: {lost}"]
+    problems = diagnosis.problems
+    lines += [f"problem: {problem}" for problem in problems[:MOST_LISTED]]
+    if len(problems) > MOST_LISTED:
+        lines.append(f"problem: {len(problems) - MOST_LISTED} more, listed by --json")
+    lines.append(f"next: {diagnosis.command or 'no command can use these frames'}")
+    return [*lines, f"note: {diagnosis.advice}"] if diagnosis.advice else lines
+
+
+def to_json(diagnosis: Diagnosis) -> Json:
+    """Give the diagnosis for `--json`, a row a folder."""
+    problems = [{"place": str(p.place), "row": p.row, "text": str(p)} for p in diagnosis.problems]
+    return {
+        "path": str(diagnosis.path),
+        "rows": [asdict(folder) for folder in diagnosis.folders],
+        "problems": problems,
+        "usable": diagnosis.usable,
+        "next": diagnosis.command,
+        "note": diagnosis.advice,
+    }
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def _describe_folder(folder: FolderCheck) -> list[str]:
+    pins, labels = folder.pins, folder.labels
+    if pins is None:
+        return [f"  frames: {folder.frames}, none can be used"]
+    layout = f"layout of {pins.layout}" if pins.layout else "no known layout"
+    dark = ", dark on a light ground" if pins.inverted else ""
+    share = f"followed in {pins.followed:.0%} of {_count(pins.sampled, 'sampled frame')}"
+    ranges = [f"{name} {low:.4g} to {high:.4g}" for name, (low, high) in labels.ranges.items()]
+    counted = (("pose", labels.posed), ("tap", labels.taps), ("slide", labels.slides))
+    counts = ", ".join(_count(number, noun) for noun, number in counted)
+    return [
+        f"  frames: {folder.usable} of {folder.size[0]} x {folder.size[1]} px",
+        f"  pins: about {pins.median:.0f}, {layout}{dark}; {share}",
+        f"  labels: {counts}; varying: {', '.join(ranges) or 'none'}",
+    ]
