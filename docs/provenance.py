@@ -5,8 +5,8 @@ A result depends on what its command imports of COMPUTING. Of that code a defini
 class or constant at the top of a module) has changed if no module of ours has it today.
 Comments, docstrings and layout do not count, nor does a definition that moved or was added: what
 did not exist cannot have made a result. Settings do not count either, since a result keeps its own.
-A change that alters no figure is listed in stale.toml as `same`: the
-definition before and after it.
+Commits between which no figure changed, although definitions did, are listed in stale.toml as a
+`bridge`: what a result was made with is compared up to its one end, and on from its other end.
 """
 
 import ast
@@ -69,8 +69,13 @@ TOOL_PROGRAMS = {  # the same, of `python -m`
     "benchmarks pinnets": ("benchmarks.bench_pin_networks",),
     "benchmarks explore": ("benchmarks.bench_explore",),
 }
+EARLIER = {  # where these modules were at earlier commits
+    "jaxunshear.evaluation.transfer": "jaxunshear.applications.transfer",
+    "jaxunshear.inference.infer": "jaxunshear.infer",
+}
 MOVED = {  # how commands of earlier versions begin, and where each is today; the first that fits
     "jaxunshear check identify": "docs/notebooks/identify.ipynb",
+    "jaxunshear check bench strangers": "tests/image/test_understood.py",
     "jaxunshear check bench": "python -m benchmarks",
     "jaxunshear check": "python -m verification",
 }
@@ -82,7 +87,7 @@ class Known(NamedTuple):
     not_kept: frozenset[str]  # made before results kept their commit
     changed: Mapping[str, str]  # why a result stays although its code has changed
     settings: Mapping[str, str]  # why its command gives other settings today
-    same: Sequence[tuple[str, str]]  # keys of definitions that compute the same: earlier, later
+    bridges: Sequence[tuple[str, str]]  # commits between which no figure changed, the earliest first
 
 
 def read_known(path: Path = ROOT / "docs" / "stale.toml") -> Known:
@@ -91,8 +96,8 @@ def read_known(path: Path = ROOT / "docs" / "stale.toml") -> Known:
     changed, settings = (
         {name: each["why"] for each in held.get(kind, []) for name in each["files"]} for kind in ("changed", "settings")
     )
-    same = [line.split()[-2:] for each in held.get("same", []) for line in each["definitions"]]
-    return Known(frozenset(held["not_kept"]), changed, settings, [(earlier, later) for earlier, later in same])
+    bridges = [(each["before"], each["after"]) for each in held.get("bridges", [])]
+    return Known(frozenset(held["not_kept"]), changed, settings, bridges)
 
 
 @cache
@@ -235,37 +240,42 @@ def _flat(settings: Json, group: str = "") -> Json:
 
 def changes(name: str, root: Path = ROOT) -> list[str]:
     """Return what a result was computed with and the package no longer has, as `lost`."""
-    held, today, same = read_result(name), read_modules(root), read_known().same
+    held = read_result(name)
+    starts = sorted({module for command in commands(held) for module in programs(command)})
+    starts += [EARLIER[module] for module in starts if module in EARLIER]
     found: set[str] = set()
     for source in sources(held):
         try:
-            then = read_modules(root, source.commit)
+            found |= set(_changes_since(root, source.commit or "", starts))
         except LookupError:
             found.add(f"commit {source.commit} is not in this history")
-            continue
-        for command in commands(held):
-            found |= set(lost(then, today, programs(command), same))
     return sorted(found)
 
 
-def lost(
-    then: Mapping[str, str],
-    today: Mapping[str, str],
-    starts: Sequence[str],
-    same: Iterable[tuple[str, str]] = (),
-) -> list[str]:
-    """Return a line for each definition that `starts` import among `then` and that `today` lacks.
+def _changes_since(root: Path, commit: str, starts: Sequence[str]) -> list[str]:
+    """Compare the code of a commit with today's, without what changed on bridges. Raises LookupError."""
+    found: list[str] = []
+    for before, after in read_known().bridges:
+        if is_ancestor(root, commit, before):
+            found += lost(read_modules(root, commit), read_modules(root, before), starts)
+            commit = after
+    return found + lost(read_modules(root, commit), read_modules(root), starts)
 
-    A line is the module, the name, the definition's key and that of its successor, as stale.toml
-    takes it for `same`. Only definitions of COMPUTING count.
+
+def is_ancestor(root: Path, earlier: str, later: str) -> bool:
+    """Return whether a commit is another, or among those that led to it. Raises LookupError."""
+    return git(root, "merge-base", earlier, later).strip() == git(root, "rev-parse", earlier).strip()
+
+
+def lost(then: Mapping[str, str], later: Mapping[str, str], starts: Sequence[str]) -> list[str]:
+    """Return a line for each definition that `starts` import among `then` and that `later` lacks.
+
+    A line is the module and the name. Only definitions of COMPUTING count.
     """
     used = [module for module in imports(then, starts) if not COMPUTING.isdisjoint(module.split(".")[:2])]
-    keys = {module: definitions(text) for module, text in today.items()}
-    alive = {key for found in keys.values() for key in found.values()}
-    for earlier, later in reversed([*same]):  # the latest change stands last
-        alive |= {earlier} if later in alive else set()
+    alive = {key for text in later.values() for key in definitions(text).values()}
     return [
-        f"{module}: {name} {key} {keys.get(module, {}).get(name, 'gone')}"
+        f"{module}: {name}"
         for module in sorted(used)
         for name, key in definitions(then[module]).items()
         if key not in alive
