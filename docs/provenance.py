@@ -54,7 +54,7 @@ PROGRAMS = {  # the modules that a command starts from
     **{f"check bench {name}": (f"benchmarks.bench_{name}",) for name in ("sim", "needs", "pins", "data", "input")},
     "check bench pinnets": ("benchmarks.bench_pin_networks",),
     "check bench explore": ("benchmarks.bench_explore",),
-    "check bench strangers": ("benchmarks.confidence",),
+    "check bench strangers": ("image.understood",),  # the command is gone, its result stays
 }
 
 

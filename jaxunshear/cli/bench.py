@@ -17,7 +17,6 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "needs": ("size",),
     "pins": ("size", "seed"),
     "stream": ("size",),
-    "strangers": ("recordings", "seed"),
     "data": (),
     "input": (),
     "pinnets": (),
@@ -89,14 +88,6 @@ def _pins(arguments: argparse.Namespace, keep: Keep) -> Found:
     return rows, plain_table(rows, bench_pins.COLUMNS)
 
 
-def _strangers(arguments: argparse.Namespace, keep: Keep) -> Found:
-    from jaxunshear.benchmarks import confidence
-    from jaxunshear.table import plain_table
-
-    rows = confidence.bench(arguments.recordings or [], arguments.seed or 0)
-    return rows, plain_table(rows, ("name", "images", "refused", "accepted", "low", "high", "auc"))
-
-
 def _plain(arguments: argparse.Namespace, keep: Keep) -> Found:
     """Of those that take no option."""
     from jaxunshear.benchmarks import bench_data, bench_explore, bench_input, bench_pin_networks
@@ -120,5 +111,4 @@ _MEASURES = {
     "stream": _networks,
     "needs": _needs,
     "pins": _pins,
-    "strangers": _strangers,
 }

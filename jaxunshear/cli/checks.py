@@ -44,7 +44,7 @@ def add_parsers(commands: Commands) -> None:
     parser.add_argument(
         "what",
         choices=tuple(bench.OPTIONS),
-        help="the simulator, the networks, parts left out, pins of images, a robot's perception, images of no sensor of ours, the "
+        help="the simulator, the networks, parts left out, pins of images, a robot's perception, the "
         "making of a data set, whether training waits for its examples, or pictures of `explore`",
     )
     parser.add_argument("--level", choices=tuple(LEVELS), help="sim: only rows of this level")
@@ -52,14 +52,7 @@ def add_parsers(commands: Commands) -> None:
         "--batch", metavar="N", type=int, help="sim, train, infer: only rows with N scenes or images in a batch"
     )
     parser.add_argument("--size", metavar="PX", type=int, help="all but sim: only images of this size")
-    parser.add_argument("--seed", metavar="N", type=int, help="pins, strangers: of the contacts (0)")
-    parser.add_argument(
-        "--recordings",
-        metavar="DIR",
-        type=Path,
-        action="append",
-        help="strangers: of 331 pins, beside simulated ones; repeat it",
-    )
+    parser.add_argument("--seed", metavar="N", type=int, help="pins: of the contacts (0)")
 
     parsers["identify"].add_argument("--out", metavar="DIR", type=Path, help="folder for the figure")
 

@@ -1,4 +1,4 @@
-"""Images that a sensor's model must know, and images that are none of its sensor's: for `confidence`, and for tests.
+"""Images that a sensor's model must know, and images that are none of its sensor's.
 
 All are binary (S, S) uint8 of {0, 255}. Simulated ones need no contact solved: pins move by smooth fields of up to two spacings.
 """
@@ -20,15 +20,9 @@ from jaxunshear.image.understood import inverse
 from jaxunshear.scene.pins import pin_tips
 from jaxunshear.settings.configs import PAIRED
 from jaxunshear.settings.image import Camera, Nuisance, Preprocess
-from jaxunshear.settings.sensor import TACTIP_331, Sensor
+from jaxunshear.settings.sensor import Sensor
 
 REACH = 2.0  # spacings, the longest way of a pin
-OTHER_PINS = {  # sensors of other pins in the same dome and framing
-    "127 pins": replace(TACTIP_331, name="rings127", rings=6, pin_spacing_mm=2.5, pin_radius_mm=0.6),
-    "217 pins": replace(TACTIP_331, name="rings217", rings=8, pin_spacing_mm=1.875, pin_radius_mm=0.5),
-    "331 pins": TACTIP_331,
-    "469 pins": replace(TACTIP_331, name="rings469", rings=12, pin_spacing_mm=1.25, pin_radius_mm=0.35),
-}
 
 
 def touched(sensor: Sensor, camera: Camera, count: int, seed: int, size: int = 128) -> np.ndarray:
