@@ -4,7 +4,7 @@ import pytest
 
 from jaxunshear.errors import UserError
 from jaxunshear.report import applications
-from jaxunshear.report.pictures import png_address
+from jaxunshear.report.montage import png_address
 from jaxunshear.report.report import write_report
 from jaxunshear.storage import write_bytes, write_json
 
