@@ -111,10 +111,10 @@ def test_a_card_names_the_machine_that_trained_where_another_one_measured():
 def test_a_card_gives_how_far_slides_twist_and_the_sensor_leans():
     settings = RESULTS["settings"]
     ranges = settings["paired"]["ranges"]
-    assert "slides up to 5 mm. Not" in card_of(RESULTS)
+    assert "slides up to 2.5 mm. Not" in card_of(RESULTS)
     wide = settings | {"paired": settings["paired"] | {"ranges": ranges | {"twist_deg": 5.0, "tilt_deg": 25.0}}}
     text = card_of(RESULTS | {"settings": wide})
-    assert "slides up to 5 mm, twist up to 5 deg, tilt up to 25 deg. Not" in text
+    assert "slides up to 2.5 mm, twist up to 5 deg, tilt up to 25 deg. Not" in text
 
 
 def test_released_weights_do_what_the_run_does(run, tmp_path):

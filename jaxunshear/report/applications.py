@@ -8,8 +8,7 @@ from markupsafe import Markup, escape
 from jaxunshear.errors import UserError
 from jaxunshear.report import page
 from jaxunshear.report.object_figure import PICTURES
-from jaxunshear.report.page import number, spanned
-from jaxunshear.report.pictures import address_of
+from jaxunshear.report.page import address_of, number, spanned
 from jaxunshear.report.walk_figure import WORDS
 from jaxunshear.results.folders import results_folder
 from jaxunshear.storage import Json, read_object

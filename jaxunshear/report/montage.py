@@ -1,19 +1,22 @@
 """Sheared, unsheared and tapped images side by side: for the report, and as one picture."""
 
+import io
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from PIL import Image
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.score import shown_kind
-from jaxunshear.report import page, pictures, words
+from jaxunshear.report import page, words
 from jaxunshear.results.run import Results
 from jaxunshear.storage import BROKEN_NPZ, read_npz
 from jaxunshear.style import png_of
 
+MISSING, SURPLUS = (255, 122, 26), (64, 150, 255)  # orange: the tap alone has it; blue: the image alone
 WIDE = 22  # letters that do not fit above an image
 Shown = dict[str, np.ndarray]  # as `evaluation.evaluate.montage` keeps it
 
@@ -48,7 +51,7 @@ def section(shown: Shown, results: Results) -> Markup:
     """Of the report: one typical contact of each stimulus, and folded away those that went badly and well."""
     middle, others = typical(shown)
     said = terms(results)
-    colours = ((pictures.MISSING, "missing from the image"), (pictures.SURPLUS, "should not be there"))
+    colours = ((MISSING, "missing from the image"), (SURPLUS, "should not be there"))
     body = [_table(shown, middle, said), page.caption(colours, said.truth)]
     if others:
         summary = "Contacts that went badly, and well (10th and 90th percentile)"
@@ -96,8 +99,8 @@ def _cells(shown: Shown, row: int) -> list[tuple[np.ndarray, str]]:
         (sheared, f"{shown['ms_ssim_sheared'][row]:.2f}"),
         (unsheared, f"{shown[f'ms_ssim_{network}'][row]:.2f}"),
         (tap, ""),
-        (pictures.difference(sheared, tap), ""),
-        (pictures.difference(unsheared, tap), ""),
+        (difference(sheared, tap), ""),
+        (difference(unsheared, tap), ""),
     ]
 
 
@@ -113,5 +116,21 @@ def _table(shown: Shown, rows: list[int], said: Terms) -> Markup:
     for row in rows:
         name, *about = described(shown, row, said)
         cells = zip(_cells(shown, row), said.heads, strict=True)
-        lines.append((name, about, [(pictures.png_address(image), head, text) for (image, text), head in cells]))
+        lines.append((name, about, [(png_address(image), head, text) for (image, text), head in cells]))
     return page.montage(said.heads, lines)
+
+
+def png_address(pixels: np.ndarray) -> str:
+    """Return a `data:` address of a PNG of pixels (H, W) or (H, W, 3) uint8."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, "png", optimize=True)
+    return page.address_of(buffer.getvalue())
+
+
+def difference(image: np.ndarray, tap: np.ndarray) -> np.ndarray:
+    """Colour (H, W, 3) uint8 what two images (H, W) uint8 share in grey, and the rest by MISSING and SURPLUS."""
+    a, b = image.astype(np.float32)[..., None] / 255, tap.astype(np.float32)[..., None] / 255
+    shared = np.minimum(a, b) * 90
+    missing = np.clip(b - a, 0, 1) * np.array(MISSING, np.float32)
+    surplus = np.clip(a - b, 0, 1) * np.array(SURPLUS, np.float32)
+    return np.clip(np.rint(shared + missing + surplus), 0, 255).astype(np.uint8)

@@ -45,3 +45,8 @@ def spanned(value: float | None, interval: Sequence[float] | None, digits: int) 
         return number(value, digits)
     low, high = (number(end, digits) for end in interval)
     return Markup("{} <small>[{}, {}]</small>").format(number(value, digits), low, high)
+
+
+def address_of(png: bytes) -> str:
+    """Return a `data:` address of a PNG, so that the page needs no second file."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()

@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from jaxunshear.errors import UserError
 from jaxunshear.evaluation.recorded_facts import describe_test
-from jaxunshear.report import applications, headlines, making, montage, page, poses, readers, recordings, scores, words
+from jaxunshear.report import applications, headlines, making, montage, page, poses, recordings, scores, words
 from jaxunshear.report.history import read_history
 from jaxunshear.results.rows import Summary
 from jaxunshear.results.run import EVALUATED, Results
@@ -54,7 +54,7 @@ def write_report(run_dir: Path) -> Path:
             montage.section(shown, results) if shown else "",
             scores.similarity(results),
             poses.poses(results),
-            readers.readers(results),
+            scores.readers(results),
             scores.further(results),
             scores.pins(results),
             *(

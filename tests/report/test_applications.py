@@ -1,10 +1,10 @@
 """What the networks were put to, on the page of their run."""
 
 import pytest
-from jaxunshear.report.pictures import png_address
 
 from jaxunshear.errors import UserError
 from jaxunshear.report import applications
+from jaxunshear.report.montage import png_address
 from jaxunshear.report.report import write_report
 from jaxunshear.storage import write_bytes, write_json
 

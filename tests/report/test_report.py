@@ -10,12 +10,12 @@ import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 import pytest
-from jaxunshear.report.pictures import MISSING, SURPLUS, difference, png_address
 from PIL import Image
 
 from jaxunshear.errors import UserError
 from jaxunshear.report import montage
 from jaxunshear.report.history import read_history
+from jaxunshear.report.montage import MISSING, SURPLUS, difference, png_address
 from jaxunshear.report.report import write_report
 
 
