@@ -85,8 +85,10 @@ def test_golden_figures_of_a_run_over_images(finished):
 
 def test_golden_figures_of_a_run_over_pins(finished, command):
     folders = ("--out", finished / "runs", "--data", finished / "datasets")
-    pins = ("--unshear.input", "pins", "--networks", "disentangled,posenet")
-    answer = command("run", TINY, *folders, "--name", "pins", *pins, "--train_pins.batch", 6, "--train_pins.epochs", 2)
+    pins = ("--name", "pins", "--unshear.input", "pins", "--networks", "disentangled,posenet")
+    training = {"batch": 6, "epochs": 2, "validate_every": 4, "learning_rate": 1e-3}
+    words = [word for name, value in training.items() for word in (f"--train_pins.{name}", value)]
+    answer = command("run", TINY, *folders, *pins, *words)
     assert answer.code == 0, answer.err
     found = make_runs.collect_run(finished / "runs" / "pins", finished / "datasets")
     make_runs.hold("run over simulated pins", found)

@@ -31,6 +31,7 @@ TESTS = (
 WRITE = "GOLDEN"  # a variable of the environment: the file that `hold` then writes to
 MACHINE = "machine"  # the section that says where the file was written
 DIGEST = "bits"  # the key of a digest, which is compared only on such a machine
+SMALLEST = 1e-9  # a figure below it, as of a law that holds exactly, is rounding alone
 
 TOLERANCES = {
     "run over simulated images": 1e-3,
@@ -51,12 +52,14 @@ NETWORKS = {
 FIELDS = {
     "canonical": "images of taps",
     "sheared": "images of slides",
+    "image": "images of taps",
     "canonical_pins": "pins of taps",
     "sheared_pins": "pins of slides",
+    "pins": "pins of taps",
+    "pose": "poses",
+    "edge": "nearest edges",
     "weight": "weights of pairs",
     "sure": "known pins",
-    "Rz": "angle",
-    "pose": "poses",
 }
 SCORES = {
     "pose_mae": "pose errors",
@@ -105,7 +108,7 @@ def differences(golden: Any, found: Any, tolerance: float, path: str = "") -> It
             yield from differences(*pair, tolerance, f"{path}{number} / ")
     elif tolerance and isinstance(golden, float) and isinstance(found, float):
         off = abs(found - golden)
-        if not off <= tolerance * abs(golden):
+        if not off <= tolerance * max(abs(golden), SMALLEST):
             yield f"{path}golden {golden!r}, found {found!r}: {off:.2g} off"
     elif golden != found:
         yield f"{path}golden {golden!r}, found {found!r}"
@@ -181,7 +184,8 @@ def _collect_network(folder: Path) -> dict[str, Any]:
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(variables["params"])]
     found: dict[str, Any] = {"best validation loss": summary["best_loss"]}
     for line in (log[0], log[-1]):
-        found[f"losses at step {line['step']}"] = line["train"] | {"validation": line["validation"]}
+        found[f"training losses at step {line['step']}"] = _to_plain(line["train"])
+        found[f"validation losses at step {line['step']}"] = _to_plain(line["validation"])
     return found | {
         "kernels": summarise(leaf for leaf in leaves if leaf.ndim > 1),
         "biases and scales": summarise(leaf for leaf in leaves if leaf.ndim <= 1),
@@ -207,7 +211,7 @@ def summarise(arrays: Iterable[Any]) -> dict[str, Any]:
 
 
 def _to_plain(table: Any) -> Any:
-    """Return a table of results whose networks have their plain names."""
+    """Return a table of losses or scores with plain words for the names of the code."""
     if not isinstance(table, Mapping):
         return table
     return {_to_words(NETWORKS, name): _to_plain(value) for name, value in table.items()}
