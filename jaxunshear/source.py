@@ -11,8 +11,10 @@ from jaxunshear.results.rows import Source
 
 ROOT = Path(__file__).resolve().parents[1]
 # what decides a result
-CODE = ("jaxunshear", "verification", "benchmarks", "data_specs", "experiments")
-CODE += ("pyproject.toml", "constraints.txt")
+CODE = (
+    *("jaxunshear", "verification", "benchmarks", "data_specs", "experiments"),
+    *("pyproject.toml", "constraints.txt"),
+)
 ELSEWHERE = ("GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE")  # a hook of another repository sets them
 SECONDS = 20
 
