@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxunshear.cli.options import ROWS, add_json, new_parser
-from jaxunshear.cli.program import Keep, Parser, report_errors, run_tool
+from jaxunshear.cli.program import Keep, Parser, add_commands, report_errors, run_tool
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.storage import Json
@@ -51,7 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def make_parser() -> Parser:
     """Make the parser of COMMANDS."""
     parser = Parser(prog="python -m benchmarks", description="Measures error against run time.")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    commands = add_commands(parser)
     for name, text in COMMANDS.items():
         each = new_parser(commands, name, text)
         for option in OPTIONS.get(name, ()):

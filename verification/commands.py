@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from jaxunshear.cli.options import ROWS, add_json, new_parser
-from jaxunshear.cli.program import Keep, Parser, report_errors, run_tool
+from jaxunshear.cli.program import Keep, Parser, add_commands, report_errors, run_tool
 from jaxunshear.contact.level import LEVELS
 from jaxunshear.errors import UserError
 from jaxunshear.storage import Json
@@ -28,7 +28,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def make_parser() -> Parser:
     """Make the parser of COMMANDS."""
     parser = Parser(prog="python -m verification", description="Examines the simulator and the networks.")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    commands = add_commands(parser)
     parsers = {name: new_parser(commands, name, text) for name, text in COMMANDS.items()}
     for each in parsers.values():
         add_json(each, ROWS)

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
+from jaxunshear.cli.options import Commands
 from jaxunshear.environment import check_environment, check_links
 from jaxunshear.errors import Note, UserError
 from jaxunshear.owners import check_apart
@@ -31,6 +32,11 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise UserError(f"{message}; see `{self.prog} --help`")
+
+
+def add_commands(parser: argparse.ArgumentParser) -> Commands:
+    """Add a choice of commands to a parser, and return what each is added to."""
+    return parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
 
 
 def report_errors(work: Callable[[], int], continued: bool = False) -> int:
