@@ -26,7 +26,11 @@ SECONDS = 120  # a GPU on a busy machine needs some
 
 def check_variables() -> None:
     """Raise UserError if a variable of JAX in the environment would change results."""
-    found = sorted(name for name in os.environ if name.startswith("JAX_") and not name.startswith(HEEDED))
+    found = [
+        f"{name}={value}"
+        for name, value in sorted(os.environ.items())
+        if name.startswith("JAX_") and not name.startswith(HEEDED)
+    ]
     if found:
         raise UserError(f"{', '.join(found)}: would give other results under the same name: unset it")
 

@@ -165,7 +165,7 @@ def _train(experiment: Experiment, network: str, folder: Path, data: Path) -> bo
         folder / network,
         epoch_images=examples.epoch,
         origin=origin_of(experiment, network),
-        data=data_of(experiment, begin),
+        data=data_of(experiment, network, begin),
         start=Start(load_best(begin), digest_of(begin)) if begin else None,
     )
     loss = "unknown" if summary.best_loss is None else f"{summary.best_loss:.5f}"

@@ -30,7 +30,7 @@ def test_what_decides_results_is_refused(monkeypatch):
     check_variables()
     for name in BITS:
         monkeypatch.setenv(name, "1")
-    with pytest.raises(UserError, match=r"^JAX_DEFAULT_PRNG_IMPL, JAX_ENABLE_X64, JAX_.*: would .* unset it$"):
+    with pytest.raises(UserError, match=r"^JAX_DEFAULT_PRNG_IMPL=1, JAX_ENABLE_X64=1, JAX_.*: would .* unset it$"):
         check_variables()
 
 

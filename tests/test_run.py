@@ -142,7 +142,8 @@ def test_networks_of_an_earlier_version_of_the_data_are_not_taken_for_todays(fin
     out = shutil.copytree(finished / "runs", tmp_path / "runs")
     (out / "tiny" / "results.json").unlink()
     file = out / "tiny" / "disentangled" / "model.json"
-    write_json(file, json.loads(file.read_text().replace('"version": "', '"version": "0.')))
+    model = json.loads(file.read_text())
+    write_json(file, model | {"origin": model["origin"] | {"version": "2.4.0"}})
     words = [out / "tiny"] if stage == "ablate" else [TINY, "--out", out]
     answer = command(stage, *words, "--data", finished / "datasets")
     assert (

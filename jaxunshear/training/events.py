@@ -4,7 +4,8 @@ import contextlib
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+
+import optax
 
 from jaxunshear.storage import Json
 
@@ -12,7 +13,7 @@ GROUPS = ("train", "validation", "kernels")  # of a line of log.jsonl
 
 
 @contextlib.contextmanager
-def open_events(folder: Path, step: int, rate: Callable[[int], Any]) -> Iterator[Callable[[Json], None]]:
+def open_events(folder: Path, step: int, rate: optax.Schedule) -> Iterator[Callable[[Json], None]]:
     """Open an event file in `folder`; yield what appends a line of the log to it.
 
     TensorBoard then drops what a stopped process wrote beyond `step`. `rate` gives the learning rate

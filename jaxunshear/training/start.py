@@ -2,20 +2,20 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from jaxunshear.dataset.digests import folders_in
 from jaxunshear.errors import UserError
 from jaxunshear.folders import model_folder
 from jaxunshear.settings.configs import fingerprint
 from jaxunshear.settings.data import Recorded
-from jaxunshear.settings.experiment import Experiment, further_tests, simulated_of, training_of
+from jaxunshear.settings.experiment import Experiment, further_tests, learnt_from, needed, training_of
 from jaxunshear.settings.stored import OTHERS
-from jaxunshear.storage import read_object
+from jaxunshear.storage import Json, read_object
 
 
 class Start(NamedTuple):
-    variables: Any
+    variables: Json
     digest: str  # of these weights, kept in model.json
 
 
@@ -31,12 +31,14 @@ def start_folder(experiment: Experiment, network: str) -> Path | None:
     return folder
 
 
-def data_of(experiment: Experiment, start: Path | None) -> list[str]:
-    """Return the digests of the data of `experiment` and of what the weights in `start` learnt from."""
+def data_of(experiment: Experiment, network: str, start: Path | None) -> list[str]:
+    """Return the digests of the data that `network` learns from, also through others and the weights in `start`."""
     if isinstance(experiment.paired, Recorded):
         own = folders_in(experiment.paired.digest)
     else:
-        own = {fingerprint(each, experiment.sensor) for each in simulated_of(experiment, "this")}
+        sets = [learnt_from(experiment, each) for each in needed(experiment, network)]
+        sets += [experiment.pose] if training_of(experiment, network).tap_weight else []
+        own = {fingerprint(each, experiment.sensor) for each in sets}
     return sorted(own.union(read_object(start / "model.json")["data"] if start else ()))
 
 
@@ -49,16 +51,16 @@ def check_unseen(folder: Path, digests: Iterable[str]) -> None:
         raise UserError(f"{folder} learnt from {of}: use other weights or data")
 
 
-def begin_from(fresh: Any, start: Any) -> Any:
+def begin_from(fresh: Json, start: Json) -> Json:
     """Return `fresh` variables with those of `start` in their places. Raises UserError if a shape or layer differs."""
     from jax import tree
 
     from jaxunshear.model.parts import leaves_of
 
-    own, given = leaves_of(fresh), leaves_of(start)
+    own = leaves_of(fresh)
     modules = {name.split(".")[1] for name in own}  # E of params.E.First_0.kernel
-    kept = {name: leaf for name, leaf in given.items() if name.split(".")[1] in modules}
+    kept = {name: leaf for name, leaf in leaves_of(start).items() if name.split(".")[1] in modules}
     wrong = next((name for name, leaf in kept.items() if name not in own or own[name].shape != leaf.shape), None)
     if wrong or not kept:
         raise UserError(f"start: {wrong or 'no part'} of these weights fits the network: use that network's settings")
-    return tree.unflatten(tree.structure(fresh), (own | kept).values())
+    return tree.unflatten(tree.structure(fresh), (own | kept).values())  # type: ignore[no-any-return]

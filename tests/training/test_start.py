@@ -67,10 +67,12 @@ def keep(folder, **model):
 
 
 def test_what_was_learnt_through_others_is_known(tmp_path):
-    first = keep(tmp_path / "first", data=data_of(SIMULATED, None))
-    second = keep(tmp_path / "second", data=data_of(RECORDED, first))
-    own = [fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose)]
-    assert json.loads((second / "model.json").read_text())["data"] == sorted(["aa", "bb", *own])
+    first = keep(tmp_path / "first", data=data_of(SIMULATED, NETWORK, None))
+    second = keep(tmp_path / "second", data=data_of(RECORDED, NETWORK, first))
+    pairs, taps = (fingerprint(each, SIMULATED.sensor) for each in (SIMULATED.paired, SIMULATED.pose))
+    assert json.loads((second / "model.json").read_text())["data"] == sorted(["aa", "bb", pairs])
+    taught = replace(SIMULATED, train=replace(SIMULATED.train, pose_weight=0.5))
+    assert data_of(taught, NETWORK, None) == sorted([pairs, taps])
     with pytest.raises(UserError, match=rf"second/{NETWORK} learnt from data that are tested \(digest bb\): use"):
         check_unseen(second, ["bb", "cc"])
     check_unseen(second, ["cc"])
@@ -80,9 +82,9 @@ def test_weights_are_refused_where_they_learnt_from_what_is_tested(tmp_path):
     """Sets of one seed share their splits, recordings may have been split otherwise."""
     (test,) = further_tests(SIMULATED).values()
     for experiment, data, refused in (
-        (SIMULATED, data_of(SIMULATED, None), False),
+        (SIMULATED, data_of(SIMULATED, NETWORK, None), False),
         (SIMULATED, [fingerprint(test, SIMULATED.sensor)], True),
-        (RECORDED, data_of(SIMULATED, None), False),
+        (RECORDED, data_of(SIMULATED, NETWORK, None), False),
         (RECORDED, ["bb"], True),
     ):
         folder = keep(tmp_path, data=data)
@@ -106,7 +108,7 @@ def test_weights_that_do_not_say_what_they_learnt_from_are_refused(tmp_path):
 def test_released_weights_say_what_they_learnt_from(name):
     experiment = load_settings(RELEASED / name)
     for model in (RELEASED / name).glob("*/model.json"):
-        assert json.loads(model.read_text())["data"] == data_of(experiment, None)
+        assert json.loads(model.read_text())["data"] == data_of(experiment, model.parent.name, None)
 
 
 def trained(folder, start):
