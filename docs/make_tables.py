@@ -564,6 +564,30 @@ def _leaks(cell: CellResult) -> list[str]:
     return cells
 
 
+def rivals() -> str:
+    """Print errors of unsheared and of directly learnt slides over pins, on a tenth drawn at random."""
+    return _rivals("rivals", "recorded, pins; test: a tenth, drawn at random")
+
+
+def rivals_block() -> str:
+    """Print the same on a block of poses that no training saw."""
+    return _rivals("rivals_block", "recorded, pins; test: a block of poses")
+
+
+def _rivals(name: str, title: str) -> str:
+    ways = {
+        "unsheared": "pose/disentangled",
+        "direct": "pose/sheared_learnt",
+        "unsheared - direct": "difference/sheared_learnt",
+    }
+    head = [f"{way}: {quantity.replace('_', ', ')}" for way in ways for quantity, _ in EDGE]
+    lines = [as_line(title, head), "|---|" + "---|" * len(head)]
+    for cell in swept(name):
+        cells = [with_interval(cell.metrics[f"{key}/{q}"], digits) for key in ways.values() for q, digits in EDGE]
+        lines.append(as_line(cell.label, cells))
+    return "\n".join(lines)
+
+
 def parted_pins() -> str:
     """Likeness, pins and edge errors of the same networks; what DS draws of exchanged codes and of a contact's own."""
     drawn = ("DS, codes exchanged/rms_px", "DS, codes both of its own/rms_px")

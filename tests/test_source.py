@@ -84,7 +84,7 @@ def test_git_is_asked_once():
 def test_an_installed_package_has_its_version_alone(tmp_path):
     """Also if it is started in a checkout."""
     shutil.copytree(source.ROOT / "jaxunshear" / "results", tmp_path / "jaxunshear" / "results")
-    for name in ("__init__.py", "source.py"):
+    for name in ("__init__.py", "version.py", "source.py"):
         shutil.copy(source.ROOT / "jaxunshear" / name, tmp_path / "jaxunshear")
     asked = "from jaxunshear.source import read_source as read; print(read().version, read().commit, read().clean)"
     words, here = [sys.executable, "-P", "-c", asked], os.environ | {"PYTHONPATH": str(tmp_path)}

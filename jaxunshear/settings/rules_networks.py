@@ -44,8 +44,7 @@ def network_rules(experiment: Experiment, paired: Preprocess, pose: Preprocess) 
         "is for posenet_sheared, which this experiment does not train: add it to networks, or leave it at 0",
     )
     yield (
-        not pins.direct_convolved
-        or (over_pins(experiment) and POSENET_SHEARED in trained(experiment)),
+        not pins.direct_convolved or (over_pins(experiment) and POSENET_SHEARED in trained(experiment)),
         "pins.direct_convolved",
         "is for posenet_sheared over pins, which this experiment does not train: leave it empty",
     )

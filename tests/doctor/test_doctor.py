@@ -48,7 +48,7 @@ def recorded(root, sensor=TACTIP_331, slide=0.0, columns=OLDER, images="images",
 
 
 def is_parsed(command):
-    _parser(check=False).parse_args(shlex.split(command)[1:])
+    _parser().parse_args(shlex.split(command)[1:])
     return True
 
 

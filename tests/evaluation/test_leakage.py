@@ -287,7 +287,9 @@ def test_over_images_codes_that_are_apart_are_exchanged_too(folder, tmp_path):
     assert found["exchanged"]["ratio"] == pytest.approx(
         drawn["exchanged"]["rms_grey"] / drawn["both of its own"]["rms_grey"]
     )
-    assert {"DS, codes exchanged", "DS, codes exchanged, sticking"} <= {row["name"] for row in leakage_table.for_sweep(found)}
+    assert {"DS, codes exchanged", "DS, codes exchanged, sticking"} <= {
+        row["name"] for row in leakage_table.for_sweep(found)
+    }
     assert "of 1 in grey" in leakage_table.table(found)
     assert all(0 <= row["missed_per_image"] <= SENSOR.pins for row in drawn.values())
     exchanged = exchange.exchanged(images, run, folder / "data")
