@@ -565,25 +565,20 @@ def _leaks(cell: CellResult) -> list[str]:
 
 
 def rivals() -> str:
-    """Print errors of unsheared and of directly learnt slides over pins, on a tenth drawn at random."""
-    return _rivals("rivals", "recorded, pins; test: a tenth, drawn at random")
-
-
-def rivals_block() -> str:
-    """Print the same on a block of poses that no training saw."""
-    return _rivals("rivals_block", "recorded, pins; test: a block of poses")
-
-
-def _rivals(name: str, title: str) -> str:
+    """Print errors of unsheared and of directly learnt slides, by networks of the same make."""
     ways = {
         "unsheared": "pose/disentangled",
         "direct": "pose/sheared_learnt",
         "unsheared - direct": "difference/sheared_learnt",
     }
     head = [f"{way}: {quantity.replace('_', ', ')}" for way in ways for quantity, _ in EDGE]
-    lines = [as_line(title, head), "|---|" + "---|" * len(head)]
-    for cell in swept(name):
-        cells = [with_interval(cell.metrics[f"{key}/{q}"], digits) for key in ways.values() for q, digits in EDGE]
+    lines = [as_line("recorded, pins", head), "|---|" + "---|" * len(head)]
+    for cell in swept("rivals"):
+        cells = [
+            with_interval(cell.metrics[f"{key}/{quantity}"], digits)
+            for key in ways.values()
+            for quantity, digits in EDGE
+        ]
         lines.append(as_line(cell.label, cells))
     return "\n".join(lines)
 
@@ -790,6 +785,7 @@ TABLES = {
     "README.md": (real_skin, demo, standard_first),
     "docs/your-own-recordings.md": (pairings, other_recordings, few_labels, simulated_slides),
     "docs/skin.md": (transfer,),
+    "docs/unshear-or-directly.md": (rivals,),
     "docs/calibration.md": (*simulator_tables.CALIBRATION, refit),
     "docs/simulator.md": simulator_tables.SIMULATOR,
     "docs/applications.md": (found_pins, geometry, servo, servo_pins, objects, perception),
