@@ -8,7 +8,7 @@ from jaxunshear.dataset.digests import folders_in
 from jaxunshear.errors import UserError
 from jaxunshear.folders import model_folder
 from jaxunshear.settings.configs import fingerprint
-from jaxunshear.settings.data import Recorded
+from jaxunshear.settings.data import PoseData, Recorded
 from jaxunshear.settings.experiment import Experiment, further_tests, learnt_from, needed, training_of
 from jaxunshear.settings.stored import OTHERS
 from jaxunshear.storage import Json, read_object
@@ -37,7 +37,8 @@ def data_of(experiment: Experiment, network: str, start: Path | None) -> list[st
         own = folders_in(experiment.paired.digest)
     else:
         sets = [learnt_from(experiment, each) for each in needed(experiment, network)]
-        sets += [experiment.pose] if training_of(experiment, network).tap_weight else []
+        if training_of(experiment, network).tap_weight and isinstance(experiment.pose, PoseData):
+            sets.append(experiment.pose)
         own = {fingerprint(each, experiment.sensor) for each in sets}
     return sorted(own.union(read_object(start / "model.json")["data"] if start else ()))
 
@@ -63,4 +64,4 @@ def begin_from(fresh: Json, start: Json) -> Json:
     wrong = next((name for name, leaf in kept.items() if name not in own or own[name].shape != leaf.shape), None)
     if wrong or not kept:
         raise UserError(f"start: {wrong or 'no part'} of these weights fits the network: use that network's settings")
-    return tree.unflatten(tree.structure(fresh), (own | kept).values())  # type: ignore[no-any-return]
+    return tree.unflatten(tree.structure(fresh), (own | kept).values())
